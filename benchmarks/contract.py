@@ -218,7 +218,8 @@ def _rows(folder: Path, case: Case) -> Iterator[list[str]]:
     for one in found.findings:
         joints = ", ".join(one.joints[:4]) + (f" and {len(one.joints) - 4} more"
                                               if len(one.joints) > 4 else "")  # fmt: skip
-        slip = f" ({one.slip})" if one.slip and one.slip != one.kind else ""
+        tag = one.probable_mistake if one.probable_mistake != one.kind else ""
+        slip = f" ({tag})" if tag else ""
         values = ["" if value is None else f"{value:.6g}" for value in one.values]
         lines = " ".join(Path(place).name for place in one.places)
         yield [*first, f"{one.kind}{slip}", str(one.severity), joints, *values, lines]

@@ -186,7 +186,7 @@ def run(home: Path, case: Case, slots: dict[str, Slot]) -> Iterator[tuple[str, b
         new = [one for key, one in read().items() if key not in before]
         edit.path.write_text(kept)
         hits = [one for one in new if found_by(one, edit)]
-        slips = {one.slip for one in hits if one.slip != "mirror"}
+        slips = {one.probable_mistake for one in hits if one.probable_mistake != "mirror"}
         right = slip in slips if slip in ("order", "sign", "unit") else bool(slips)
         words = (hits or new or [None])[0]
         yield slip, right, f"{Path(edit.path).name}:{edit.lines}: {words and words.message}"

@@ -25,7 +25,7 @@ def happened(trial: PayloadTrial | None) -> str:
         return "-"
     if trial.failure is None:
         return "holds"
-    return f"{trial.time:.2f} s: {trial.failure.value} ({trial.fell} of {trial.nudges})"
+    return f"{trial.time:.2f} s: {trial.failure.value} ({trial.failed_nudges} of {trial.nudges})"
 
 
 @click.command()

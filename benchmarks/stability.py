@@ -206,7 +206,7 @@ def main() -> None:
             says = "not at rest"
         elif not leaving:
             says = "holds"
-        elif leaving[0].freed:
+        elif leaving[0].without_dry_friction:
             says = "shakes without dry friction"
         else:
             says = "shakes" if leaving[0].shakes else "buckles"

@@ -176,10 +176,10 @@ def _fail_if_upset(
     upset = diagnose(
         "upset-by-nudge",
         speed=Quantity(BASE_NUDGE_SPEED, "m/s"),
-        fell=trial.fell,
+        fell=trial.failed_nudges,
         nudges=trial.nudges,
         failure=Term(trial.failure.value),
-        where=trial.where,
+        where=trial.failing_parts,
         time=Quantity(trial.time or 0.0, "s"),
     )
     return replace(fed, passed=False, stays=False, failures=(upset,))

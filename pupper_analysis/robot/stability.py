@@ -173,8 +173,9 @@ class Mode(Result):
         doubling_time: Time in which the mode doubles (s); None if the mode decays, or is
             ``sustained``.
         joints: Joints with the largest motion in the mode, largest first.
-        freed: Whether the spectrum is that without dry friction of joints and tendons.
-        repeated: Whether the spectrum with ``SECOND_STEP`` has the mode as well.
+        without_dry_friction: Whether the spectrum is that without dry friction of joints and
+            tendons.
+        repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` has the mode as well.
         nudge: Deviation of a joint from which growth was measured in simulation (rad or m); None if
             the mode is known from the spectrum only. With a value, ``doubling_time`` is the
             simulated time.
@@ -186,8 +187,8 @@ class Mode(Result):
     time_constant: float = field(metadata={"unit": "s"})
     doubling_time: float | None = field(metadata={"unit": "s"})
     joints: tuple[str, ...]
-    freed: bool = False
-    repeated: bool = True
+    without_dry_friction: bool = False
+    repeated_at_second_step: bool = True
     nudge: float | None = field(default=None, metadata={"unit": "rad or m"})
     _direction: Array | None = None
 
@@ -239,9 +240,9 @@ class Stability(Result):
             friction; None if no oscillation decays.
         speed: Largest element of qvel at the evaluated state (m/s or rad/s). If the state is not at
             rest, the spectrum does not describe the stability.
-        sticks: Whether MuJoCo's no-slip solver is active. Friction then holds buckling modes until
-            the contact slips; a simulation shows such modes, the spectrum does not.
-        refuted: Modes that grow in the spectrum, but not in a nudged simulation.
+        uses_noslip_solver: Whether MuJoCo's no-slip solver is active. Friction then holds buckling
+            modes until the contact slips; a simulation shows such modes, the spectrum does not.
+        refuted_modes: Modes that grow in the spectrum, but not in a nudged simulation.
     """
 
     timestep: float = field(metadata={"unit": "s"})
@@ -249,8 +250,8 @@ class Stability(Result):
     unstable: tuple[Mode, ...]
     least_damped: Mode | None
     speed: float = field(metadata={"unit": "m/s or rad/s"})
-    sticks: bool
-    refuted: tuple[Mode, ...] = ()
+    uses_noslip_solver: bool
+    refuted_modes: tuple[Mode, ...] = ()
 
     @property
     def at_rest(self) -> bool:
@@ -283,11 +284,11 @@ class Stability(Result):
     def modes_growing_within(self, duration: float = HOLD_DURATION) -> tuple[Mode, ...]:
         """Return the unstable modes that leave the state within a duration [s].
 
-        `Mode.grows_within` decides. If MuJoCo's no-slip solver is active (``sticks``), friction
-        holds buckling modes, so only growing oscillations are returned.
+        `Mode.grows_within` decides. If MuJoCo's no-slip solver is active (``uses_noslip_solver``),
+        friction holds buckling modes, so only growing oscillations are returned.
         """
         growing = (mode for mode in self.unstable if mode.grows_within(duration))
-        return tuple(mode for mode in growing if mode.shakes or not self.sticks)
+        return tuple(mode for mode in growing if mode.shakes or not self.uses_noslip_solver)
 
     def lasts(self, duration: float = HOLD_DURATION) -> bool:
         """Return True if no mode leaves the state within a duration [s] after a nudge."""
@@ -307,7 +308,8 @@ def step_stability(
 
     Dry friction of joints and tendons is viscous in MuJoCo while nothing slides, and hides a mode
     until a push overcomes the friction. Modes that leave within ``HOLD_DURATION`` without this
-    friction are therefore returned as well (``Mode.freed``). Contacts keep the friction.
+    friction are therefore returned as well (``Mode.without_dry_friction``). Contacts keep the
+    friction.
 
     The spectrum is valid for states at rest (``Stability.speed``) and small deviations. For larger
     pushes, simulate.
@@ -378,11 +380,17 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
         for values, before in zip(rubbing, kept, strict=True):
             values[:] = before
     freed = [
-        replace(mode, freed=True) for mode in free.unstable if mode.grows_within(HOLD_DURATION)
+        replace(mode, without_dry_friction=True)
+        for mode in free.unstable
+        if mode.grows_within(HOLD_DURATION)
     ]
     unstable = sorted([*found.unstable, *freed], key=lambda mode: -mode.growth)
     damped = [found.least_damped] if found.least_damped is not None else []
-    damped += [replace(free.least_damped, freed=True)] if free.least_damped is not None else []
+    damped += (
+        [replace(free.least_damped, without_dry_friction=True)]
+        if free.least_damped is not None
+        else []
+    )
     least = min(damped, key=lambda mode: mode.damping_ratio, default=None)
     return replace(found, unstable=tuple(unstable), least_damped=least)
 
@@ -406,7 +414,7 @@ def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability)
             abs(again.growth - mode.growth) <= _RATE_TOLERANCE * mode.growth for again in second
         )
 
-    modes = (replace(mode, repeated=repeats(mode)) for mode in found.unstable)
+    modes = (replace(mode, repeated_at_second_step=repeats(mode)) for mode in found.unstable)
     return replace(found, unstable=tuple(modes))
 
 
@@ -479,7 +487,7 @@ class _Modes:
             unstable=tuple(self._make_mode(mode) for mode in growing.tolist()),
             least_damped=self._make_mode(int(swinging[int(np.argmin(damped))])) if damped else None,
             speed=float(np.abs(data.qvel).max(initial=0.0)),
-            sticks=bool(model.opt.noslip_iterations > 0),
+            uses_noslip_solver=bool(model.opt.noslip_iterations > 0),
         )
 
     def _damping_ratio(self, mode: int) -> float:

@@ -66,15 +66,15 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
     """Describe the first mode that the nudged simulation refutes; () without any."""
-    if not stability.refuted:
+    if not stability.refuted_modes:
         return ()
-    mode = stability.refuted[0]
+    mode = stability.refuted_modes[0]
     return (
         diagnose(
             "mode-refuted",
             doubling_time=Quantity(mode.doubling_time or math.inf, "s"),
             frequency=Quantity(mode.frequency, "Hz") if mode.shakes else None,
-            differs=not mode.repeated,
+            differs=not mode.repeated_at_second_step,
         ),
     )
 
@@ -84,7 +84,7 @@ def describe_growth(mode: Mode) -> Diagnostic:
     return diagnose(
         "mode-shakes" if mode.shakes else "mode-buckles",
         frequency=Quantity(mode.frequency, "Hz"),
-        freed=mode.freed,
+        freed=mode.without_dry_friction,
         joints=mode.joints,
         doubling_time=None if mode.doubling_time is None else Quantity(mode.doubling_time, "s"),
         nudge=None if mode.nudge is None else Quantity(mode.nudge, "rad"),

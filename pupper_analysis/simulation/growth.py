@@ -45,8 +45,8 @@ that carries 1/10,000 of the weight is 10 um deep: ``2 ** DOUBLINGS * NUDGE_ANGL
 
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
 """Initial deviations, in the units of ``NUDGE_ANGLE`` and ``NUDGE_SPEED``, along modes that dry
-friction hides from a small nudge (``Mode.freed``). Dry friction of 0.01 N m holds a servo of
-5 N m/rad within 2e-3 rad."""
+friction hides from a small nudge (``Mode.without_dry_friction``). Dry friction of 0.01 N m holds a
+servo of 5 N m/rad within 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
 """Longest simulated time (s): ``DOUBLINGS`` of a mode that doubles in ``HOLD_DURATION``, and one
@@ -101,7 +101,7 @@ def confirm_growth(
     """Confirm or refute the modes with which a state would not last, by simulation.
 
     Nothing is simulated if there is no such mode, or if the state is not at rest. Modes that dry
-    friction hides (``Mode.freed``) are tested last, and only if no other mode is
+    friction hides (``Mode.without_dry_friction``) are tested last, and only if no other mode is
     confirmed to leave the state within ``HOLD_DURATION``.
 
     Args:
@@ -112,8 +112,8 @@ def confirm_growth(
 
     Returns:
         The stability. A mode with the simulated doubling time (None if the oscillation is
-        sustained) replaces the leaving modes in ``unstable``; ``refuted`` contains the leaving
-        modes that do not grow in the simulation.
+        sustained) replaces the leaving modes in ``unstable``; ``refuted_modes`` contains the
+        leaving modes that do not grow in the simulation.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -122,7 +122,7 @@ def confirm_growth(
     refuted: list[Mode] = []
     start = full_state(model, data)
     for freed in (False, True):
-        modes = [mode for mode in leaving if mode.freed is freed]
+        modes = [mode for mode in leaving if mode.without_dry_friction is freed]
         if not modes:
             continue
         confirmed = None
@@ -138,13 +138,13 @@ def confirm_growth(
         if unstable[-1].grows_within(HOLD_DURATION):
             break
     unstable.sort(key=lambda mode: -mode.growth)
-    return replace(stability, unstable=tuple(unstable), refuted=tuple(refuted))
+    return replace(stability, unstable=tuple(unstable), refuted_modes=tuple(refuted))
 
 
 def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
     """Return the nudges (rad or m, rad/s or m/s) with which modes are tested."""
     small, large = (NUDGE_ANGLE, NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
-    if not modes[0].freed:
+    if not modes[0].without_dry_friction:
         return [small]
     # A limit cycle ends growth: with the larger nudge it may begin beyond.
     return [small, large] if any(mode.shakes for mode in modes) else [large]
@@ -209,7 +209,7 @@ def _make_displacement(
     share. Without such a mode the result is a velocity of all coordinates.
     """
     nv = model.nv
-    repeated = [mode for mode in modes if mode.repeated]
+    repeated = [mode for mode in modes if mode.repeated_at_second_step]
     if not repeated:
         velocity = nudge_velocity(model)
         displacement = np.zeros(2 * nv + model.na)

@@ -116,22 +116,22 @@ class NudgeTrial(Result):
     """Simulations of a stand that is nudged in twelve directions.
 
     Attributes:
-        held: Whether the stand survived all nudges.
+        survived: Whether the stand survived all nudges.
         failure: Earliest failure; None if there was none.
-        where: Motors, joints, feet or bodies of the failure.
+        failing_parts: Motors, joints, feet or bodies of the failure.
         time: Simulated time of the failure (s); None without a failure.
-        fell: Number of nudges that ended in a failure.
+        failed_nudges: Number of nudges that ended in a failure.
         nudges: Number of nudges.
         duration: Time after each nudge for which the outcome holds (s).
         simulated: Simulated time of all nudges (s); less than ``nudges * duration`` if simulations
             were decided earlier.
     """
 
-    held: bool
+    survived: bool
     failure: Failure | None
-    where: tuple[str, ...]
+    failing_parts: tuple[str, ...]
     time: float | None = field(metadata={"unit": "s"})
-    fell: int
+    failed_nudges: int
     nudges: int
     duration: float = field(metadata={"unit": "s"})
     simulated: float = field(metadata={"unit": "s"})
@@ -169,8 +169,8 @@ def simulate_nudges(
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
         duration: Time after each nudge for which the outcome is decided [s], 2 to 600.
-        until_failure: End all simulations once the earliest failure is known. ``fell`` is then a
-            lower bound.
+        until_failure: End all simulations once the earliest failure is known. ``failed_nudges`` is
+            then a lower bound.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the robot cannot stand.
@@ -201,15 +201,15 @@ def simulate_nudges(
         for run, states in zip(running, rollouts, strict=True):
             run.advance(states, stride, remaining=(steps - begin - count) * timestep)
     failures = [run.failure for run in runs if run.failure is not None]
-    time, failure, where = (
+    time, failure, failing_parts = (
         min(failures, key=lambda event: event[0]) if failures else (None, None, ())
     )
     return NudgeTrial(
-        held=not failures,
+        survived=not failures,
         failure=failure,
-        where=where,
+        failing_parts=failing_parts,
         time=time,
-        fell=len(failures),
+        failed_nudges=len(failures),
         nudges=len(runs),
         duration=duration,
         simulated=simulated * timestep,

@@ -24,7 +24,7 @@ def test_a_urdf_with_a_block_for_mujoco_keeps_its_column(tmp_path: Path) -> None
     comparison = compared(write(tmp_path, URDF.replace("</robot>", block), MJCF))
     assert comparison.agree
     assert not [note for note in comparison.check.notes if URDF_MUJOCO in str(note)]
-    assert "engines (URDF)" in comparison.check.quantities[0].edges
+    assert "engines (URDF)" in comparison.check.quantities[0].edge_deviations
 
 
 def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:

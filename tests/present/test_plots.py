@@ -40,7 +40,9 @@ def test_plot_of_a_comparison_contains_each_deviation() -> None:
     (axes,) = comparison.plot()
     drawn = {value for line in axes.lines for value in np.asarray(line.get_xdata()) if value > 0}
     expected = {
-        value for quantity in comparison.check.quantities for value in quantity.edges.values()
+        value
+        for quantity in comparison.check.quantities
+        for value in quantity.edge_deviations.values()
     }
     assert drawn == {*filter(None, expected), comparison.check.tolerance}
     assert axes.get_xscale() == "log"

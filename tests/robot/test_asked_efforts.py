@@ -62,8 +62,8 @@ def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path:
     asked = with_efforts(robot, {"shoulder": 30.0, "elbow": 9.0, "a_turn": 5.0})
     held = pa.hold_posture(asked)
     assert held.verdict.remarks == ()
-    assert held.payload.somewhere is not None
-    assert held.payload.somewhere < 3.0  # kg: 9 N m at 0.4 m; hundreds by 2000 N m
+    assert held.payload.worst_posture_mass is not None
+    assert held.payload.worst_posture_mass < 3.0  # kg: 9 N m at 0.4 m; hundreds by 2000 N m
 
 
 @pytest.mark.parametrize(

@@ -163,7 +163,7 @@ def test_dry_friction_hides_an_unstable_servo_until_a_push_overcomes_it() -> Non
     smooth = judged(pendulum(kp, kd, "Euler", step))
     found = judged(rubbing)
     (mode,) = found.unstable
-    assert mode.freed
+    assert mode.without_dry_friction
     assert mode.shakes
     assert found.radius < 1
     assert mode.growth == pytest.approx(smooth.radius - 1, rel=1e-6)

@@ -44,7 +44,7 @@ def test_the_doubling_time_of_a_confirmed_mode_is_that_of_the_pendulum(kp: float
     (mode,) = found.modes_growing_within()
     assert mode.doubling_time == pytest.approx(math.log(2) / rate, rel=0.05)
     assert mode.nudge == pytest.approx(1e-4)
-    assert not found.refuted
+    assert not found.refuted_modes
 
 
 def test_growing_mode_is_refuted_if_a_stop_ends_it() -> None:
@@ -57,7 +57,7 @@ def test_growing_mode_is_refuted_if_a_stop_ends_it() -> None:
     spectrum, found = judged(xml)
     assert spectrum.modes_growing_within()
     assert not found.modes_growing_within()
-    assert [mode.growth for mode in found.refuted] == [
+    assert [mode.growth for mode in found.refuted_modes] == [
         mode.growth for mode in spectrum.modes_growing_within()
     ]
 

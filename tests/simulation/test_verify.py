@@ -159,7 +159,7 @@ def test_resting_on_the_thighs_is_a_failure() -> None:
     # It lies where nothing grows any more. At the start it is in no equilibrium: two simulations a
     # tenth of a milliradian apart fall alike, so no mode is the cause.
     assert not result.stability.modes_growing_within()
-    assert result.stability.refuted
+    assert result.stability.refuted_modes
 
 
 def test_fall_is_a_failure_of_the_verification() -> None:

@@ -175,8 +175,8 @@ ANALYSIS: Any = Stub(
         quantities=(
             Stub(
                 name="mass matrix",
-                where="knee, #3",
-                whose="models (Pinocchio)",
+                location="knee, #3",
+                edge="models (Pinocchio)",
                 deviation=4.1e-5,
                 relative=1.3e-4,
                 passed=False,
@@ -226,7 +226,7 @@ def pushes(shift: float) -> Stub:
         simulated=123.0,
         duration=6.5,
         resolution=0.03,
-        unpushed=(),
+        failures_without_push=(),
         mass=2.15,
     )
 
@@ -281,10 +281,10 @@ def stance(**changes: Any) -> Any:
 
 
 def loaded(*unknown: str) -> Any:
-    none = Stub(mass=math.inf, failure=Failure.NOTHING, where=())
+    none = Stub(mass=math.inf, failure=Failure.NOTHING, failing_parts=())
     bounds = {
-        "servos": Stub(mass=1.239, failure=Failure.BUCKLING, where=("knee",)),
-        "motors": Stub(mass=4.569, failure=Failure.MOTOR, where=("hip",)),
+        "servos": Stub(mass=1.239, failure=Failure.BUCKLING, failing_parts=("knee",)),
+        "motors": Stub(mass=4.569, failure=Failure.MOTOR, failing_parts=("hip",)),
         "stance": none,
         "simulation": none,
     }
@@ -297,10 +297,10 @@ def loaded(*unknown: str) -> Any:
         point=np.array([0.011, -0.022, 0.083]),
         link="base_link",
         mass=math.nan if unknown else 1.239,
-        where=("knee",),
+        failing_parts=("knee",),
         failure=Failure.BUCKLING,
         bounds=bounds,
-        at_most=1.239,
+        upper_bound=1.239,
         unknown_limits=unknown,
         torque_of={"hip": 1.0, "knee": -2.0},
         joint_torques=(1.0, 2.0),
@@ -404,7 +404,7 @@ def files() -> Any:
         "yourdfpy (URDF)": 5.5e-15,
         "extras (MJCF)": 6.6e-6,
     }
-    quantity = Stub(name="mass matrix", edges=sides, passed=False, where="knee, #3")
+    quantity = Stub(name="mass matrix", edge_deviations=sides, passed=False, location="knee, #3")
     found: Any = Stub(
         urdf="a.urdf",
         mjcf="b.xml",

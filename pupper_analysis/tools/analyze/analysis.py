@@ -221,8 +221,8 @@ def analyze_variant(
             "models-deviate",
             quantity=Term(quantity.name),
             relative=quantity.relative,
-            whose=Term(quantity.whose),
-            where=quantity.where,
+            whose=Term(quantity.edge),
+            where=quantity.location,
         )
         for quantity in check.quantities
         if not quantity.passed

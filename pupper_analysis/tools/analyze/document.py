@@ -281,8 +281,8 @@ def _make_check_table(analysis: Analysis) -> doc.Block:
         rows.append(
             (
                 word(quantity.name),
-                doc.Name("" if exact else quantity.where),
-                doc.Name("" if exact else quantity.whose),
+                doc.Name("" if exact else quantity.location),
+                doc.Name("" if exact else quantity.edge),
                 doc.Number(f"{quantity.relative:.1e}", quantity.relative),
                 text("ok") if quantity.passed else text("differs").with_mark("bad"),
             )

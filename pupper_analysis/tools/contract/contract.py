@@ -56,7 +56,8 @@ class SourceRead(Result):
         path: Path of the file.
         role: trainer, policy, deployment, driver or model.
         order: Joints in the order of the policy's arrays.
-        how: How the order is known: named, motors, policy or assumed; empty if it is not known.
+        order_source: How the order is known: named, motors, policy or assumed; empty if it is not
+            known.
         unknown: Names in the source that match no joint of the model.
         observations: Observations of the policy, in order.
     """
@@ -65,7 +66,7 @@ class SourceRead(Result):
     path: str
     role: str
     order: tuple[str, ...]
-    how: str
+    order_source: str
     unknown: tuple[str, ...]
     observations: tuple[str, ...]
 

@@ -91,8 +91,8 @@ def _compare_lines(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
         for place, number in numbers.items()
     )
     tag: doc.Words = word(str(finding.severity))
-    if finding.slip:
-        tag = text("severity-rule", severity=tag, rule=word(finding.slip))
+    if finding.probable_mistake:
+        tag = text("severity-rule", severity=tag, rule=word(finding.probable_mistake))
     tag = tag.with_mark(SEVERITY_MARKS[finding.severity]) if isinstance(tag, doc.Text) else tag
     return doc.FileFinding(
         doc.diagnostic_text(finding.diagnostic),
@@ -157,7 +157,7 @@ def _tabulate_sources(contract: Contract) -> doc.Table:
             doc.Name(source.name),
             word(source.role),
             doc.number_cell(count[source.name], ".0f"),
-            text(f"contract-order-{source.how or 'none'}"),
+            text(f"contract-order-{source.order_source or 'none'}"),
         )
         for source in contract.sources
     )
@@ -179,7 +179,7 @@ def _tabulate_facts(
     ]
     # If sources differ as well, a violated symmetry follows from one of the differences.
     shown_findings = [
-        finding for finding in shown_findings if finding.slip != "mirror"
+        finding for finding in shown_findings if finding.probable_mistake != "mirror"
     ] or shown_findings
     marked_cells = {
         (row, finding.sources[1])
@@ -233,7 +233,8 @@ def make_contract_annotations(contract: Contract) -> list[Annotation]:
     return [
         Annotation(
             ANNOTATION_LEVELS[finding.severity],
-            f"{finding.slip or finding.kind}: {', '.join(finding.joints[:3]) or finding.kind}",
+            f"{finding.probable_mistake or finding.kind}: "
+            f"{', '.join(finding.joints[:3]) or finding.kind}",
             f"{finding.message} [{finding.places[1 - number]}]",
             place,
             about=finding.kind,

@@ -62,7 +62,7 @@ class Disagreement(Result):
 
     Attributes:
         kind: Quantity, ``order`` or ``observations``.
-        slip: Probable mistake: ``sign``, ``unit``, ``order``, ``mirror``, or "".
+        probable_mistake: Probable mistake: ``sign``, ``unit``, ``order``, ``mirror``, or "".
         joints: Joints concerned.
         sources: Names of both sources; the first is the reference.
         values: Values of the first joint in both sources; None if there is no number.
@@ -74,7 +74,7 @@ class Disagreement(Result):
     """
 
     kind: str
-    slip: str
+    probable_mistake: str
     joints: tuple[str, ...]
     sources: tuple[str, ...]
     values: tuple[float | None, ...] = field(metadata={"unit": "varies"})

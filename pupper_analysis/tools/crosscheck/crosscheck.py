@@ -212,7 +212,7 @@ def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tupl
             edge=Term(whose),
         )
         for quantity in check.quantities
-        for whose, relative in quantity.edges.items()
+        for whose, relative in quantity.edge_deviations.items()
         if whose in ENGINE_EDGES
         and relative > ENGINE_RTOL
         # If differences are missing in the list, the engines did not get the same model.
@@ -573,10 +573,10 @@ class QuantityCheck(Result):
         scale: Largest absolute value at the worst deviation, for `relative`.
         deviation: Absolute deviation at the place of the worst relative deviation.
         relative: Largest relative deviation.
-        between: Evaluations with the largest deviation.
-        whose: Edge with the largest deviation: models, engines or extras.
-        where: Body, joint or foot with the largest deviation, and number of the configuration.
-        edges: {edge: largest relative deviation}.
+        evaluations: Evaluations with the largest deviation.
+        edge: Edge with the largest deviation: models, engines or extras.
+        location: Body, joint or foot with the largest deviation, and number of the configuration.
+        edge_deviations: {edge: largest relative deviation}.
         passed: Whether ``relative`` is within the tolerance.
     """
 
@@ -585,10 +585,10 @@ class QuantityCheck(Result):
     scale: float = field(metadata={"unit": "varies"})
     deviation: float = field(metadata={"unit": "varies"})
     relative: float = field(metadata={"unit": "1"})
-    between: tuple[str, str]
-    whose: str
-    where: str
-    edges: dict[str, float] = field(metadata={"unit": "1"})
+    evaluations: tuple[str, str]
+    edge: str
+    location: str
+    edge_deviations: dict[str, float] = field(metadata={"unit": "1"})
     passed: bool
 
 
@@ -861,10 +861,10 @@ def _compare_quantity(
         scale=scale,
         deviation=deviation,
         relative=relative,
-        between=between,
-        whose=EDGE_NAMES[between],
-        where=where,
-        edges=edges,
+        evaluations=between,
+        edge=EDGE_NAMES[between],
+        location=where,
+        edge_deviations=edges,
         passed=bool(relative <= tolerance),
     )
 

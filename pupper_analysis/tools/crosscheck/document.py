@@ -356,12 +356,16 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
     sides = [
-        side for side in every if any(quantity.edges.get(side) for quantity in check.quantities)
+        side
+        for side in every
+        if any(quantity.edge_deviations.get(side) for quantity in check.quantities)
     ]
     names = [get_english(word(quantity.name)) for quantity in check.quantities]
     axes = make_axes(get_english(text("cross-check")), 0.16 * len(names) + 1.2)
     for side, marker in zip(sides, itertools.cycle("osv^Dx")):
-        deviations = [quantity.edges.get(side) or math.nan for quantity in check.quantities]
+        deviations = [
+            quantity.edge_deviations.get(side) or math.nan for quantity in check.quantities
+        ]
         axes.plot(deviations, names, marker, label=get_english(word(side)), alpha=0.8)
     tolerance = f"tolerance {check.tolerance:g}"
     axes.axvline(check.tolerance, color="black", ls="--", lw=1, label=tolerance)
@@ -374,14 +378,17 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
 def _tabulate_quantities(comparison: Comparison) -> doc.Table:
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
-    sides = [side for side in every if any(side in q.edges for q in check.quantities)]
-    if not any(quantity.edges.get(EXTRAS_EDGE) for quantity in check.quantities):
+    sides = [side for side in every if any(side in q.edge_deviations for q in check.quantities)]
+    if not any(quantity.edge_deviations.get(EXTRAS_EDGE) for quantity in check.quantities):
         sides.remove(EXTRAS_EDGE)  # all zeros: the MJCF has no such terms
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(quantity.name),
-            *(_make_deviation_cell(quantity.edges.get(side), check.tolerance) for side in sides),
-            doc.Name("" if quantity.passed else quantity.where),
+            *(
+                _make_deviation_cell(quantity.edge_deviations.get(side), check.tolerance)
+                for side in sides
+            ),
+            doc.Name("" if quantity.passed else quantity.location),
         )
         for quantity in check.quantities
     ]

@@ -154,7 +154,7 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
                 "worst-residual",
                 joint=doc.Name(residual.joint),
                 stand=doc.Name(residual.stand),
-                off=f"{math.degrees(residual.off):+.3f}",
+                off=f"{math.degrees(residual.residual):+.3f}",
                 times=f"{abs(residual.deviations):.1f}",
             )
             for residual in fit.joint_residuals[:1]

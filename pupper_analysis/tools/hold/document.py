@@ -88,7 +88,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
     A payload that is unknown, unlimited or zero, or a posture that fails, is a matter of the files:
     they are audited.
     """
-    payload = hold.payload.somewhere
+    payload = hold.payload.worst_posture_mass
     if not hold.passed or not math.isfinite(payload) or payload <= 0:
         return doc.NextStep("audit")
     step = 10.0 ** (math.floor(math.log10(payload)) - 1)
@@ -107,7 +107,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
     torques = np.abs(worst.joint_torques)
     index = int(np.argmax(np.where(known, worst.utilisation, -1.0) if known.any() else torques))
     share = float(worst.utilisation[index]) if known.any() else math.nan
-    payload = hold.payload.somewhere
+    payload = hold.payload.worst_posture_mass
     return text(
         "worst-posture-in-short",
         torque=f"{torques[index]:.3g}",
@@ -231,7 +231,7 @@ def _make_payload_table(hold: Hold) -> doc.Table:
     limits = (
         ("payload-here", payload.mass, payload.joint),
         ("payload-by-servos", payload.servos, payload.servo),
-        ("payload-somewhere", payload.somewhere, payload.weakest),
+        ("payload-somewhere", payload.worst_posture_mass, payload.worst_posture_joint),
     )
     rows = [(text(name), mass, joint) for name, mass, joint in limits]
     return _make_limit_table(
@@ -395,7 +395,7 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
             "carries-and-withstands",
             tool=doc.Name(hold.tool.name),
             here=_format_limit(hold.payload.mass),
-            somewhere=_format_limit(hold.payload.somewhere),
+            somewhere=_format_limit(hold.payload.worst_posture_mass),
             force=_format_limit(hold.force.weakest),
         )
 

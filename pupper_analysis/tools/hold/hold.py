@@ -138,11 +138,11 @@ class ToolPayload(Result):
             ``ctrlrange``. Infinite if no mass is too large.
         servo: Joint with the command that limits the mass that the servos hold; "" if the stiffness
             does, or nothing.
-        somewhere: Smallest limit of all postures in a search (kg): with a larger mass, a posture
-            was found that the motors do not hold. 0 if a motor that may bear the mass has a limit
-            of zero, otherwise NaN if such a motor has an unknown limit.
-        weakest: Joint of the motor that limits the mass in all postures; "" if this mass is
-            infinite or NaN.
+        worst_posture_mass: Smallest limit of all postures in a search (kg): with a larger mass, a
+            posture was found that the motors do not hold. 0 if a motor that may bear the mass has a
+            limit of zero, otherwise NaN if such a motor has an unknown limit.
+        worst_posture_joint: Joint of the motor that limits the mass in all postures; "" if this
+            mass is infinite or NaN.
         posture: (nu,) posture with the smallest limit (rad or m); the given posture if there was no
             search.
         code: ``zero`` if a motor that may bear the mass has a limit of zero; else ``unknown`` if
@@ -154,8 +154,8 @@ class ToolPayload(Result):
     joint: str
     servos: float = field(metadata={"unit": "kg"})
     servo: str
-    somewhere: float = field(metadata={"unit": "kg"})
-    weakest: str
+    worst_posture_mass: float = field(metadata={"unit": "kg"})
+    worst_posture_joint: str
     posture: Array = field(metadata={"unit": "rad or m"})
     code: EffortCode
     unknown: tuple[str, ...]
@@ -201,11 +201,23 @@ def tool_payload(
     }
     if null:
         code, first = EffortCode.ZERO, null[0]
-        return ToolPayload(mass=0.0, joint=first, somewhere=0.0, weakest=first, code=code, **known)
+        return ToolPayload(
+            mass=0.0,
+            joint=first,
+            worst_posture_mass=0.0,
+            worst_posture_joint=first,
+            code=code,
+            **known,
+        )
     if unknown:
         code = EffortCode.UNKNOWN
         return ToolPayload(
-            mass=mass, joint=joint, somewhere=math.nan, weakest="", code=code, **known
+            mass=mass,
+            joint=joint,
+            worst_posture_mass=math.nan,
+            worst_posture_joint="",
+            code=code,
+            **known,
         )
     smallest, weakest, qpos = _find_smallest_payload(robot, tool, [posture.qpos, *worst.postures])
     smallest = min(smallest, UNLIMITED_MASS_RATIO * robot.total_mass)
@@ -225,8 +237,8 @@ def tool_payload(
         joint=joint,
         servos=servos,
         servo=servo,
-        somewhere=smallest if weakest else math.inf,
-        weakest=weakest,
+        worst_posture_mass=smallest if weakest else math.inf,
+        worst_posture_joint=weakest,
         posture=qpos,
         code=EffortCode.STATED,
         unknown=(),

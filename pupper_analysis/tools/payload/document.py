@@ -65,7 +65,7 @@ _NEXT_STEPS = {
 
 def _select_next_step(limit: PayloadLimit) -> NextStep:
     """Return the command that raises the limit, or the cause if no payload is carried."""
-    if limit.unknown_limits and limit.at_most > 0:
+    if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
     if not limit.passed or not limit.bounds:
         return NextStep("stand")
@@ -95,21 +95,21 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
 
     If torque limits of motors that carry the load are unknown, state these motors instead.
     """
-    if limit.unknown_limits and limit.at_most > 0:
+    if limit.unknown_limits and limit.upper_bound > 0:
         return _unknown_text(limit)
     return text(
         "payload-at-place",
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
         link=limit.link,
-        mass=mass_text(limit.at_most),
+        mass=mass_text(limit.upper_bound),
         ground=ground_word(limit.stand.depths.values()),
     )
 
 
 def _describe_limit(limit: PayloadLimit) -> Iterable[doc.Words]:
     """State the failure above the largest mass; nothing if torque limits are unknown."""
-    if not (limit.unknown_limits and limit.at_most > 0):
-        yield text("payload-limited", failure=_describe_failure(limit.failure, limit.where))
+    if not (limit.unknown_limits and limit.upper_bound > 0):
+        yield text("payload-limited", failure=_describe_failure(limit.failure, limit.failing_parts))
 
 
 def _unknown_text(limit: PayloadLimit) -> doc.Text:
@@ -120,8 +120,8 @@ def _unknown_text(limit: PayloadLimit) -> doc.Text:
         "payload-unknown",
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
         link=limit.link,
-        mass=mass_text(limit.at_most),
-        bounded=math.isfinite(limit.at_most),
+        mass=mass_text(limit.upper_bound),
+        bounded=math.isfinite(limit.upper_bound),
         torque=f"{abs(float(torques[hardest])):.3g}",
         hardest=doc.Name(hardest),
     )
@@ -171,7 +171,7 @@ def _describe_bound_failure(bound: Bound) -> doc.Words:
     """Describe the failure above a bound; a dash if the bound is infinite."""
     if math.isinf(bound.mass):
         return doc.Name("-")
-    return _describe_failure(bound.failure, bound.where)
+    return _describe_failure(bound.failure, bound.failing_parts)
 
 
 def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
@@ -198,5 +198,5 @@ def _describe_trial(trial: PayloadTrial) -> doc.Text:
         mass=mass,
         seconds=seconds,
         time=f"{trial.time:.2f}",
-        failure=_describe_failure(trial.failure, trial.where),
+        failure=_describe_failure(trial.failure, trial.failing_parts),
     )

@@ -158,12 +158,12 @@ class Bound(Result):
         mass: Largest mass below the bound [kg]; infinite without a bound, or if the bound is larger
             than all searched masses (``MAX_BOUND_RATIO``).
         failure: Failure above the bound.
-        where: Motors, joints, feet or bodies of the failure.
+        failing_parts: Motors, joints, feet or bodies of the failure.
     """
 
     mass: float = field(metadata={"unit": "kg"})
     failure: Failure
-    where: tuple[str, ...]
+    failing_parts: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,9 +175,10 @@ class PayloadLimit(Result):
 
     Attributes:
         name: Name of the robot.
-        mass: Largest payload [kg], equal to ``at_most``; not a number if ``code`` is ``unknown``
-            and ``at_most`` is not 0.
-        at_most: Smallest of the four bounds [kg]; motors with an unknown torque limit set no bound.
+        mass: Largest payload [kg], equal to ``upper_bound``; not a number if ``code`` is
+            ``unknown`` and ``upper_bound`` is not 0.
+        upper_bound: Smallest of the four bounds [kg]; motors with an unknown torque limit set no
+            bound.
         code: ``unknown`` if a loaded motor has an unknown torque limit, or if the
             stance holds and a moving link has an unknown mass; else ``zero`` if a motor has no
             torque, else ``stated``.
@@ -195,23 +196,24 @@ class PayloadLimit(Result):
         point: (3,) position of the payload in the frame of ``link`` [m].
         link: Link of the URDF with the payload.
         unknown_limits: Motors that carry the load and whose torque limit no file states.
-        stand: Loaded stand with ``at_most``; stand without payload if ``at_most`` is infinite.
+        stand: Loaded stand with ``upper_bound``; stand without payload if ``upper_bound`` is
+            infinite.
         offset: (2,) position of the base of ``stand`` from the centre of the feet, as
             ``StandTask.offset`` [m].
         joint_names: (nu,) joints, in actuator order.
         joint_torques: (nu,) motor torques in ``stand`` [N m].
         contact_forces: {foot: (3,)} contact forces in ``stand``, in world axes [N].
-        verdict: Verdict of the stance with ``VERIFIED_FRACTION`` of ``at_most``; without payload if
-            ``at_most`` is 0 or infinite.
+        verdict: Verdict of the stance with ``VERIFIED_FRACTION`` of ``upper_bound``; without
+            payload if ``upper_bound`` is 0 or infinite.
         trial: Simulation with the mass of ``verdict``, nudged in twelve directions; None if
-            ``at_most`` is 0 or infinite.
+            ``upper_bound`` is 0 or infinite.
         continuous: Joints whose effort limit is a continuous torque; the limits of the other joints
             are peak torques.
     """
 
     name: str
     mass: float = field(metadata={"unit": "kg"})
-    at_most: float = field(metadata={"unit": "kg"})
+    upper_bound: float = field(metadata={"unit": "kg"})
     code: EffortCode
     binding: str
     stance: Bound
@@ -251,9 +253,9 @@ class PayloadLimit(Result):
         return self.bounds[self.binding].failure
 
     @property
-    def where(self) -> tuple[str, ...]:
+    def failing_parts(self) -> tuple[str, ...]:
         """Names of the motors, joints, feet or bodies that fail above the binding bound."""
-        return self.bounds[self.binding].where
+        return self.bounds[self.binding].failing_parts
 
     @property
     def passed(self) -> bool:
@@ -261,7 +263,7 @@ class PayloadLimit(Result):
 
         False if the mass is unknown (NaN).
         """
-        return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.held)
+        return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.survived)
 
 
 @check_arguments
@@ -365,7 +367,7 @@ def payload_limit(
     return PayloadLimit(
         name=robot.name,
         mass=math.nan if is_unknown and mass_limit > 0 else mass_limit,
-        at_most=mass_limit,
+        upper_bound=mass_limit,
         code=EffortCode.UNKNOWN if is_unknown else known_code,
         binding=binding,
         **bounds,
@@ -428,7 +430,7 @@ def _bisect_simulation_bound(
         judge = judge_payload if mass == static_limit else judge_with_feedforward
         trial = simulate_nudged(VERIFIED_FRACTION * mass)
         if trial.failure is not None:
-            return trial.failure, trial.where
+            return trial.failure, trial.failing_parts
         return (
             None
             if _holds_in_simulation(judge(VERIFIED_FRACTION * mass))
@@ -564,7 +566,10 @@ class _PayloadSearch:
         # The bound of the servos depends on a chosen doubling time, and is not refined.
         if 0 < mass_limit < math.inf and binding != "servos":
             above = min(high[binding][0], mass_limit * (1 + 2 * BOUND_RTOL))
-            cause = find_causes[binding](above) or (bounds[binding].failure, bounds[binding].where)
+            cause = find_causes[binding](above) or (
+                bounds[binding].failure,
+                bounds[binding].failing_parts,
+            )
             bounds[binding] = _bisect_mass(
                 find_causes[binding], mass_limit, above, cause, BINDING_BOUND_RTOL * mass_limit
             )
@@ -677,7 +682,11 @@ class _PayloadSearch:
         evaluate = evaluate_stability if is_simulated else evaluate_spectrum
         leaving = evaluate(drive, start.start, start.ctrl).modes_growing_within()
         if not is_simulated:
-            leaving = tuple(mode for mode in leaving if mode.repeated and not mode.freed)
+            leaving = tuple(
+                mode
+                for mode in leaving
+                if mode.repeated_at_second_step and not mode.without_dry_friction
+            )
         if not leaving:
             return None
         failure = Failure.SHAKING if leaving[0].shakes else Failure.BUCKLING

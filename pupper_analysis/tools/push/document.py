@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 @build_document.register(PushedStance)
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
     """Create the document of the largest pushes of a stance; see ``build_document``."""
-    unpushed = pushed.recovery.unpushed
+    unpushed = pushed.recovery.failures_without_push
     return judged_document(
         text("pushes"),
         pushed,
@@ -65,7 +65,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
     largest torque of a motor without limit is stated in place of the failure.
     """
     recovery = pushed.recovery
-    if recovery.unpushed:
+    if recovery.failures_without_push:
         yield text("of-mass-kg", mass=f"{recovery.mass:.2f}")
         return
     if pushed.peak_torques is not None:

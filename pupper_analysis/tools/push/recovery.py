@@ -130,7 +130,7 @@ def study_pushes(
             code = EffortCode.ZERO
         if unknown_limits:
             code, impulse = EffortCode.UNKNOWN, math.nan
-            if not recovery.unpushed:
+            if not recovery.failures_without_push:
                 bench = make_push_bench(
                     robot,
                     stand,
@@ -182,8 +182,8 @@ class PushRecovery(PushSettings, Tabular):
             push [N s]; a push that is larger by at most ``resolution`` fails.
         velocity_steps: (n,) changes of the robot's velocity: impulse / mass [m/s].
         failures: (n,) failure of the larger push.
-        bisected: (n,) result of the bisection [N s], before the check of smaller pushes; larger
-            than ``impulses`` if a smaller push failed, or if the push itself failed when
+        bisected_impulses: (n,) result of the bisection [N s], before the check of smaller pushes;
+            larger than ``impulses`` if a smaller push failed, or if the push itself failed when
             simulated to the end.
         tipping_estimate: (n,) impulse that tips the robot over if it were rigid [N s]; infinite if
             the feet span no polygon.
@@ -195,15 +195,15 @@ class PushRecovery(PushSettings, Tabular):
         rollouts: Number of simulated pushes.
         simulated: Simulated time of these pushes [s]; less than ``rollouts * duration`` if the
             outcomes were decided earlier.
-        unpushed: Failures without a push, from ``verify_stand``; empty if the robot stands, as
-            predicted or not.
+        failures_without_push: Failures without a push, from ``verify_stand``; empty if the robot
+            stands, as predicted or not.
     """
 
     directions: Array = field(metadata={"unit": "rad"})
     impulses: Array = field(metadata={"unit": "N s"})
     velocity_steps: Array = field(metadata={"unit": "m/s"})
     failures: tuple[Diagnostic, ...]
-    bisected: Array = field(metadata={"unit": "N s"})
+    bisected_impulses: Array = field(metadata={"unit": "N s"})
     tipping_estimate: Array = field(metadata={"unit": "N s"})
     weakest_direction: float = field(metadata={"unit": "rad"})
     weakest_impulse: float = field(metadata={"unit": "N s"})
@@ -212,7 +212,7 @@ class PushRecovery(PushSettings, Tabular):
     resolution: float = field(metadata={"unit": "N s"})
     rollouts: int
     simulated: float = field(metadata={"unit": "s"})
-    unpushed: tuple[Diagnostic, ...]
+    failures_without_push: tuple[Diagnostic, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
         """Return the columns of the table, a row per direction."""
@@ -323,7 +323,7 @@ def push_recovery(
         impulses=impulses,
         velocity_steps=impulses / robot.total_mass,
         failures=failures,
-        bisected=bisected,
+        bisected_impulses=bisected,
         tipping_estimate=estimate,
         weakest_direction=float(angles[weakest]),
         weakest_impulse=float(impulses[weakest]),
@@ -332,7 +332,7 @@ def push_recovery(
         resolution=float(resolution),
         rollouts=bench.rollouts,
         simulated=bench.simulated,
-        unpushed=bench.unpushed,
+        failures_without_push=bench.unpushed,
         **bench.settings(),
     )
 

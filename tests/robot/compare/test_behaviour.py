@@ -136,7 +136,7 @@ def test_a_large_robot_is_compared_without_pinocchios_data(
     assert not result.engines
     notes = " ".join(map(str, result.check.notes))
     assert "Pinocchio's dynamics of 246 degrees of freedom" in notes
-    edges = result.check.quantities[0].edges
+    edges = result.check.quantities[0].edge_deviations
     assert set(edges) == {"models (MuJoCo)", "extras (MJCF)"}
 
 
@@ -151,7 +151,7 @@ def test_a_large_robot_that_agrees(written: Written) -> None:
     urdf.write_text(text)
     worse = pa.compare_models(urdf, mjcf)
     assert [(d.kind, d.element) for d in worse.differences] == [("com", "j0_0")]
-    assert set(worse.check.quantities[1].between) == {URDF_MUJOCO, "MJCF in MuJoCo"}
+    assert set(worse.check.quantities[1].evaluations) == {URDF_MUJOCO, "MJCF in MuJoCo"}
 
 
 def test_fewer_states_are_compared_for_a_very_large_robot_with_a_note() -> None:

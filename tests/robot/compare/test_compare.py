@@ -96,7 +96,7 @@ def test_engine_disagreement_is_distinguished_from_model_difference(
     assert any(line.subject.name == "mass matrix" for line in comparison.engines)
     assert all(line.values["edge"] == "engines (URDF)" for line in comparison.engines)
     assert not comparison.check.passed
-    edges = {q.name: q.edges for q in comparison.check.quantities}["mass matrix"]
+    edges = {q.name: q.edge_deviations for q in comparison.check.quantities}["mass matrix"]
     assert edges["models (Pinocchio)"] < 1e-12
     assert edges["engines (MJCF)"] < 1e-12
     assert edges["engines (URDF)"] > 1e-3

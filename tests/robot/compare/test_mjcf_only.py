@@ -328,7 +328,7 @@ def test_passive_force_is_the_first_difference_and_engines_agree(kind: str, tmp_
     assert not comparison.agree
     assert comparison.complete
     assert found(comparison)[0][0] == PASSIVE[kind][0]
-    edges = {q.name: q.edges for q in comparison.check.quantities}["forward dynamics"]
+    edges = {q.name: q.edge_deviations for q in comparison.check.quantities}["forward dynamics"]
     assert edges["engines (MJCF)"] < 1e-12
     assert edges["engines (URDF)"] < 1e-12
     # What is a joint's is a difference of the models; what a URDF cannot state has its own side.

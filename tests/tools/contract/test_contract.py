@@ -72,7 +72,7 @@ def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
     )
     found = contract(sources["gym_cfg.py"], base, policy)
     assert found.findings == ()
-    order = {one.name: (one.how, one.order) for one in found.sources}
+    order = {one.name: (one.order_source, one.order) for one in found.sources}
     assert order["config.yaml:pupper/walk"] == ("motors", tuple(JOINTS))
     policy.write_text(policy.read_text().replace(listed(numbers), listed(range(12))))
     wrong = contract(sources["gym_cfg.py"], base, policy).findings
@@ -133,7 +133,7 @@ def test_joints_of_other_names_are_matched_by_structure(
     first = text.index('name="m4"')
     urdf.write_text(text[:first] + text[first:].replace('effort="3', 'effort="2', 1))
     (finding,) = [one for one in read_contract(MJCF, urdf, stand=False).findings
-                  if one.kind == "effort" and not one.slip]  # fmt: skip
+                  if one.kind == "effort" and not one.probable_mistake]  # fmt: skip
     assert finding.joints == (JOINTS[4],)
 
 
@@ -182,7 +182,7 @@ def test_left_right_asymmetry_is_found_in_a_single_source(sources: dict[str, Pat
     text = sources["isaac_cfg.py"].read_text()
     sources["isaac_cfg.py"].write_text(text.replace('"leg_.*_l_1": -0.26', '"leg_.*_l_1": 0.26'))
     found = contract(sources["isaac_cfg.py"])
-    assert {one.slip for one in found.findings} == {"mirror"}
+    assert {one.probable_mistake for one in found.findings} == {"mirror"}
     assert {one.joints for one in found.findings} == {
         ("leg_front_r_1", "leg_front_l_1"), ("leg_back_r_1", "leg_back_l_1")}  # fmt: skip
     assert found.findings[0].values == (0.26, 0.26)
@@ -278,11 +278,13 @@ def test_a_trainer_of_unitree_rl_lab_names_the_motors(sources: dict[str, Path]) 
     )
     found = contract(path, deploy)
     (read,) = [one for one in found.sources if one.role == "deployment"]
-    assert (read.how, list(read.order)) == ("motors", by_depth)
+    assert (read.order_source, list(read.order)) == ("motors", by_depth)
     assert found.findings == ()
     text = deploy.read_text()
     deploy.write_text(text.replace("stiffness: [5.0, 5.0, 6.0", "stiffness: [5.0, 5.0, 9.0"))
-    (finding,) = [one for one in contract(path, deploy).findings if one.slip != "mirror"]
+    (finding,) = [
+        one for one in contract(path, deploy).findings if one.probable_mistake != "mirror"
+    ]
     assert (finding.kind, finding.joints, finding.values) == ("kp", (motors[2],), (6.0, 9.0))
 
 

@@ -34,14 +34,19 @@ def test_a_planted_slip_is_found_with_both_lines(
     path, lines = write(slipped, kind, tmp_path)
     other, its_lines = write(robot, BESIDE[kind], tmp_path)
     found = read_contract(robot.urdf, path, other, stand=False)
-    messages = [(one.kind, one.slip, one.places, one.message) for one in found.findings]
-    hits = [one for one in found.findings if one.kind == quantity and one.slip != "mirror"
-            and (joint in one.joints or not joint)]  # fmt: skip
+    messages = [(one.kind, one.probable_mistake, one.places, one.message) for one in found.findings]
+    hits = [
+        finding
+        for finding in found.findings
+        if finding.kind == quantity
+        and finding.probable_mistake != "mirror"
+        and (joint in finding.joints or not joint)
+    ]
     if slip == "limit" and kind == "mjlab":  # the deployment's is the URDF's
         assert {one.sources[1] for one in hits} == {robot.urdf.name, other.name}
         hits = [one for one in hits if one.sources[1] == other.name]
     assert len(hits) == 1, messages
-    assert hits[0].slip == LOOKS.get(slip, "")
+    assert hits[0].probable_mistake == LOOKS.get(slip, "")
     first = joint and hits[0].joints[0]  # joints with the same two numbers are one finding
     places = {place_of(path, lines, quantity, first)}
     if slip == "limit" and (kind, quantity) != ("mjlab", "effort"):

@@ -33,8 +33,8 @@ def test_cross_check_compares_all_documented_quantities() -> None:
     every = set(EDGE_NAMES.values())
     for quantity in quantities.values():
         assert quantity.scale > 0, quantity.name
-        assert set(quantity.edges) >= every - {"yourdfpy (URDF)"}
-    assert set(quantities["foot positions"].edges) == every
+        assert set(quantity.edge_deviations) >= every - {"yourdfpy (URDF)"}
+    assert set(quantities["foot positions"].edge_deviations) == every
 
 
 def _with_urdf(robot: pa.Robot, old: str, new: str) -> pa.Robot:
@@ -82,11 +82,11 @@ def test_a_changed_number_is_found(old: str, new: str, quantities: set[str], whe
     assert quantities <= set(failed)
     # The models differ, and each engine agrees with the other on each model.
     for quantity in failed.values():
-        assert quantity.whose.startswith("models")
-        assert quantity.edges["engines (URDF)"] < 1e-12
-        assert quantity.edges["engines (MJCF)"] < 1e-12
+        assert quantity.edge.startswith("models")
+        assert quantity.edge_deviations["engines (URDF)"] < 1e-12
+        assert quantity.edge_deviations["engines (MJCF)"] < 1e-12
     direct = next(failed[name] for name in failed if name in quantities)
-    assert direct.where.startswith(where)
+    assert direct.location.startswith(where)
 
 
 def test_engine_deviation_is_distinguished_from_model_deviation() -> None:
@@ -96,9 +96,9 @@ def test_engine_deviation_is_distinguished_from_model_deviation() -> None:
     check = cross_check(replace(robot, pin_model=pin_model))
     masses = next(quantity for quantity in check.quantities if quantity.name == "body masses")
     assert not masses.passed
-    assert masses.edges["engines (URDF)"] > 1e-3
-    assert masses.edges["models (MuJoCo)"] == 0
-    assert masses.edges["engines (MJCF)"] == 0
+    assert masses.edge_deviations["engines (URDF)"] > 1e-3
+    assert masses.edge_deviations["models (MuJoCo)"] == 0
+    assert masses.edge_deviations["engines (MJCF)"] == 0
 
 
 def test_inertia_deviation_is_relative_to_its_own_link() -> None:

@@ -570,7 +570,7 @@ def test_outlier_is_named_with_its_stand_and_joint(
     assert said.values["off"].value == pytest.approx(abs(off), rel=0.15)
     worst = fit.joint_residuals[0]
     assert (worst.stand, worst.joint) == (str(stand), robot.joint_names[joint])
-    assert worst.off == pytest.approx(abs(off), abs=2 * worst.off / worst.deviations)
+    assert worst.residual == pytest.approx(abs(off), abs=2 * worst.residual / worst.deviations)
 
 
 def test_outlier_threshold_uses_the_smaller_of_expected_and_found_noise(

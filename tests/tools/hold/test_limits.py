@@ -144,17 +144,17 @@ def test_payload_limit_is_equal_in_both_engines() -> None:
         torques = Configuration(loaded, posture.qpos).load()
         assert (np.abs(torques) <= robot.effort_limits).all() == holds
         assert verify_stand(loaded, held_stand(loaded, posture), duration=4.0).passed == holds
-    assert payload.somewhere < payload.mass
+    assert payload.worst_posture_mass < payload.mass
     # The slide stands upright, and carries itself and the payload.
-    assert payload.weakest == "b_slide"
+    assert payload.worst_posture_joint == "b_slide"
     mass = by_hand.EFFORTS["b_slide"] / G - MASSES["hand"]
-    assert payload.somewhere == pytest.approx(mass, rel=1e-6)
+    assert payload.worst_posture_mass == pytest.approx(mass, rel=1e-6)
     assert posture_payload(robot, payload.posture, tool)[0] == pytest.approx(mass, rel=1e-6)
     unknown = replace(robot)
     vars(unknown)["effort_limits"] = np.full(4, math.inf)
     free = tool_payload(unknown, posture, tool, worst_postures(unknown, posture, tool))
     assert math.isnan(free.mass)
-    assert math.isnan(free.somewhere)
+    assert math.isnan(free.worst_posture_mass)
     assert free.code == "unknown"
     assert set(free.unknown) == set(tool.chain)
     assert free.to_dict()["mass"] is None
@@ -163,7 +163,7 @@ def test_payload_limit_is_equal_in_both_engines() -> None:
     vars(weak)["effort_limits"] = np.full(4, 1e-3)
     held = worst_postures(weak, posture, tool)
     assert (held.utilisation > 1).any()
-    assert tool_payload(weak, posture, tool, held).somewhere == 0.0
+    assert tool_payload(weak, posture, tool, held).worst_posture_mass == 0.0
     assert tool_payload(weak, posture, tool, held).mass == 0.0
 
 

@@ -40,7 +40,7 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     limit = pa.payload_limit(robot, pa.StandTask(yaw=0.1), (0.01, 0.0, 0.08), kp=30.0, kd=1.0)
     marks = {name: content[name] for name in ("generator", "provenance")}
     assert {**json.loads(limit.to_json()), **marks} == content
-    assert content["trial"]["held"]
+    assert content["trial"]["survived"]
     assert "at (10, 0, 80) mm of" in out
     assert f"base is ({1e3 * limit.offset[0]:.1f}, " in out
     assert "nudged: it stays up" in out

@@ -54,7 +54,7 @@ def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analys
     loaded = pa.robot.with_payload(robot, 0.97 * limit.mass, point)
     assert study_stance(loaded, pa.StandTask(), **gains).passed
     assert limit.trial is not None
-    assert limit.trial.held
+    assert limit.trial.survived
     if limit.binding != "simulation":  # which a nudge from all sides may set, and stand has one
         try:
             heavy = pa.robot.with_payload(robot, 1.03 * limit.mass, point)
@@ -126,7 +126,7 @@ def test_weakest_motor_is_at_its_limit_with_the_payload() -> None:
     assert max(stand.depths.values()) > 5e-3
     held = pa.stance.stand_statics(loaded, stand)
     assert 1 - 5e-6 < held.motor_utilisation.max() <= 1
-    assert robot.joint_names[int(held.motor_utilisation.argmax())] in limit.where
+    assert robot.joint_names[int(held.motor_utilisation.argmax())] in limit.failing_parts
     rigid = pa.stance.stand_statics(loaded, pa.solve_stand(loaded))
     assert rigid.motor_utilisation.max() > 1.03  # on rigid ground it would not be the limit
 
@@ -137,7 +137,7 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
     robot = load("original")
     limit = payload_limit(robot, None, ON_TOP, kp=60.0, kd=1.0)
     assert limit.stance.failure is Failure.GROUND
-    assert any(name.endswith("calf") for name in limit.stance.where)
+    assert any(name.endswith("calf") for name in limit.stance.failing_parts)
     _, stand = solve_loaded_stand(robot, pa.StandTask(), limit.stance.mass, ON_TOP)
     unloaded = pa.solve_stand(robot).ground_clearance
     assert unloaded is not None
@@ -160,7 +160,7 @@ def test_a_payload_on_motors_without_effort_limits_is_unknown() -> None:
     assert limit.binding == "servos"
     assert limit.code == "unknown"
     assert math.isnan(limit.mass)
-    assert limit.at_most == limit.servos.mass
+    assert limit.upper_bound == limit.servos.mass
     assert not limit.passed
 
 
@@ -233,7 +233,7 @@ def test_failed_trial_load_is_bisected(most: float) -> None:
     """To a part of itself, and not of the equilibrium's: 1.03 kg were stated where 1.13 hold."""
     found = simulated(most, nudged=3.0)
     assert 3.0 / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * found.mass <= 3.0
-    assert (found.failure, found.where) == (Failure.TIPPING, ("FL",))
+    assert (found.failure, found.failing_parts) == (Failure.TIPPING, ("FL",))
     found = simulated(most, verdict=3.0)
     assert 3.0 / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * found.mass <= 3.0
     assert found.failure is Failure.SIMULATED
@@ -314,9 +314,9 @@ def test_nudges_between_the_tried_directions_do_not_decide(
     held, falls = [], 0
     for by in math.pi / 16 * np.arange(2):
         monkeypatch.setattr(trial, "make_nudge_velocities", turned(by, 1.0))
-        held.append(simulate_payload(biped, pa.StandTask(), mass, ABOVE).held)
+        held.append(simulate_payload(biped, pa.StandTask(), mass, ABOVE).survived)
         # As fast as is said, no faster: the same circle for every turn.
         monkeypatch.setattr(trial, "make_nudge_velocities", turned(by, math.cos(math.pi / 8)))
-        falls += simulate_payload(biped, pa.StandTask(), mass, ABOVE).fell
+        falls += simulate_payload(biped, pa.StandTask(), mass, ABOVE).failed_nudges
     assert held == [stands] * 2
     assert (falls == 0) is stands

@@ -36,7 +36,7 @@ def test_each_nudge_is_simulated_from_the_stand_that_is_judged() -> None:
 @pytest.mark.slow
 def test_unstable_load_is_refused_despite_dry_friction() -> None:
     """With 7 kg v3 stays up for 6 s of nudges, but a deviation doubles within 12 s in MuJoCo."""
-    assert simulate_payload(load("v3"), stand_of("v3"), 7.0, duration=6).held
+    assert simulate_payload(load("v3"), stand_of("v3"), 7.0, duration=6).survived
     loaded = pa.robot.with_payload(load("v3"), 7.0, (0.0, 0.0, 0.0))
     verdict = pa.judge_stand(loaded, pa.stance.solve_stand_as_simulated(loaded))
     assert "mode-buckles" in {failure.code for failure in verdict.failures}
@@ -74,8 +74,12 @@ def test_nudges_end_early_without_motion_in_the_remaining_time(
     full = simulate_payload(robot, stand_of("v3"), mass)
     assert full.simulated == pytest.approx(12 * 12.0)
     assert early.simulated < full.simulated / 3
-    assert (early.held, early.fell, early.duration) == (full.held, full.fell, 12.0)
-    assert full.held
+    assert (early.survived, early.failed_nudges, early.duration) == (
+        full.survived,
+        full.failed_nudges,
+        12.0,
+    )
+    assert full.survived
     nearest = min(np.abs(end - decided)[places].max() for end in ends[-12:])
     assert nearest < 1e-3
 
@@ -88,7 +92,11 @@ def test_first_failure_is_equal_if_simulations_end_at_it() -> None:
         simulate_payload(robot, stand, 9.0, (0.0, 0.0, 0.3), until_failure=only)
         for only in (True, False)
     )
-    assert not full.held
-    assert (short.failure, short.where, short.time) == (full.failure, full.where, full.time)
+    assert not full.survived
+    assert (short.failure, short.failing_parts, short.time) == (
+        full.failure,
+        full.failing_parts,
+        full.time,
+    )
     assert short.simulated <= full.simulated
-    assert short.fell <= full.fell
+    assert short.failed_nudges <= full.failed_nudges

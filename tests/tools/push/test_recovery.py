@@ -196,7 +196,7 @@ def test_push_limit_is_zero_if_the_stand_fails(tmp_path: Path, kd: float, stands
     found = push_recovery(robot, stand, kp=150.0, kd=kd, directions=3, duration=2.0, resolution=1.0)
     trial = pa.simulation.simulate_push(robot, stand, 0.01, kp=150.0, kd=kd, duration=2.0)
     assert trial.recovered == stands
-    assert found.unpushed == alone.failures
+    assert found.failures_without_push == alone.failures
     assert (found.weakest_impulse > 0) == stands
     if not stands:
         assert found.weakest_failure.values["failures"] == alone.failures

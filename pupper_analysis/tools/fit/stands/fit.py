@@ -59,14 +59,14 @@ class JointResidual(Result):
     Attributes:
         stand: Stand name.
         joint: Joint name.
-        off: Measured position minus the position that agrees best with all other readings.
+        residual: Measured position minus the position that agrees best with all other readings.
         deviations: The same difference, in standard deviations of the uncertainty (noise and
             parameters).
     """
 
     stand: str
     joint: str
-    off: float = field(metadata={"unit": "rad"})
+    residual: float = field(metadata={"unit": "rad"})
     deviations: float = field(metadata={"unit": "1"})
 
 
@@ -725,9 +725,9 @@ class _StandProblem:
         except (FitError, MeasurementError):  # no fit with this noise
             return
         worst, *other_residuals = _list_joint_residuals(self.stands, equations, posterior)
-        off, deviations = Quantity(worst.off, "rad"), abs(worst.deviations)
+        off, deviations = Quantity(worst.residual, "rad"), abs(worst.deviations)
         width_ratio = math.hypot(
-            1.0, _OUTLIER_STD * deviations / max(abs(worst.off), _ZERO_RTOL**2)
+            1.0, _OUTLIER_STD * deviations / max(abs(worst.residual), _ZERO_RTOL**2)
         )
         gain = deviations**2 / 2 - math.log((1 + len(other_residuals)) * width_ratio)
         if deviations > _MAX_PARAMETER_STDS and smaller_evidence + gain > log_evidence:
