@@ -68,7 +68,7 @@ def test_dry_friction_hides_a_mode_from_the_nudge_that_it_holds(
 ) -> None:
     """At 10 mrad the rod's moment, (m g l - kp) x 0.01, is 0.01 N m: between both frictions."""
     spectrum, found = judged(rod(5.0, 0.4, joint=f'frictionloss="{friction}"'))
-    assert all(mode.freed for mode in spectrum.modes_growing_within())
+    assert all(mode.without_dry_friction for mode in spectrum.modes_growing_within())
     assert bool(spectrum.modes_growing_within())
     assert bool(found.modes_growing_within()) is not holds
 

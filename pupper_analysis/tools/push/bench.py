@@ -381,7 +381,9 @@ class PushBench:
         if spectrum is None:
             spectrum = evaluate_spectrum(self.drive, states[-1], self.ctrl, settle=0.0)
         growing = spectrum.modes_growing_within(self.longest_duration)
-        return not any(mode.repeated and not mode.freed for mode in growing)
+        return not any(
+            mode.repeated_at_second_step and not mode.without_dry_friction for mode in growing
+        )
 
     def _is_at_rest(self, states: Array) -> bool:
         """Return True if the robot is slow and upright, and no mode of the spectrum leaves.

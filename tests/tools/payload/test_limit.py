@@ -220,7 +220,7 @@ def test_payload_is_zero_if_the_stand_fails_without_payload(
 def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.inf) -> Bound:
     def tried(mass: float) -> Any:
         falls = mass > nudged
-        return SimpleNamespace(failure=Failure.TIPPING if falls else None, where=("FL",))
+        return SimpleNamespace(failure=Failure.TIPPING if falls else None, failing_parts=("FL",))
 
     def judged(mass: float) -> Any:
         return SimpleNamespace(passed=mass <= verdict, code="")
@@ -251,7 +251,7 @@ def test_few_masses_are_simulated_if_the_bound_is_near_the_static_limit(
 
     def fails(mass: float) -> Any:
         tried.append(mass)
-        return SimpleNamespace(failure=Failure.TIPPING if mass > nudged else None, where=())
+        return SimpleNamespace(failure=Failure.TIPPING if mass > nudged else None, failing_parts=())
 
     def judged(_: float) -> Any:
         return SimpleNamespace(passed=True, code="")
