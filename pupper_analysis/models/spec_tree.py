@@ -66,8 +66,8 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
 def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
     """Set a joint parameter of an MJCF spec, for example damping or effort.
 
-    An effort becomes a symmetric force range of the joint. If MuJoCo stores a polynomial, the value
-    is the first coefficient, and all other coefficients are zero.
+    An effort becomes a symmetric force range of the joint, of at least ``MIN_RANGE``. If MuJoCo
+    stores a polynomial, the value is the first coefficient, and all other coefficients are zero.
 
     Args:
         joint: Joint; modified.

@@ -282,7 +282,8 @@ def resolve_servo_gains(
 
     Raises:
         ConfigurationError: If a gain is invalid or the stiffness too small.
-        ModelError: If a joint has no actuator, or is no servo and kp or kd is None.
+        ModelError: If a joint has no actuator, or is no servo and kp or kd is None; except
+            dependent joints.
     """
     actuators = robot.mj_convention.actuator_index
     following = np.zeros(robot.nu, dtype=bool)

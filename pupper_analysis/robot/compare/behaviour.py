@@ -190,7 +190,11 @@ limits. Chosen, not tuned."""
 
 
 def random_states(robot: Robot, count: int, seed: int) -> States:
-    """Return random states: joints within limits, torques within efforts, arbitrary base."""
+    """Return random states: joints and torques within limits, arbitrary base.
+
+    Joint positions are within ``_MAX_ANGLE``, torques within ``_MAX_EFFORT``. Without limits, they
+    are within pi and 1 N m.
+    """
     rng = np.random.default_rng(seed)
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)

@@ -706,7 +706,7 @@ class StageUnits:
 
 
 def read_units(stage: Any) -> StageUnits:
-    """Return the units of a stage; the default length unit of USD is the centimetre."""
+    """Return the units and the up axis of a stage; USD's default length unit is the centimetre."""
     from pxr import UsdGeom, UsdPhysics
 
     y_up_rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

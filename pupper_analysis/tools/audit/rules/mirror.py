@@ -439,8 +439,8 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Compare the ground contact parameters of left and right links.
 
     MuJoCo combines the parameters of each geom with the parameters of the ground: condim, friction,
-    solref, solimp and margin. The combined values of both sides must be equal. If the file has no
-    ground, a ground with MuJoCo's defaults is assumed.
+    solref, solimp and margin. The combined values of both sides must be equal, if both sides have
+    as many colliding geoms. If the file has no ground, a ground with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:

@@ -538,7 +538,7 @@ class SeriesNoise:
 
     @staticmethod
     def fit_white(series: Sequence[Array]) -> SeriesNoise:
-        """Return white noise with the RMS of some series, shape (n,) each."""
+        """Return white noise with the RMS of some series, or ``_MIN_NOISE_STD`` if larger."""
         deviation = float(np.fmax(compute_rms(series), _MIN_NOISE_STD))  # fmax ignores NaN
         return SeriesNoise(np.zeros(0), deviation, deviation)
 
