@@ -126,10 +126,11 @@ ON_A_STEEP_SLOPE = pa.StandTask(
         (ON_A_STEEP_SLOPE, "yaw", (-0.175, -0.1797689, -0.1841322, -0.185, -0.1852)),
     ],
 )
-def test_a_thigh_in_the_ground_is_lifted_out_by_another_branch_elsewhere(
+def test_stand_uses_another_branch_if_a_thigh_would_be_in_the_ground(
     task: pa.StandTask, angle: str, values: tuple[float, ...]
 ) -> None:
-    """Where it is out of the ground the com is centimetres away, and other legs are bent too."""
+    """Angles at which only another IK branch, with the CoM displaced by centimetres, has ground
+    clearance."""
     robot = load("v3")
     for value in values:  # some of them were found before, and those between them refused
         stand = pa.solve_stand(robot, replace(task, **{angle: value}), explain=False)

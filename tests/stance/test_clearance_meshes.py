@@ -90,8 +90,9 @@ def drawn(robot: pa.Robot, seed: int) -> np.ndarray:
     return qpos
 
 
-def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
-    """What is nearest is a step or the plane; of shapes in each other the depths differ."""
+def test_lowest_part_above_steps_equals_mujocos_distance(robot: pa.Robot) -> None:
+    """Reference: ``mj_geomDistance`` to the plane and each step; depths of penetrations are not
+    compared."""
     shapes = ClearanceShapes(robot)
     ground = pa.Ground(0.2, 0.8, dict(zip(robot.contact_points, (0.05, 0.08), strict=False)))
     places = pa.Configuration(robot, robot.home).foot_positions()
@@ -156,7 +157,8 @@ def neighbouring(robot: pa.Robot) -> set[frozenset[int]]:
 
 
 def test_requested_clearance_is_kept_and_its_limit_equals_mujoco(robot: pa.Robot) -> None:
-    """Without the meshes any clearance was as good as another: none was looked at."""
+    """Reference: MuJoCo's distance between the meshes and the ground. 1 % above the stated limit,
+    the stand is refused."""
     with pytest.raises(pa.StanceUnreachableError, match=r"_calf is .* above the ground") as caught:
         pa.solve_stand(robot, pa.StandTask(ground_clearance=0.5))
     limit = caught.value.limits["ground_clearance"]["ground_clearance"]
@@ -182,7 +184,8 @@ def test_excluded_link_pairs_have_no_clearance(tmp_path: Path) -> None:
 
 
 def test_clearance_is_refused_without_shapes_beside_the_feet(tmp_path: Path) -> None:
-    """Nothing but feet: no clearance can be told, and none is asked for by default."""
+    """A robot whose only collision shapes are the feet: ground clearance is None, and a required
+    one is refused."""
     pair = quadruped(tmp_path, floor=True)
     text = pair.mjcf.read_text()
     pair.mjcf.write_text(text.replace(TRUNK, ""))

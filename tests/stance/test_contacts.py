@@ -187,8 +187,9 @@ def test_least_torque_is_that_of_a_cone_programme_on_mujocos_numbers(armed: pa.R
 def test_maximum_hand_force_equals_an_independent_cone_program(
     armed: pa.Robot, effort: float
 ) -> None:
-    """Friction limits it, or a motor does: by Clarabel on MuJoCo's Jacobians. A stated force that
-    is a little less is in balance, a little more is not."""
+    """Reference: a cone program (Clarabel) with MuJoCo's Jacobians, limited by friction or by a
+    motor. A required force slightly below the maximum has an equilibrium, slightly above it has
+    none."""
     robot = pa.robot.with_efforts(armed, dict.fromkeys(armed.joint_names, effort))
     wall = pa.Contact(pa.Plane((0.45, 0, 0), (-1, 0, 0), 0.6), place=(0.45, 0.0, 0.45))
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts={HAND: wall}))
@@ -235,8 +236,9 @@ def test_maximum_hand_force_equals_an_independent_cone_program(
             peak(1.01 * press.force)
 
 
-def test_friction_is_the_planes_in_mujoco_and_in_statics() -> None:
-    """A foot's own: 0.7 where all else of the contact is the ground's, and others keep theirs."""
+def test_friction_of_a_plane_applies_to_its_contact_only() -> None:
+    """Reference: MuJoCo's contacts. The contact of FL has the plane's friction, 0.7; all other
+    parameters, and the other feet, are unchanged."""
     robot, contacts = load("v3"), roof(20)
     own = pa.Contact(pa.Plane(contacts["FL"].plane.point, contacts["FL"].plane.normal, 0.7))
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts | {"FL": own}))
@@ -356,7 +358,8 @@ def test_a_robot_has_the_contacts_of_each_task(armed: pa.Robot) -> None:
 def test_com_region_with_a_hand_equals_a_search_by_linear_programs(
     armed: pa.Robot, seed: int
 ) -> None:
-    """1,000 places each, a linear programme on edges of the cones at each."""
+    """Reference: for each of 1,000 CoM positions, a linear program over the edges of the friction
+    cones."""
     wall = pa.Contact(pa.Plane((0.5, 0, 0.5), (-0.8, 0, 0.6), 0.5))
     task = pa.StandTask(contacts={HAND: wall})
     stand = pa.solve_stand(armed, task)
@@ -455,8 +458,9 @@ def test_invalid_contact_is_refused_in_one_line(make: object, match: str) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("radius", "lean"), [(0.01, 0.0), (0.001, 0.0), (0.02, 0.1)])
-def test_a_foot_stands_on_a_bar_and_on_an_edge(radius: float, lean: float) -> None:
-    """By default on its top; else where its place says, and the normal is away from the axis."""
+def test_foot_on_a_bar_touches_its_top_or_the_stated_place(radius: float, lean: float) -> None:
+    """Reference: closed form of the contact point and normal. Without a place, the contact is at
+    the top; otherwise, the normal points from the axis to the place."""
     robot = load("v3")
     x, y, _ = pa.solve_stand(robot).contact_points["FL"]
     bar = pa.Bar((x, 0, 0.02), (0, 1, 0), radius)
@@ -688,9 +692,8 @@ def needed_on_slope(error: Any) -> float:
 def test_limit_stated_by_a_refusal_is_accepted_and_exact(
     armed: pa.Robot, name: str, ask: Any, asked: Any, limit: Any, step: float, *, holds: bool
 ) -> None:
-    """The limit of a refusal, typed back, is accepted; a little beyond it is refused as well.
-
-    MuJoCo holds it where no leg or arm is straight there, and no contact bears next to nothing."""
+    """The stated limit is solved; the limit plus ``step`` is refused. With ``holds``, MuJoCo holds
+    the stand at the limit; not with a straight limb, or a contact with almost no load."""
     robot = armed if name == "armed" else load(name)
     with pytest.raises(pa.PupperAnalysisError) as caught:
         ask(robot, asked)

@@ -174,11 +174,11 @@ def test_limits_of_a_refusal_are_solvable_as_printed(name: str, task: pa.StandTa
 
 @pytest.mark.slow
 def test_limit_with_the_com_in_a_corner_of_its_margin_is_exact() -> None:
-    """Two sides of the polygon and a joint's limit leave the com some micrometres to be at.
+    """Reference: the search of `benchmarks/stances.py`, whose foot error grows linearly from 0.928
+    of the requested offset.
 
-    Put to a place in there, a nanometre off the margin, feet missed by 1.1e-9 m: the stand was
-    refused, and 20.2 mm were said to be the limit. By the independent search of
-    `benchmarks/stances.py` what feet miss by grows linearly from 0.928 of what is asked.
+    Two sides of the polygon and a joint limit leave the CoM a region of micrometres. A foot error
+    of 1.1e-9 m in this region must not lead to a refusal at 20.2 mm.
     """
     robot = load("long-leg")
     asked = (-0.004224475907640465, 0.023015633521621552)
@@ -238,8 +238,9 @@ def test_refusal_states_the_request_in_both_languages() -> None:
         ),
     ],
 )
-def test_limits_that_a_refusal_states_are_accepted_for_stretched_legs(task: pa.StandTask) -> None:
-    """They were found on the way from other stands, and refused when they were asked for."""
+def test_limits_of_a_refusal_are_solvable_if_legs_are_stretched(task: pa.StandTask) -> None:
+    """The limits are found in a continuation from other stands; a direct solution must reach them
+    as well."""
     robot = load("long-leg")
     with pytest.raises(pa.StanceUnreachableError) as refusal:
         pa.solve_stand(robot, task)

@@ -40,7 +40,7 @@ def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
 
 
 def test_constraint_slack_is_the_smallest_of_all_margins() -> None:
-    """Of the com, the ground and the robot itself, each beyond what was asked of it."""
+    """Of the CoM margin, ground clearance and self-clearance, each minus the required value."""
     stand = stand_of("v3")
     ground = stand.ground_clearance
     assert ground is not None

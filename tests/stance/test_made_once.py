@@ -67,7 +67,8 @@ def test_foot_targets_are_read_only() -> None:
 
 
 def test_a_variant_loaded_twice_is_independent_of_changes_to_the_first() -> None:
-    """A variant is derived once; what is done to one robot's spec does not reach the next."""
+    """The derivation of a variant is cached; a change of the spec of one robot must not change the
+    next robot."""
     first = pa.load_variant("v3-long-leg")
     mass = first.mj_model.body_mass.copy()
     for body in first.description.mjcf.bodies[1:]:

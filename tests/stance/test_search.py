@@ -158,8 +158,9 @@ def test_foot_depths_on_a_slope_balance_the_weight() -> None:
 
 
 @pytest.mark.parametrize("priority", [-1, 0, 3])  # the feet's is 0
-def test_a_step_has_the_floors_contact(priority: int) -> None:
-    """Friction, softness and who decides: of a floor that is like no default."""
+def test_contact_with_a_step_has_the_parameters_of_the_floor(priority: int) -> None:
+    """Reference: MuJoCo's contacts. The floor has unusual friction, condim, solref, solimp and
+    solmix, and a priority below, equal to, or above that of the feet."""
     plain = load("v3")
     spec = plain.description.mjcf.copy()
     floor = find_floor(spec)
@@ -191,11 +192,9 @@ def test_a_step_has_the_floors_contact(priority: int) -> None:
 
 
 @pytest.mark.parametrize("offset", [(-0.04, 0.02), (0.045, -0.02)])
-def test_sag_is_read_at_the_base(offset: tuple[float, float]) -> None:
-    """Off the centre the feet sink unequally, and the base by what they sink below it.
-
-    With full feed-forward servos give nothing: all that is lost at the base is the ground's.
-    """
+def test_contact_sag_off_the_centre_equals_mujocos_at_the_base(offset: tuple[float, float]) -> None:
+    """Reference: MuJoCo's base height with feed-forward. The feet sink unequally, so the loss at
+    the base is not the mean penetration. Stiff servos with feed-forward do not yield."""
     robot = load("v3")
     stand = pa.solve_stand(robot, pa.StandTask(offset=offset))
     pose = pa.steady_state(robot, stand, feedforward=True, kp=200.0)

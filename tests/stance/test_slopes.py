@@ -51,7 +51,8 @@ def sideways(degrees: float, *, roof: bool) -> Contacts:
 def test_mujoco_holds_a_stand_between_two_planes(
     name: str, contacts: dict[str, pa.Contact]
 ) -> None:
-    """Torques and forces as usual: legs press sideways, which no plane asks of them."""
+    """Reference: MuJoCo's torques and forces; the sideways components exceed 1 N, and the forces
+    sum to the weight."""
     robot = load(name)
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts))
     found = pa.verify_stand(robot, stand)
@@ -215,7 +216,8 @@ def test_slope_of_an_unknown_foot_is_refused() -> None:
 
 
 def test_clearance_from_a_wall_equals_mujoco() -> None:
-    """Capsules beside the wall's box: MuJoCo's distances, where a part is nearer to it."""
+    """Reference: ``mj_geomDistance`` of each capsule to the wall's box; the smaller of wall and
+    floor distance counts."""
     robot = load("original")
     stand = pa.solve_stand(robot, pa.StandTask(contacts=slopes(0.6, {"FR": 0.0})))
     ground = stand.task.ground
@@ -244,7 +246,8 @@ def test_clearance_from_a_wall_equals_mujoco() -> None:
 
 @pytest.mark.slow
 def test_stated_limit_of_a_slope_is_solvable() -> None:
-    """A foot on a slope that hangs over it, which its calf would be in."""
+    """A slope of 150 deg hangs over the foot and intersects the calf. The limit in the message is
+    solved; 0.2 deg more is refused."""
     robot, step = load("original"), pa.Ground(heights={"FR": 0.05})
 
     def ask(contact: pa.Contact, *, explain: bool = True) -> pa.Stand:

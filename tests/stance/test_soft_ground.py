@@ -55,8 +55,8 @@ def test_the_stand_on_soft_ground_is_the_equilibrium_that_feedforward_holds(
         np.testing.assert_allclose(pose.contact_forces[foot], force, atol=1e-4)
 
 
-def test_sole_with_lifted_corners_carries_the_same_force_and_moment() -> None:
-    """Of depths in no plane, some of them none: force and moments are the same in the plane."""
+def test_fitted_plane_of_random_corner_depths_has_the_same_force_and_moments() -> None:
+    """Reference: force and moments of the ground law at the four depths, some of which are zero."""
     law, random = GroundLaw.of(load("v3"), "FL"), np.random.default_rng(0)
     corners = np.array([(1.0, 1.0, 0.3), (1.0, 1.0, -0.3), (1.0, -1.0, 0.3), (1.0, -1.0, -0.3)])
 

@@ -121,7 +121,7 @@ def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> N
 
 @pytest.mark.parametrize("other", ["original", "v3-heavy"])
 def test_stand_of_another_robot_is_refused(other: str) -> None:
-    """Also where the other robot has as many joints, or even the same legs."""
+    """Seven functions, with a robot that has as many joints, or even equal legs."""
     stand, robot = stand_of("v3"), load(other)
     for use in (
         pa.stance.stand_statics,

@@ -224,7 +224,8 @@ def test_weld_wrenches_equal_an_independent_cone_program(
 
 @pytest.mark.slow
 def test_gripping_hand_pulls_if_the_com_is_beyond_the_feet(armed: pa.Robot) -> None:
-    """Its force is MuJoCo's constraint's, and the com is where no polygon has it."""
+    """Reference: the force of MuJoCo's equality constraint. The CoM is outside the support polygon
+    of the feet."""
     stand = pa.solve_stand_as_simulated(armed, gripping(armed, beyond=0.02))
     found = proven(armed, stand)
     assert found.joint_error < 1e-6
@@ -262,7 +263,8 @@ def test_gripping_hand_pulls_if_the_com_is_beyond_the_feet(armed: pa.Robot) -> N
 
 
 def test_grip_balances_the_horizontal_force_of_a_foot_on_a_slope(armed: pa.Robot) -> None:
-    """What feet push aside, x more than y, the hand takes: no other force is level."""
+    """Reference: force balance; the foot on the slope is the only other contact with a horizontal
+    force, larger in x than in y."""
     task = gripping(armed)
     slope = {"RL_calf": pa.Contact(pa.Slope(0.3, 0.5))}
     stand = pa.solve_stand(armed, replace(task, contacts={**task.contacts, **slope}))
@@ -319,7 +321,7 @@ def test_grip_force_equals_an_independent_cone_program(armed: pa.Robot, strength
 
 @pytest.mark.slow
 def test_com_region_with_a_grip_equals_a_search_by_cone_programs(armed: pa.Robot) -> None:
-    """1,000 places, each by a cone programme of its own."""
+    """Reference: for each of 1,000 CoM positions, a cone program (Clarabel)."""
     stand = pa.solve_stand(armed, gripping(armed, 10.0))
     robot = stand.check(armed)
     corners = tuple(map(tuple, stand.corners(robot).tolist()))
@@ -376,8 +378,9 @@ def test_arm_with_a_fixed_base_leans_on_a_table(arm: pa.Robot) -> None:
 
 
 @pytest.mark.slow
-def test_a_stated_force_is_that_of_the_contact(arm: pa.Robot, armed: pa.Robot) -> None:
-    """Beside a weld, and among feet, which bear the less for it."""
+def test_contact_has_the_stated_normal_force_in_mujoco(arm: pa.Robot, armed: pa.Robot) -> None:
+    """Reference: MuJoCo's contact force, beside a weld, and of a hand that pushes a table down or a
+    roof up."""
     pressed = {"hand": pa.Contact(HAND["hand"].plane, force=4.0)}
     roof = pa.Contact(pa.Plane((0, 0, 0.6), (0, 0, -1), 0.6), force=4.0)
     for robot, task, name in (

@@ -67,7 +67,7 @@ def test_preferred_joints_select_the_nearest_posture_of_a_redundant_arm() -> Non
 
 
 def test_pose_of_the_base_and_feet_gives_the_joints_of_the_stand() -> None:
-    """Legs of three joints have one posture per branch: that of ``solve_stand``."""
+    """Reference: ``solve_stand``; a leg with three joints has a single posture per IK branch."""
     robot, start = load("v3"), stand_of("v3")
     stand = pa.solve_stand(robot, pa.StandTask(height=0.115, pitch=0.05))
     config = pa.Configuration(robot, stand.qpos)

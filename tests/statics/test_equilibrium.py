@@ -447,8 +447,8 @@ def test_two_feet_fail_if_the_com_is_beside_their_line() -> None:
     assert f"{1e3 * distance:.1f} mm" in str(error)
 
 
-def test_foot_with_a_small_load_does_not_pull() -> None:
-    """With a thirtieth of the weight all forces are below 1 N, and one of them alone is a pull."""
+def test_foot_that_would_pull_is_named_if_forces_are_below_one_newton() -> None:
+    """Gravity of 0.3 m/s^2: all forces are below 1 N, and only RR would have to pull."""
     description = load("v3").description
     light = description.mjcf.copy()
     light.option.gravity = (0.0, 0.0, -0.3)
@@ -459,7 +459,7 @@ def test_foot_with_a_small_load_does_not_pull() -> None:
 
 
 def test_shared_contacts_are_read_only() -> None:
-    """On level ground they are made once for a robot: whoever changed them would for all."""
+    """The contacts on level ground are cached per robot, so a change would affect all callers."""
     robot = load("v3")
     shared = make_contacts(robot, None, None, None, None)
     assert make_contacts(robot, None, None, None, None) is shared
@@ -469,10 +469,10 @@ def test_shared_contacts_are_read_only() -> None:
 
 
 def test_required_friction_is_found_if_it_is_several_hundred() -> None:
-    """Three feet on slopes need 400 times their friction; a linear program has forces there.
+    """Reference: a linear program. Three feet on slopes need 400 times their friction.
 
-    The cone program failed for coefficients of 1,000 and more, and the refusal named a foot that
-    would pull instead of friction.
+    The cone program failed for coefficients of 1,000 and more, and the message named a foot that
+    would pull, instead of the friction.
     """
     share = np.zeros(15)
     share[[1, 2, 6, 7, 9, 13]] = 0.71875, 0.75, -0.46875, -0.5, -0.46875, -0.90625
@@ -662,7 +662,8 @@ def test_contacts_raise_with_a_fixed_base() -> None:
 @pytest.mark.parametrize("torqueless", [0, 1, 2])
 @pytest.mark.parametrize("feet", [3, 4, 8])
 def test_minimum_torques_equal_the_null_space_solution(feet: int, torqueless: int) -> None:
-    """Also where some forces cost no torque: then they are the shortest that are found there."""
+    """Reference: pseudoinverse in the null space of the balance. With forces that cost no torque,
+    the shortest of these forces."""
     random = np.random.default_rng(feet)
     base, joints = random.normal(size=(6, 3 * feet)), random.normal(size=(12, 3 * feet))
     free = linalg.null_space(base)

@@ -46,8 +46,9 @@ def test_vertices_load_three_motors_to_their_limits_in_mujoco(name: str) -> None
             np.testing.assert_allclose(shares, 1.0, rtol=1e-9)
 
 
-def test_largest_push_is_the_first_limit_in_mujoco() -> None:
-    """The push grows until the torque of one motor of the leg, as MuJoCo computes it, is 100 %."""
+def test_largest_push_loads_the_limiting_motor_to_its_limit_in_mujoco() -> None:
+    """Reference: MuJoCo's torques under the push; the largest is 100 % of the limit, at
+    ``limiting_joint``."""
     robot = load("v3")
     config = pa.Configuration(robot, stand_of("v3").qpos)
     for direction in np.random.default_rng(0).normal(size=(10, 3)):

@@ -38,10 +38,11 @@ def bare_height(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("height", "pitch", "roll"), [(0.96, 0.05, 0.02), (0.98, 0.04, 0.0)])
-def test_soles_that_pivot_on_their_way_stand(
+def test_steady_state_of_legs_without_yaw_is_that_of_mujoco_if_soles_pivot(
     height: float, pitch: float, roll: float, tmp_path: Path
 ) -> None:
-    """Legs without yaw twist their soles until these pivot by 0.3 mm: "foot sole_0 slides"."""
+    """Reference: MuJoCo's base height. Soles of legs without yaw pivot by 0.3 mm while the servos
+    yield; the steady state must not report sliding feet."""
     robot = loaded(7, tmp_path)
     kp = 12.0 * robot.weight * robot.stand_height
     task = pa.StandTask(height=height * robot.stand_height, pitch=pitch, roll=roll)
@@ -54,11 +55,14 @@ def test_soles_that_pivot_on_their_way_stand(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5, 7, 8, 20])
-def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
-    """Nothing that is said to stand falls: let go where it is said to rest, MuJoCo stays there.
+def test_steady_state_of_irregular_bipeds_equals_mujoco_at_rest_and_in_creep(
+    seed: int, tmp_path: Path
+) -> None:
+    """Reference: MuJoCo, released at the predicted equilibrium; its height after 6 s is that of the
+    steady state with ``seconds=6``.
 
-    Or comes to where it is said to creep within these seconds: their soles, twisted, turn by a
-    millimetre within tenths of a second, by which the base may sink 4 % (seeds 0 and 5).
+    Twisted soles turn by a millimetre within tenths of a second, which may lower the base by 4 %
+    (seeds 0 and 5).
     """
     robot, random = loaded(seed, tmp_path), np.random.default_rng(seed)
     weight = robot.total_mass * 9.81
@@ -84,11 +88,13 @@ def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("point", [(0.03, 0.01, 0.05), (-0.03, 0.01, 0.05), (0.01, -0.03, 0.05)])
-def test_nudged_soles_carry_the_stated_payload(point: Point, tmp_path: Path) -> None:
-    """Legs of five joints: no roll of an ankle lays the soles as the ground would.
+def test_payload_limit_of_legs_with_five_joints_holds_under_nudges(
+    point: Point, tmp_path: Path
+) -> None:
+    """Reference: nudged simulations with the limit, and the verdict with 8 % more.
 
-    They were "too short for feet that sink" at half of what they bear (4.9 for 9.4 kg), or bore it
-    in equilibrium, while their twisted soles crept away within seconds (13.0 for 11.9 kg).
+    No ankle roll aligns the soles with the ground. Without the model of creeping soles, the limit
+    was 4.9 kg in place of 9.4 kg, or 13.0 kg in place of 11.9 kg.
     """
     robot = loaded(18, tmp_path)
     kp = 1.5 * robot.weight * robot.stand_height  # soft for its weight

@@ -244,8 +244,9 @@ def test_steady_state_exists_for_each_stiffness_above_the_minimum() -> None:
     assert heights[0] == pytest.approx(0.1004, abs=5e-4)  # MuJoCo's, after 12 s: 0.1004 m
 
 
-def test_an_equilibrium_that_creep_ends_is_no_stand() -> None:
-    """2 % above the least kp of feet that stay original was said to stand; MuJoCo falls in 8 s."""
+def test_steady_state_fails_if_creep_ends_the_equilibrium() -> None:
+    """Reference: 8 s in MuJoCo, with a stiffness 2 % above the smallest. The robot falls; with the
+    no-slip solver, contacts do not creep, and the robot stands."""
     robot, stand = load("original"), stand_of("original")
     pose = steady_state(robot, stand, kp=2.38)
     assert pose.stable
