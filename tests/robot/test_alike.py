@@ -24,8 +24,8 @@ def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_leg_with_a_misplaced_calf_is_reported_without_foot(tmp_path: Path) -> None:
-    """One digit, -0.2 -> -0.02, and the robot stands on three feet: that is no HOLDS."""
+def test_leg_with_a_misplaced_calf_is_reported_and_the_verdict_fails(tmp_path: Path) -> None:
+    """One digit, -0.2 -> -0.02, leaves a robot that stands on three feet."""
     path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
     robot = pa.load_robot(path)
     [message] = report_limbs_without_feet(robot)

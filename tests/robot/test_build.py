@@ -37,7 +37,7 @@ def test_stand_is_refused_without_gravity(option: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_friction_of_a_free_joint_does_not_hold_the_base(tmp_path: Path) -> None:
-    """With 500 N of dry friction it would stand on servos that are switched off, too."""
+    """With 500 N of dry friction at the free joint, the base would stand on disabled servos."""
     free = '<joint type="free" frictionloss="500" damping="0" armature="0"/>'
     robot = loaded(tmp_path, '<option actuatorgroupdisable="0"/>', free)
     assert [note for note in robot.notes if note.code == "free-joint-friction-taken-off"]

@@ -191,7 +191,8 @@ def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> None:
-    """Without them all feet are in place, and a refusal had nothing to name."""
+    """Without loop constraints, the nearest configuration has all feet in place, and the refusal
+    has no cause. A stand with its feet in place is reported if its loops are open."""
     robot = load(four_bars(tmp_path))
     task = pa.StandTask(
         height=0.273, yaw=-0.44, swing={"FL_calf": 0.203}, joint_margin=0.1, com="inside"
@@ -232,7 +233,7 @@ def test_loop_jacobian_equals_the_finite_difference_of_the_residual(tmp_path: Pa
 
 @pytest.mark.slow
 def test_constraint_opening_equals_mujoco_at_rest(tmp_path: Path) -> None:
-    """A constraint's force and opening at rest, from a simulation that knows no prediction."""
+    """Reference: force and opening of MuJoCo's equality constraints after 2,000 steps."""
     robot = load(belts(tmp_path, words=""))
     stand = pa.solve_stand(robot)
     drive = model_with_servos(robot)
@@ -271,8 +272,9 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_coupled_legs_that_cannot_compensate_softness_are_reported(tmp_path: Path) -> None:
-    """Right knees follow left ones: as those give way, feet on two sides are not on one level."""
+def test_stand_on_soft_ground_is_refused_if_coupled_knees_yield(tmp_path: Path) -> None:
+    """The right knees follow the left knees; as the couplings yield under load, the feet cannot be
+    level."""
     pair = quadruped(tmp_path)
     motors = ((f'<motor joint="{end}R_knee" ctrlrange="-30 30"/>', "") for end in "FR")
     ties = "".join(f'<joint joint1="{end}R_knee" joint2="{end}L_knee"/>' for end in "FR")

@@ -154,7 +154,7 @@ def test_jacobian_time_variations_equal_those_of_both_engines(odd_robot: pa.Robo
 
 
 def test_local_time_variation_of_a_point_is_a_derivative(odd_robot: pa.Robot) -> None:
-    """Central difference of the local Jacobian of a point that moves with its link."""
+    """Reference: central difference of the local Jacobian of a point that moves with its link."""
     robot, (name, _) = odd_robot, links(odd_robot)[-1]
     qpos, qvel = random_state(robot, 1)
     config, offset = pa.Configuration(robot, qpos, qvel), np.array([0.1, -0.2, 0.05])
@@ -210,7 +210,8 @@ def test_centroidal_map_time_variation_is_a_derivative_with_pinocchios_bias(
 
 
 def test_time_variation_of_the_centroidal_map_does_not_depend_on_earlier_calls() -> None:
-    """Pinocchio's function reads a velocity of the CoM that other functions leave in their data."""
+    """Reference: the value before another call. Pinocchio's function reads a CoM velocity that
+    other functions leave in the data."""
     robot = pa.load_variant("v3")
     config = pa.Configuration(robot, *random_state(robot, 1))
     expected = config.centroidal_map_time_variation()

@@ -16,7 +16,8 @@ from tests.support.states import positions, velocities
 def test_velocity_map_agrees_with_both_engines_integration(
     any_robot: pa.Robot, data: st.DataObject
 ) -> None:
-    """MuJoCo moves qpos along qvel; Pinocchio says which of its velocities that was."""
+    """Reference: MuJoCo's ``mj_integratePos`` along qvel, and Pinocchio's ``difference`` of both
+    ends."""
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
     convention, dt = any_robot.pin_convention, 1e-5
     behind, ahead = (convention.q(integrate(any_robot, qpos, qvel, sign * dt)) for sign in (-1, 1))

@@ -233,7 +233,7 @@ def test_change_of_spec_does_not_change_robot() -> None:
 
 
 def test_collision_distances_agree_with_mujoco(robot: pa.Robot) -> None:
-    """MuJoCo's ``mj_geomDistance`` of each pair of geoms that collide."""
+    """Reference: ``mj_geomDistance`` of each pair of geoms that can collide, if separate."""
     geometry = robot.collision_model
     shapes = robot.shapes
     assert geometry.ngeoms == len(shapes)

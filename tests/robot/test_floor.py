@@ -96,7 +96,7 @@ def test_objects_of_the_scene_are_left_out_with_a_note(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -> None:
-    """The prepared robot's contacts are those that MuJoCo makes of the file as it is."""
+    """Reference: MuJoCo's contacts of the published file."""
     values = 'friction="0.37 0.37 0.02 0.003 0.003" solref="0.03 1.2" solimp="0.9 0.95 0.002 0.5 2"'
     names = (("foot0", "ground"), ("ground", "foot1"), ("foot2", "ground"), ("ground", "foot3"))
     pairs = "".join(
@@ -124,8 +124,8 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
         pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.45)))
 
 
-def test_of_a_pair_with_two_frictions_the_lesser_counts(tmp_path: Path) -> None:
-    """What holds by it holds by both, whichever way the ground rises."""
+def test_smaller_friction_of_an_anisotropic_pair_is_used(tmp_path: Path) -> None:
+    """A stand within the smaller friction holds with both, in any direction."""
     pairs = "".join(
         f'<pair geom1="ground" geom2="foot{leg}" friction="{values}"/>'
         for leg, values in enumerate(("0.9 0.3 .02 .004 .003", "0.3 0.9 .02 .003 .004") * 2)

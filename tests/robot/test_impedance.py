@@ -50,7 +50,7 @@ def tied(kind: str, seed: int) -> mujoco.MjModel:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(8))
 def test_predicted_constraint_opening_equals_the_simulation_at_rest(kind: str, seed: int) -> None:
-    """From MuJoCo's forces alone, at a configuration that knows nothing of the opening."""
+    """Reference: ``efc_pos`` of MuJoCo at rest, predicted from ``efc_force`` alone."""
     model = tied(kind, seed)
     data = mujoco.MjData(model)
     for _ in range(20000):
@@ -98,7 +98,8 @@ def test_impedance_is_mujocos(seed: int) -> None:
 
 @pytest.mark.parametrize("force", [1e-4, 1e-3, 5e-3])
 def test_opening_satisfies_the_equation_of_its_impedance(force: float) -> None:
-    """It is within the width over which the impedance rises: x = F (1 - d(x)) / d(x)^2."""
+    """Reference: x = F (1 - d(x)) / d(x)^2, with x within the width over which the impedance d
+    rises."""
     solimp = clip_solimp((0.6, 0.95, 0.01, 0.5, 2))
     opened = _solve_opening(solimp, force)
     d, _ = solimp_impedance(solimp, opened)

@@ -71,8 +71,11 @@ POSITIONS = " ".join(["0 0 0.6 0 -1.2 0"] * 4)
 @pytest.mark.parametrize(
     ("element", "ctrl"), [(PID, f' ctrl="{POSITIONS}"'), (DC, ""), (IN_PARENT, "")]
 )
-def test_robots_stand_on_actuators_of_other_kinds(element: str, ctrl: str, tmp_path: Path) -> None:
-    """Torque motors without commands say nothing of the robot; ``pid`` holds its keyframe."""
+def test_stand_holds_on_pid_dc_and_parent_frame_actuators(
+    element: str, ctrl: str, tmp_path: Path
+) -> None:
+    """Reference: simulation. Torque motors without ctrl in the keyframe do not decide; ``pid``
+    holds the keyframe."""
     pair = with_motors(quadruped(tmp_path), element)
     rewritten(pair.mjcf, ('"/></keyframe>', f'"{ctrl}/></keyframe>'))
     status, printed = stand_printed(pair)
@@ -125,8 +128,11 @@ def test_several_motors_at_a_joint_are_refused(element: str, tmp_path: Path) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("element", [LAGGING, BIASED, SPEED])
-def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None:
-    """A filter begins at rest; who has a force of its own is no servo."""
+def test_stand_holds_on_motors_with_filter_bias_or_velocity_feedback(
+    element: str, tmp_path: Path
+) -> None:
+    """Reference: simulation. The filter starts at rest; an actuator with a constant force is no
+    servo, so servos are added."""
     robot = loaded(with_motors(quadruped(tmp_path), element))
     lagging = element is LAGGING
     assert any(note.code == "servos-added" for note in robot.notes) != lagging
@@ -214,8 +220,9 @@ def geared(name: str, *, force: float | None = None) -> pa.Robot:
 
 
 @pytest.mark.parametrize("gains", [{}, {"kp": 7.0, "kd": 0.3}])
-def test_the_law_at_the_joint_is_mujocos(gains: dict[str, float]) -> None:
-    """tau = kp (q* - q) + feed-forward - kd dq/dt, with the gains that are said."""
+def test_servo_torque_at_the_joint_equals_mujocos_actuator_force(gains: dict[str, float]) -> None:
+    """Reference: MuJoCo's ``qfrc_actuator``, kp (q* - q) + feed-forward - kd dq/dt, with the file's
+    or the requested gains."""
     robot, name = geared("v3"), "v3"
     drive = model_with_servos(robot, **gains)
     actuators = robot.mj_convention.actuator_index
@@ -238,7 +245,8 @@ def test_the_law_at_the_joint_is_mujocos(gains: dict[str, float]) -> None:
 
 
 def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:
-    """What MuJoCo clips and what the prediction clips, far from the commanded pose."""
+    """Reference: MuJoCo's ``qfrc_actuator``, 1 rad from the command; the static model must saturate
+    at the same torque."""
     robot = geared("v3", force=0.9)
     drive, stand = model_with_servos(robot, kp=50.0, kd=0.0), stand_of("v3")
     data = mujoco_at(robot, stand.qpos, model=drive.model)

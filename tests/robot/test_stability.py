@@ -94,7 +94,8 @@ def test_damping_ratio_of_a_servo_equals_the_closed_form() -> None:
 @pytest.mark.parametrize("kd", [0.0, 600.0])
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
 def test_servo_beyond_its_discrete_stability_limit_shakes(kd: float, integrator: str) -> None:
-    """Every other step on the other side: at half the sampling frequency, with Euler's radius."""
+    """Reference: eigenvalues of Euler's step in closed form; the unstable mode has half the
+    sampling frequency."""
     step, kp = 0.02, 9000.0
     values = euler(kp, kd, step, integrator != "Euler")
     found = judged(pendulum(kp, kd, integrator, step), settle=0.5, off=1e-9)
@@ -123,8 +124,8 @@ def test_finite_difference_step_equals_mjd_transition_fd() -> None:
     assert _difference_steps(model, data, np.zeros_like(own)) == pytest.approx(own, abs=1e-6)
 
 
-def test_stability_of_a_robot_that_still_sinks_is_not_judged() -> None:
-    """On servos of which it sags by centimetres, v3 is half way down after half a second."""
+def test_spectrum_of_a_robot_that_still_sinks_is_marked_as_not_at_rest() -> None:
+    """On servos of 2.5 N m/rad, v3 sinks by centimetres and is half-way after 0.5 s."""
     from pupper_analysis.simulation.rollout import make_stand_start
     from pupper_analysis.simulation.stability import evaluate_stability
 
@@ -176,8 +177,9 @@ def test_dry_friction_hides_an_unstable_servo_until_a_push_overcomes_it() -> Non
     np.testing.assert_array_equal(model.dof_frictionloss, 0.5)  # which is given back
 
 
-def test_a_solver_that_ends_early_makes_no_mode_grow() -> None:
-    """With its own tolerance it is off by 1e-5 in some states, one of a hundred."""
+def test_stability_does_not_depend_on_the_tolerance_of_mujocos_solver() -> None:
+    """With the default tolerance, the solver is inexact by 1e-5 in one state of a hundred, and a
+    mode seems to grow. The tolerance of the model is restored."""
     robot, stand = load("v3"), stand_of("v3")
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(
@@ -271,11 +273,9 @@ def simulate_slide() -> Nudge:
     return measure_response(model, before, simulate_commands(model, start, np.zeros((8000, 0))))
 
 
-def test_stability_at_a_joint_limit_is_judged_on_both_sides() -> None:
-    """Differences half beyond the limit told a swing of neither: a mean of servo and stop.
-
-    Off the limit it is the servo's, sqrt(kp/I), which hardly decays.
-    """
+def test_frequency_at_a_joint_limit_is_that_of_the_servo() -> None:
+    """Reference: sqrt(kp / I) / (2 pi), at the limit as well as off it. Finite differences across
+    the limit would average servo and limit."""
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><option gravity="0 0 0" timestep="0.001"/><compiler angle="radian"/><worldbody>'
         '<body><joint name="j" axis="0 1 0" range="-1 0" limited="true" solreflimit="0.01 1"/>'

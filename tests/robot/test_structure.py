@@ -73,7 +73,8 @@ def test_copied_configuration_keeps_its_values(any_robot: pa.Robot) -> None:
 
 @pytest.mark.slow
 def test_configurations_are_not_changed_by_other_threads(any_robot: pa.Robot) -> None:
-    """Configurations that are made in one thread, asked in another, and dropped in a third."""
+    """Reference: values of a single thread. Four threads evaluate shared and new configurations in
+    random order."""
     states = [random_state(any_robot, seed) for seed in range(6)]
     order = np.arange(len(QUANTITIES))
     expected = [looked_at(pa.Configuration(any_robot, *state), order) for state in states]

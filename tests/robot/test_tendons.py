@@ -38,7 +38,7 @@ def test_dropped_tendon_range_gives_a_note(tmp_path: Path) -> None:
 
 
 def test_each_equality_type_of_mujoco_is_supported_reported_or_removed() -> None:
-    """By MuJoCo's own list: a kind that a new version brings is to be looked at."""
+    """Reference: ``mujoco.mjtEq``, so that a type of a new version fails this test."""
     known = {kind.name for kind in SUPPORTED_EQUALITIES} | {*TOLD, GONE}
     assert {name for name in dir(mujoco.mjtEq) if name.startswith("mjEQ_")} == known
     scene = """<mujoco><worldbody><body pos="0 0 1"><geom size="0.1"/></body>

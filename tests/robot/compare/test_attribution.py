@@ -204,8 +204,9 @@ def test_models_agree_after_all_differences_are_removed(
     assert max(explanation.deviations.values()) > 1e-9  # there was something to explain
 
 
-def test_a_mass_that_no_body_has_is_named_and_explained(tmp_path: Path) -> None:
-    """MuJoCo has no numbers of such a robot; the other file's are what is left to weigh by."""
+def test_negative_mass_in_one_file_is_named_as_the_only_explanation(tmp_path: Path) -> None:
+    """MuJoCo cannot evaluate a body of negative mass; the explanation is evaluated with the values
+    of the other file."""
     explanation = explained(tmp_path, changed(quadruped(), "shank0", mass=-1.0), quadruped())
     assert ("mass", "knee0") in found(explanation)
     assert explanation.complete
@@ -338,7 +339,8 @@ def test_no_slip_is_suggested_without_reason(tmp_path: Path) -> None:
 def test_springs_and_friction_of_a_free_joint_are_differences(
     word: str, kind: str, base: str, tmp_path: Path
 ) -> None:
-    """It said AGREE, though MuJoCo holds the base; whatever the MJCF calls it."""
+    """For any name of the base in the MJCF: MuJoCo holds the base by this spring or friction, which
+    a URDF cannot state."""
     text = mjcf_text(quadruped()).replace("<freejoint/>", f'<joint type="free" {word}="1.5"/>')
     text = text.replace('<body name="base"', f'<body name="{base}"')
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
@@ -348,8 +350,8 @@ def test_springs_and_friction_of_a_free_joint_are_differences(
     assert "1.5" in difference.message
 
 
-def test_armature_of_the_free_joint(tmp_path: Path) -> None:
-    """No rotor moves a base: it said AGREE, though the base is the heavier for it."""
+def test_armature_of_a_free_joint_is_a_difference_of_the_mass_matrix(tmp_path: Path) -> None:
+    """Reference: the diagonal of the mass matrix grows by 0.5; gravity is unchanged."""
     text = mjcf_text(quadruped()).replace("<freejoint/>", '<joint type="free" armature="0.5"/>')
     explanation = explain_differences(matched(write(tmp_path, urdf_text(quadruped()), text)).robot)
     difference = only(explanation)

@@ -137,8 +137,9 @@ def test_the_armature_of_a_motor_on_a_tendon(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- one joint's
 
 
-def test_a_motor_at_a_joint_has_the_joints_armature_and_damping(tmp_path: Path) -> None:
-    """Its gear squared times its own; the mass matrices of both engines say so, too."""
+def test_armature_and_damping_of_a_motor_count_with_the_gear_squared(tmp_path: Path) -> None:
+    """Reference: closed form, 0.04 + 2^2 0.015 = 0.1 and 0.002 + 2^2 0.002 = 0.01, and the mass
+    matrices of both engines."""
     plain = 'damping="0.1" frictionloss="0.2" armature="0.01"'
     bare = 'damping="0.04" frictionloss="0.2" armature="0.002"'
     motors = MJCF.replace(plain, bare)
@@ -434,7 +435,7 @@ HINGED = (
 def test_elements_of_other_objects_are_no_difference_of_the_robot(
     scene: str, extra: str, tmp_path: Path
 ) -> None:
-    """A cloth's edges are kept by an equality, which said that the robot is held."""
+    """A ball, a mocap body and a door; and a cloth, whose edges are an equality constraint."""
     assert pair(tmp_path, mjcf_text(quadruped(), scene=scene, extra=extra)).agree
 
 

@@ -18,7 +18,7 @@ def inertia_of(points: np.ndarray, masses: np.ndarray) -> np.ndarray:
 
 
 def test_base_inertia_in_another_frame_equals_the_sum_of_point_masses() -> None:
-    """Point masses are moved one by one, x' = R x + p, and summed up again."""
+    """Reference: each point mass moved by x' = R x + p, then mass, CoM and inertia summed."""
     random = np.random.default_rng(1)
     points, masses = random.normal(size=(5, 3)), random.uniform(0.1, 1.0, 5)
     pose = pin.SE3(pin.exp3(np.array([0.4, -0.9, 0.7])), np.array([0.1, -0.2, 0.3]))

@@ -104,7 +104,8 @@ def test_link_frames_rotated_along_a_chain_and_back_are_no_difference(
 
 
 def test_offset_across_the_axis_is_reported_with_its_size(tmp_path: Path) -> None:
-    """138 mm along the axis, 0.7 mm off it: 0.7 mm is what is wrong."""
+    """A joint frame is displaced by 138 mm along the axis, which is a convention, and by 0.7 mm
+    across: the error."""
     parts = quadruped()
     mjcf, feet = reframed(parts, FEET, "shank0", Rotation.identity(), np.array([0, 0.138, 0]))
     place = np.array(mjcf["shank0"].position) + rotation_of(mjcf["shank0"]).apply([7e-4, 0, 0])
@@ -204,11 +205,9 @@ def test_moved_base_frame_of_a_free_base_is_one_cause(tmp_path: Path, pose: str)
 
 
 @pytest.mark.slow
-def test_moved_base_frame_is_found_beside_other_bodies_of_base_and_hips(tmp_path: Path) -> None:
-    """The other mass and com of the base, and the other tensors, remain as differences.
-
-    No pose of the base mends them; the pose is that of the axes and positions of the joints.
-    """
+def test_moved_base_frame_is_found_if_masses_differ_as_well(tmp_path: Path) -> None:
+    """The pose of the base frame follows from joint axes and positions; the other mass, CoM and
+    inertias remain as differences."""
     mjcf, feet = reframed(quadruped(), FEET, "base", *POSES["turned"])
     mjcf = changed(mjcf, "base", mass=2.0, com=(0.1, 0.05, 0.07))
     for leg in range(4):

@@ -206,7 +206,7 @@ def test_ambiguous_partial_match_without_common_names_is_left_open(tmp_path: Pat
 
 
 def test_joints_far_apart_are_not_matched(tmp_path: Path) -> None:
-    """Half the robot's length away it is another joint, were it the only one left."""
+    """Two unmatched joints, half of the robot's length apart."""
     urdf = quadruped() | {"tail": light("tail", "base", position=(-0.3, 0.0, 0.0))}
     mjcf = quadruped() | {"neck": light("neck", "base", position=(0.3, 0.0, 0.0))}
     comparison = compared(write_parts(tmp_path, urdf, mjcf))
@@ -309,10 +309,8 @@ def test_unknown_name_in_a_mapping_is_refused_with_the_valid_names(
 
 
 def test_base_mass_is_no_cause_if_the_base_is_fused_with_the_world(tmp_path: Path) -> None:
-    """As MuJoCo converts a URDF: all four legs are the robot's, and the base's mass is no cause.
-
-    Nor do they agree: what the base weighs is in one file alone.
-    """
+    """MuJoCo's conversion of a URDF fuses a base without free joint. All legs are matched; the
+    files do not agree, because only the URDF has the mass of the base."""
     fused = without_base(mjcf_text(quadruped(), [], free=False))
     comparison = compare_texts(tmp_path, URDF, fused)
     assert comparison.differences == ()
