@@ -313,7 +313,8 @@ def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path:
 
 @pytest.mark.slow
 def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
-    """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
+    """As for Pi Plus, whose knees have a one-sided range in the MJCF only, and NimbRo-OP2X, whose
+    URDF joints are continuous."""
     pair = quadruped(tmp_path, keyframe="")
     rewritten(pair.mjcf, ('range="-1.5 2.5"', 'range="-1.5 0.6"'))
     robot = load(pair)
@@ -334,7 +335,8 @@ def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
 
 
 def test_feet_behind_a_prismatic_joint_are_at_their_true_position(tmp_path: Path) -> None:
-    """A slide is a direction: where a file puts its origin says nothing of the foot's place."""
+    """The origin of a slide is arbitrary along and beside its axis, so the foot position must not
+    depend on it."""
     pair = quadruped(tmp_path, floor=True, keyframe="0 0.1 0")
     urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
     urdf, knees = re.subn(
@@ -362,8 +364,8 @@ def test_feet_behind_a_prismatic_joint_are_at_their_true_position(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
-    """As XBot-L's, which was taken for one that hangs in the world."""
+def test_base_with_three_slides_and_a_ball_joint_is_free(tmp_path: Path) -> None:
+    """Reference: the same robot with a free joint. XBot-L's base is free in this way."""
     whole = load(quadruped(tmp_path))
     pair = quadruped(tmp_path)
     parts = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
@@ -380,7 +382,7 @@ def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
 def test_servos_that_need_feed_forward_are_used_if_no_others_hold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As HyQ's, whose feet slide by 5 mm and more as it sags."""
+    """HyQ: feet slide by more than 5 mm as the servos sag without feed-forward."""
     rests = drives.comes_to_rest
 
     def slides(robot: Robot, stand: pa.Stand, *, feedforward: bool, **gains: np.ndarray) -> bool:

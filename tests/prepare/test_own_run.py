@@ -72,7 +72,8 @@ def test_a_file_settles_in_place_only_if_the_motion_after_a_nudge_ends(tmp_path:
 def test_a_keyframe_with_zero_commands_fails_if_the_file_falls(
     tmp_path: Path, stated: bool
 ) -> None:
-    """In bare MuJoCo zero commands throw it on its back, whether written or left to a reset."""
+    """Reference: MuJoCo with the unmodified file falls over with zero commands, stated or by
+    default."""
     zeros = f' ctrl="{" ".join(["0"] * 12)}"' if stated else ""
 
     def slip(text: str) -> str:

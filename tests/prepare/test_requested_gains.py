@@ -56,7 +56,7 @@ def test_requested_gains_decide_if_the_file_has_weak_servos(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_requested_gains_that_are_too_low_fail(tmp_path: Path) -> None:
-    """A file that stands by itself in bare MuJoCo is not what is asked about."""
+    """The unmodified file stands in MuJoCo, but the verdict is about the requested gains."""
     robot = slipped(tmp_path, lambda text: text + "\n")
     assert _height_after(tmp_path / "robot.xml") > 0.3
     stand = pa.solve_stand(robot)
@@ -76,7 +76,7 @@ def test_requested_gains_that_are_too_low_fail(tmp_path: Path) -> None:
 def test_added_servos_bring_the_options_that_the_file_does_not_state(
     tmp_path: Path, option: str, timestep: float, integrator: mujoco.mjtIntegrator
 ) -> None:
-    """The expected values are those of the XML, or else those of the prepared robot."""
+    """Reference: time step and integrator of the XML, or else of the prepared robot."""
     pair = quadruped(tmp_path, floor=True)
     rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"), count=1)
     robot = pa.load_robot(*pair)

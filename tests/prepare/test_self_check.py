@@ -105,7 +105,7 @@ def test_a_robot_whose_legs_retract_before_its_feet_touch_collapses(
 
 
 def test_robot_that_slides_away_counts_as_collapsed(tmp_path: Path) -> None:
-    """It stands upright, as high as ever, and slides away on its feet by g x t^2 / 2."""
+    """Reference: g t^2 / 2 with friction of 0.01. The robot stays upright at its height."""
     pair = standing(tmp_path)
     robot = pa.load_robot(*pair)
     ice = ('type="plane"', 'priority="1" friction="0.01" type="plane"')
@@ -135,7 +135,8 @@ def test_robot_that_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
 
 
 def test_affine_actuator_with_zero_bias_is_not_a_torque_motor(tmp_path: Path) -> None:
-    """``biastype="affine"`` is of a servo: its own commands are tried, and it falls."""
+    """``biastype="affine"`` defines a servo: the file is simulated with its own commands, and
+    falls."""
     pair = standing(tmp_path)
     servo = 'general gainprm="150" biastype="affine" biasprm="0 0 0"'
     rewritten(pair.mjcf, ('kp="150" kv="5"', ""), ("<position", f"<{servo}"))
@@ -166,8 +167,8 @@ def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, s
 
 
 @pytest.mark.slow
-def test_replaced_servo_is_named(tmp_path: Path) -> None:
-    """The servo of one knee, with its own gains, and never as if there were none."""
+def test_servo_with_gain_of_the_wrong_sign_is_replaced_and_named(tmp_path: Path) -> None:
+    """One knee; no note claims that there are no position servos, and ``as_is`` refuses the joint."""
     pair = slipped(tmp_path, "kp of one has the wrong sign", seed=3)
     robot = pa.load_robot(*pair)
     (made,) = robot.description.made_servos
@@ -228,8 +229,9 @@ def test_two_files_of_different_robots_are_named_as_the_cause(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_keyframes_angles_are_no_torques(tmp_path: Path) -> None:
-    """Servos that have lost their gains are motors, which the keyframe tells 0.6 and -1.2 N m."""
+def test_angles_as_commands_of_motors_fail_the_verdict(tmp_path: Path) -> None:
+    """Servos without gains are motors, to which the keyframe commands 0.6 and -1.2 N m. Without
+    ctrl, the fall of uncommanded motors does not fail."""
     pair = legged.quadruped(tmp_path, floor=True)
     own = own_run(pa.load_robot(*pair))
     assert own is not None

@@ -85,8 +85,8 @@ def test_spheres_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sole_of_a_mesh_with_four_corners_touches_itself(tmp_path: Path) -> None:
-    """A box as a mesh has its four corners in contact, however it tilts."""
+def test_mesh_sole_with_four_corners_has_four_contact_points(tmp_path: Path) -> None:
+    """A box as a mesh: MuJoCo's contacts are its four corners at any tilt, so no balls are added."""
     box = " ".join(
         f"{x} {y} {z}" for x in (-0.06, 0.12) for y in (-0.04, 0.04) for z in (-0.06, -0.04)
     )
@@ -133,10 +133,8 @@ def test_nearly_level_sole_keeps_the_tilt_of_its_leg(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
-    """They tilted as far as they may, for a com that need not be where it was put: by 2.8 %.
-
-    Xuanwu's com is 0.9 mm aside, and its feet roll with its hips alone.
-    """
+    """As for Xuanwu, with its CoM 0.9 mm off the centre: the feet roll with the hips only.
+    Reference: heights of the sole points, equal to 1e-6."""
     pair = held(biped(tmp_path), "_tilt")
     robot = load(aside(pair, 3e-5))
     assert robot.nu == 10
@@ -174,7 +172,8 @@ def test_feet_of_four_joint_legs_that_tilt_have_one_contact_point(tmp_path: Path
 
 @pytest.mark.slow
 def test_tilted_flat_soles_give_a_failure(tmp_path: Path) -> None:
-    """Legs of three joints cannot lay them flat: corners carry that the prediction lacks."""
+    """Legs of three joints cannot align the soles. Standing on edges passes; corners that carry
+    load without prediction fail."""
     box = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2" euler="0 0.6 0"/>'
     pair = quadruped(tmp_path, foot=box, floor=True)
     robot = pa.load_robot(*pair)
@@ -188,10 +187,8 @@ def test_tilted_flat_soles_give_a_failure(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_tilted_soles_of_spheres_are_refused(tmp_path: Path) -> None:
-    """The ball that was taken for the foot is not the lowest there; the others are no feet.
-
-    They are 0.1 mm in the ground, and the stand is refused.
-    """
+    """The lowest of four balls at zero angles is the foot; at this stand another ball is 0.1 mm in
+    the ground."""
     balls = "".join(
         f'<geom type="sphere" size="0.01" pos="{x} {y} -0.2"/>'
         for x in (-0.02, 0.02)
@@ -289,7 +286,7 @@ def test_osculating_sphere_has_the_point_and_mean_curvature_of_the_support_funct
 
 
 def test_round_sole_touches_at_its_rim(tmp_path: Path) -> None:
-    """At the cylinder's radius, 90 mm from its axis, and not at its half length."""
+    """Reference: the radius of the cylinder, 90 mm from its axis."""
     robot = load(biped(tmp_path, BIPED_FEET["cylinder"]))
     for points in robot.feet.values():
         places = np.array([robot.contact_places[point][1] for point in points])

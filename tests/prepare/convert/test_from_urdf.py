@@ -26,7 +26,7 @@ def test_a_mimic_without_a_multiplier_turns_as_much(tmp_path: Path) -> None:
 
 
 def test_geoms_without_mesh_use_no_mesh() -> None:
-    """Not even a mesh that is named None."""
+    """The used meshes are those of mesh geoms; a sphere adds no name, and not None either."""
     geoms = '<geom type="sphere" size="1"/><geom type="mesh" mesh="toe"/>'
     root = etree.fromstring(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
     assert MjcfXml(root).used_meshes == {"toe"}

@@ -194,7 +194,7 @@ AXIS = f'<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{LIMIT}'
 
 
 def test_robot_without_any_mass_is_refused(tmp_path: Path) -> None:
-    """A flange without mass is given a gram, and it is said."""
+    """A robot with a single massless link is accepted: the link gets 1 g, with a note."""
     path = tmp_path / "chain.urdf"
     path.write_text(_chain(""))
     with pytest.raises(pa.ModelError, match="its links weigh 0 kg together"):
@@ -205,7 +205,8 @@ def test_robot_without_any_mass_is_refused(tmp_path: Path) -> None:
 
 
 def test_stand_of_an_arm_with_a_gripper_is_refused(tmp_path: Path) -> None:
-    """Two fingers, of which one follows the other: joints are bound, and no limb has a foot."""
+    """The coupled fingers are not taken for a closed loop or a leg; the message names the fixed
+    base."""
     place = {"axis": (0.0, 1.0, 0.0), "upper": 0.04, "lower": 0.0, "mass": 0.1}
     fingers = {
         name: Part(name, "palm", name, "prismatic", (0.0, y, 0.05), **place)  # type: ignore[arg-type]
@@ -220,7 +221,7 @@ def test_stand_of_an_arm_with_a_gripper_is_refused(tmp_path: Path) -> None:
 
 
 def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Path) -> None:
-    """One sentence, in which each thing stands once; no arm, so no word of a fixed base."""
+    """The message contains the mesh and the --package option once, and no mention of a fixed base."""
     path = quadruped(tmp_path).urdf
     mesh = "package://all/robots/quad/foot.stl"
     shape = f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>'

@@ -143,7 +143,7 @@ def test_robot_of_pinocchio_model_equals_robot_of_file(flyer: bool, from_urdf: p
 
 
 def test_armature_and_gravity_of_pinocchio_model_are_kept() -> None:
-    """Pinocchio's ``rnea`` of the given model, at a random state."""
+    """Reference: Pinocchio's ``rnea`` of the given model at five random states."""
     model = pin.buildSampleModelManipulator()
     model.armature = np.linspace(0.01, 0.06, model.nv)
     model.gravity.linear = np.array([0.5, 0.0, -3.0])

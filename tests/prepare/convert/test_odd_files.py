@@ -59,7 +59,8 @@ def test_a_root_link_world_cannot_be_free(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_meshes_with_equal_names_stay_distinct(tmp_path: Path) -> None:
-    """Those that are written anew, too: one must not stand for the other."""
+    """Reference: the lengths of both boxes, whose DAE files have equal names in two folders and are
+    rewritten."""
     for folder, size in (("a", 0.1), ("b", 0.3)):
         (tmp_path / folder).mkdir()
         trimesh.creation.box((size, 0.02, 0.02)).export(tmp_path / folder / "part.dae")
@@ -100,8 +101,11 @@ def _with_arm(folder: Path, mimic: str) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, -0.5])
-def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Path) -> None:
-    """The leader's servo holds what its follower needs as well, by virtual work."""
+def test_keyframe_of_a_robot_with_a_mimic_joint_holds_in_mujoco(
+    factor: float, tmp_path: Path
+) -> None:
+    """Reference: drift in MuJoCo. By virtual work, the servo of the leading joint bears the load of
+    the following joint as well."""
     urdf = _with_arm(tmp_path, f'<mimic joint="arm1" multiplier="{factor}"/>')
     mjcf, found = converted(urdf, "quad.xml")
     assert found.passed, found.failures
@@ -234,7 +238,8 @@ def test_shapes_of_size_zero_are_left_out_with_a_note(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_shapes_of_massless_links_touch_at_the_height_of_the_foot(tmp_path: Path) -> None:
-    """As Kuavo's toes, which sank in by 20 mm; and as Drake's Atlas, whose points were left out."""
+    """Toe links without mass, with a sphere of radius 0 (as in Drake's Atlas), which the conversion
+    must keep; otherwise the feet sink by 20 mm (Kuavo)."""
     ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
     point = '<sphere radius="0.0"/>'
     toes = "".join(
@@ -274,8 +279,8 @@ def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_legs_that_are_spread_as_a_spiders_have_feet(tmp_path: Path) -> None:
-    """At zero angles they end at the base's height, one a little lower than the others."""
+def test_feet_are_found_if_legs_are_horizontal_at_zero_angles(tmp_path: Path) -> None:
+    """At zero angles the legs end at the height of the base, one slightly lower than the others."""
     urdf = standing_urdf(tmp_path)
     text = urdf.read_text()
     for leg, turn, out in (("F", -1.57, 0.05), ("R", 1.57, 0.05)):

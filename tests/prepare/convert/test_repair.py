@@ -56,7 +56,8 @@ def test_repair_finds_the_mass_across_fixed_links(tmp_path: Path) -> None:
 
 
 def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path) -> None:
-    """Its mass, com and axes stay, and all other bodies; the sum of the changes is the least."""
+    """Reference: the closest moments that satisfy the triangle inequality, (1, 1, -1) times a third
+    of the deficit. Mass, CoM, axes and all other bodies are unchanged."""
     stated = (0.02, 0.04, 0.08, 1e-3, 0.0, 0.0)
     urdf = written(tmp_path, changed(arm(), "boom", inertia=stated))
     with pytest.raises(pa.ModelError, match=r"'boom'.*which no body has.*--repair-inertia"):

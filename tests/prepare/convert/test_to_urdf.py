@@ -97,8 +97,8 @@ def test_extracted_robot_keeps_all_its_elements(tmp_path: Path) -> None:
     assert list(message.values["bodies"]) == ["cube", "left"]
 
 
-def test_furniture_is_no_robot(tmp_path: Path) -> None:
-    """Without a word about it: the arm stands beside a table and a cube that could roll away."""
+def test_objects_beside_an_arm_do_not_change_its_torques(tmp_path: Path) -> None:
+    """Reference: the arm without the table and the cube with a free joint."""
     alone = pa.load_robot(scene(tmp_path, LEFT))
     eye = '<camera name="eye" mode="targetbodycom" target="cube"/>'
     robot = pa.load_robot(scene(tmp_path, CUBE, TABLE, eye, LEFT))

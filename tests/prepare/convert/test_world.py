@@ -121,10 +121,8 @@ def test_each_added_element_has_a_reason(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", ["", '<option impratio="5"/>'])
 def test_freed_base_and_added_ground_state_their_friction(stated: str, tmp_path: Path) -> None:
-    """Unless the file of the robot, which is bolted down on nothing, says so.
-
-    One that was made of a bolted URDF crept on a slope on which the URDF stood.
-    """
+    """The written MJCF states impratio, unless the file states it; without it, the robot creeps on
+    a slope on which the URDF stands."""
     pair = legged(tmp_path, free=False)
     rewritten(pair.mjcf, ("<worldbody>", f"{stated}<worldbody>"))
     robot = pa.load_robot(mjcf=pair.mjcf)
