@@ -86,7 +86,7 @@ def test_spheres_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_mesh_sole_with_four_corners_has_four_contact_points(tmp_path: Path) -> None:
-    """A box as a mesh: MuJoCo's contacts are its four corners at any tilt, so no balls are added."""
+    """A box as a mesh: MuJoCo's contacts are its corners at any tilt, so no balls are added."""
     box = " ".join(
         f"{x} {y} {z}" for x in (-0.06, 0.12) for y in (-0.04, 0.04) for z in (-0.06, -0.04)
     )
