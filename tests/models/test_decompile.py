@@ -103,8 +103,8 @@ def test_model_is_not_modified_by_writing_its_spec() -> None:
     np.testing.assert_array_equal(accelerations(model, 0), before)
 
 
-def test_changed_number_of_model_is_in_its_spec() -> None:
-    """A model that its user changed after compilation."""
+def test_spec_of_a_changed_model_has_the_changed_numbers() -> None:
+    """A model whose mass and time step were changed after compilation."""
     model = make_rich_model()
     model.body_mass[2] = 3.5
     model.opt.timestep = 0.004

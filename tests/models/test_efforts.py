@@ -86,7 +86,8 @@ def test_weak_motors_are_reported_for_each_kind_of_limit(way: str) -> None:
 
 @pytest.mark.slow
 def test_payload_is_equal_for_each_kind_of_limit() -> None:
-    """The payload of the same motors, said in three ways, and once by the URDF alone."""
+    """Reference: the first of three equivalent statements of the same limit; one is in the URDF
+    only."""
     stand, masses = stand_of("v3"), []
     for way in WAYS:
         found = pa.payload_limit(limited(way, 0.8), stand, (0, 0, 0.05), kp=40.0, kd=0.8)
@@ -151,7 +152,8 @@ def test_smaller_limit_counts_if_directions_differ() -> None:
 
 @pytest.mark.parametrize("feedforward", [False, True])
 def test_steady_state_is_predicted_if_ctrlrange_clips_a_command(feedforward: bool) -> None:
-    """Knees that must be commanded further hold v3 higher; feed-forward cut off lets it sag."""
+    """Reference: simulation. Knees with clipped commands hold v3 higher; clipped feed-forward lets
+    v3 sag."""
     stand, plain = stand_of("v3"), load("v3")
     knees = [index for index, name in enumerate(plain.joint_names) if name.endswith("_3")]
     lead = np.sign(pa.stance.stand_statics(plain, stand).joint_torques[knees])
@@ -255,7 +257,8 @@ def test_code_of_a_limit_names_zero_negative_and_unknown(effort: float | None, c
 def test_motor_has_no_torque_if_its_range_is_zero(
     actuator: str, joint: str, code: str, tmp_path: Path
 ) -> None:
-    """MuJoCo ignores the range: its model has no limit, which ``mj_forward`` shows."""
+    """Reference: ``mj_forward`` shows that MuJoCo ignores such a range; it is read as a motor
+    without torque."""
     path = tmp_path / "arm.xml"
     path.write_text(ARM.format(motor=actuator, joint=joint))
     robot = pa.load_robot(path, fixed_base=True, as_is=True)
@@ -337,7 +340,8 @@ def test_an_effort_of_zero_names_that_of_a_sibling_limb(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_stand_fails_if_the_urdf_effort_is_too_small(tmp_path: Path) -> None:
-    """Its MJCF has no limit of force, and its servos are given the URDF's."""
+    """The MJCF has no force limit, so servos get the effort of the URDF; without effort in the
+    URDF, the stand passes."""
     pair = biped(tmp_path)
     rewritten(pair.urdf, ('effort="80"', 'effort="1"'))
     rewritten(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))

@@ -106,7 +106,8 @@ def test_harmless_oddities_are_read(tmp_path: Path) -> None:
 def test_shapes_unknown_to_pinocchio_are_handled(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Capsules; and materials without a name, or one for each colour, as in the Go2's URDF."""
+    """Capsules, and materials without a name or with several colours (Go2), must not print errors.
+    Two geometries in a <visual> are ambiguous and refused."""
     colours = "".join(f"<material{name}/>" for name in (' name="x"', ' name="y"', ""))
     shape = '<geometry><capsule radius="1" length="2"/></geometry>'
     path = tmp_path / "r.urdf"
@@ -287,7 +288,8 @@ PLATE = 'vertex="0 0 0 1 0 0 0 1 0 1 1 0" face="0 1 2 1 3 2"'
 
 
 def test_flat_meshes_become_shells_if_massless(tmp_path: Path) -> None:
-    """MuJoCo 4 refuses a file over one of them, though each body has an <inertial>."""
+    """MuJoCo 4 refuses a flat mesh even if the body has an <inertial>; without <inertial>, the file
+    is refused."""
     seen = '<geom type="mesh" mesh="{}" contype="0" conaffinity="0"/>'
     assets = "".join(f'<mesh name="{name}" {PLATE}/>' for name in ("a plate", "other"))
     bodies = f"<body>{EXPLICIT}{seen.format('a plate')}{seen.format('other')}</body>"

@@ -89,8 +89,9 @@ def test_names_that_are_formats_are_refused(tmp_path: Path, word: str) -> None:
         read_mjcf(file)
 
 
-def test_mujoco_dies_of_a_format(tmp_path: Path) -> None:
-    """Why they are: if it does no longer, the refusal can go."""
+def test_mujoco_crashes_on_a_format_string_in_a_class_name(tmp_path: Path) -> None:
+    """Reason for the refusal of such files. If this test fails, MuJoCo is repaired, and the refusal
+    can be removed."""
     file = tmp_path / "robot.xml"
     file.write_text('<mujoco><worldbody><geom class="%s%n"/></worldbody></mujoco>')
     code = f"import mujoco; mujoco.MjModel.from_xml_path({str(file)!r})"
@@ -100,7 +101,7 @@ def test_mujoco_dies_of_a_format(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("tag", ["geom", "body", "inertial"])
 def test_rotation_without_an_axis_is_refused(tag: str, tmp_path: Path) -> None:
-    """MuJoCo compiles it, and dies at the first contact, which ended `audit` as a bug."""
+    """MuJoCo compiles a quaternion of almost zero norm, and crashes at the first contact."""
     turn = {tag: 'quat="1e-9 1e-9 1e-9 1e-9"'}
     path = tmp_path / "robot.xml"
     path.write_text(

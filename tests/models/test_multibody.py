@@ -34,7 +34,8 @@ def test_damping_and_armature_of_a_free_joint_are_kept(tmp_path: Path) -> None:
 
 
 def test_product_of_inertia_is_compared_with_the_largest_moment() -> None:
-    """Not by itself: where it is almost 0, rounding would be a difference."""
+    """Products that are 0.9 and 1.1 times the tolerance of the largest moment; relative to a
+    product near 0, rounding would be a difference."""
     (first, _), tolerances = kinematic_trees(load("v3")), Tolerances()
     name, body = next(iter(first.bodies.items()))
     for share, count in ((0.9, 0), (1.1, 1)):

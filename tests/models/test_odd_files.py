@@ -45,8 +45,10 @@ def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("begin", [0.0, 0.5, 0.99])
-def test_the_longest_chain_is_read_in_any_order(begin: float, tmp_path: Path) -> None:
-    """250 joints in a row are; one more is not, wherever in the file it stands."""
+def test_chain_of_joints_is_limited_to_250_in_any_order_of_links(
+    begin: float, tmp_path: Path
+) -> None:
+    """250 joints are read; 251 are refused, wherever the first link is in the file."""
     for count in (MAX_DEPTH, MAX_DEPTH + 1):
         links = [f'<link name="l{number}"/>' for number in range(count + 1)]
         joints = [

@@ -40,7 +40,8 @@ def directions_of(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", SIZES)
 def test_shape_height_equals_mujoco(kind: str) -> None:
-    """By its height, its lowest point, and its support function in its body's frame."""
+    """Reference: ``mj_geomDistance``; height, lowest point and support function in the frame of the
+    body."""
     model = model_of(kind)
     data = mujoco.MjData(model)
     shape, body = read_shape(model, 1), 1

@@ -88,7 +88,7 @@ def test_a_converted_hinge_is_unlimited_if_the_urdf_states_no_range(tmp_path: Pa
 
 @pytest.mark.slow
 def test_a_stand_fails_if_the_efforts_of_the_urdf_are_too_small(tmp_path: Path) -> None:
-    """Its MJCF has no limit of force, and its servos are given the URDF's."""
+    """The MJCF has no force limit, so servos get the effort of the URDF, 1 N m."""
     pair = biped(tmp_path)
     edited(pair.urdf, ('effort="80"', 'effort="1"'))
     edited(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))

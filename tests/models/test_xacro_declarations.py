@@ -100,7 +100,7 @@ def test_an_mjcf_with_xacro_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mark", ["", "\ufeff"])
 def test_blank_lines_before_the_xml_declaration_are_accepted(files: Any, mark: str) -> None:
-    """Lines are counted with them; files that are edited keep them."""
+    """Line numbers count the blank lines, and edited files keep them."""
     declared = f'{mark}\n \n<?xml version="1.0" encoding="latin-1"?>\n'
     with_xacro(files.urdf, HARMLESS["property"])
     for path in (files.urdf, files.mjcf):

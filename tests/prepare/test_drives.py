@@ -20,7 +20,8 @@ from tests.support.random_legged import drawn, written
 
 
 def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> None:
-    """At the joint they are what is said; the file's own motors, told by their law, hold it too."""
+    """Reference: simulation of the published file, in which the servo law commands the motors.
+    Gains and limits of the notes are those at the joint."""
     pair = quadruped(tmp_path, floor=True)
     rewritten(pair.mjcf, ('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
     robot = pa.load_robot(*pair)

@@ -52,7 +52,7 @@ def verdict_of(robot: pa.Robot) -> Verdict:
 
 @pytest.mark.slow
 def test_mujoco_import_of_a_correct_urdf_agrees_with_the_prediction(tmp_path: Path) -> None:
-    """Two routes from the URDF to MuJoCo, ours and its own: one robot."""
+    """Reference: MuJoCo's own import of the URDF, independent of our conversion."""
     robot = pa.load_robot(four_legs(tmp_path))
     verdict = verdict_of(robot)
     assert verdict.code is VerdictCode.HOLDS_ON_ADDED_SERVOS
@@ -85,7 +85,7 @@ def test_imported_model_is_mujocos_with_free_joint_ground_and_no_motors(tmp_path
 
 @pytest.mark.slow
 def test_verdict_fails_if_the_mujoco_import_falls(tmp_path: Path) -> None:
-    """Whatever is made of it: here two feet of the import are points, 18 mm higher."""
+    """Two feet of the import have a radius of 2 mm in place of 20 mm."""
     robot = pa.load_robot(four_legs(tmp_path))
     assert robot.published is not None
     own = robot.published.imported
@@ -111,7 +111,7 @@ def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_refused_mujoco_import_is_stated_in_the_verdict(tmp_path: Path) -> None:
-    """Our converter leaves out a cone, of which MuJoCo's importer knows nothing."""
+    """A cone, which our conversion leaves out, and which MuJoCo's importer refuses."""
     urdf = touching(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))
     verdict = verdict_of(pa.load_robot(urdf))
     assert verdict.keyframe_run is None

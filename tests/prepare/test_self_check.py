@@ -105,7 +105,7 @@ def test_a_robot_whose_legs_retract_before_its_feet_touch_collapses(
 
 
 def test_robot_that_slides_away_counts_as_collapsed(tmp_path: Path) -> None:
-    """Reference: g t^2 / 2 with friction of 0.01. The robot stays upright at its height."""
+    """Reference: g t^2 / 2 with friction 0.01. The robot stays upright."""
     pair = standing(tmp_path)
     robot = pa.load_robot(*pair)
     ice = ('type="plane"', 'priority="1" friction="0.01" type="plane"')
@@ -168,7 +168,7 @@ def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, s
 
 @pytest.mark.slow
 def test_servo_with_gain_of_the_wrong_sign_is_replaced_and_named(tmp_path: Path) -> None:
-    """One knee; no note claims that there are no position servos, and ``as_is`` refuses the joint."""
+    """No note claims that position servos are missing, and ``as_is`` refuses the joint."""
     pair = slipped(tmp_path, "kp of one has the wrong sign", seed=3)
     robot = pa.load_robot(*pair)
     (made,) = robot.description.made_servos

@@ -48,7 +48,7 @@ def test_the_doubling_time_of_a_confirmed_mode_is_that_of_the_pendulum(kp: float
 
 
 def test_growing_mode_is_refuted_if_a_stop_ends_it() -> None:
-    """The rod buckles until it touches soft stops at 20 urad, which hold it."""
+    """The rod buckles until it touches soft stops at 20 um, which hold the rod."""
     stops = "".join(
         f'<geom type="box" size=".01 .1 .1" pos="{x} 0 .5"/>' for x in (-0.0200101, 0.0200101)
     )

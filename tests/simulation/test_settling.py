@@ -90,7 +90,8 @@ def test_growing_modes_are_simulated_last_and_decide(
 def test_motion_ratio_is_the_largest_share_of_its_three_bounds(
     standing: tuple[pa.Robot, Stand],
 ) -> None:
-    """In parts of each bound: how the height deviates, how fast it drifts, how far a foot went."""
+    """Reference: synthetic states with a known height deviation, drift and horizontal foot
+    displacement, each relative to its bound."""
     held = make_stand_start(*standing)
     duration = 499 * held.drive.model.opt.timestep
     height = 1 + int(held.robot.mj_convention.qpos_index[2])

@@ -19,7 +19,8 @@ from tests.support.variants import load
 def test_joint_at_its_limit_from_the_start_is_no_failure(
     limits: str, rests: bool, tmp_path: Path
 ) -> None:
-    """A gripper that is shut, an arm against its stop; the limits of legs count as ever."""
+    """For example a closed gripper. A joint at its limit in the stand has no lower limit in the
+    trial; other joints have."""
     path = quadruped(tmp_path, head=True).mjcf
     head = '<joint name="nod" axis="0 1 0" range="{0}"/>'
     text = path.read_text()

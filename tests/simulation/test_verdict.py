@@ -244,7 +244,7 @@ def test_the_worst_check_decides_the_verdict() -> None:
 def test_expected_verdict_without_simulation_never_passes(
     shares: tuple[float, float], doubling: float | None, code: VerdictCode, known: bool
 ) -> None:
-    """Of a stance that is in balance, before it is simulated: its motors, and whether it lasts."""
+    """From statics and the spectrum alone: overloaded motors, unstable modes, or neither."""
     if not known:
         code = VerdictCode.OVERLOADED if max(shares) > 1 else VerdictCode.IN_BALANCE
     statics: Any = Stub(joint_names=("hip", "knee"), motor_utilisation=shares)

@@ -198,8 +198,9 @@ def test_lifted_foot_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_joint_deviation_is_a_failure_of_the_verification() -> None:
-    """Motors that cannot give the torque: the joints are off, and it says so."""
+def test_verification_fails_if_motors_cannot_give_the_torque() -> None:
+    """Force range of 0.3 N m: the joints deviate, and both joint and torque deviations are
+    reported."""
     robot, stand = load("v3"), stand_of("v3")
     weak = replace(robot, mj_model=robot.description.mjcf.copy().compile())
     weak.mj_model.actuator_forcerange[:] = [-0.3, 0.3]
@@ -274,8 +275,9 @@ def test_by_default_the_grid_is_around_the_models_own_gains() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kp", "kd"), [("original", 30.0, 0.5), ("v3", 10.0, 0.5)])
-def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> None:
-    """One cell again: gains by hand, the force by hand, one step at a time."""
+def test_gain_sweep_equals_a_loop_of_single_steps(name: str, kp: float, kd: float) -> None:
+    """Reference: one cell of the sweep with gains and disturbance set by hand, and ``mj_step`` in a
+    loop."""
     robot, stand = load(name), stand_of(name)
     cells = pa.simulation.sweep_gains(
         robot, stand, kp=[5.0, kp], kd=[0.3, kd], amplitude=3.0, frequency=1.5
@@ -331,7 +333,8 @@ def test_bad_sweeps_are_refused(arguments: dict[str, object], field: str) -> Non
 
 
 def test_force_error_of_an_unloaded_foot_is_relative_to_the_weight() -> None:
-    """All load is taken off RR here; soft ground, which tilts, gives it some back."""
+    """Reference: the foot force / (0.05 weight). The CoM is placed so that RR has no predicted
+    load; soft ground gives RR some."""
     robot = load("v3")
     report = pa.verify_stand(robot, pa.solve_stand(robot, pa.StandTask(com=(0.037, 0.045))))
     assert report.predicted_forces["RR"][2] == pytest.approx(0, abs=1e-4)
@@ -346,7 +349,7 @@ def test_force_error_of_an_unloaded_foot_is_relative_to_the_weight() -> None:
 def test_divergence_is_reported_without_a_log_file(
     act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """MuJoCo warns on the terminal, and in a file MUJOCO_LOG.TXT that nobody has asked for."""
+    """MuJoCo would print warnings and write MUJOCO_LOG.TXT."""
     monkeypatch.chdir(tmp_path)
 
     def stiff(model: mujoco.MjModel) -> None:

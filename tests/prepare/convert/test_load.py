@@ -221,7 +221,7 @@ def test_stand_of_an_arm_with_a_gripper_is_refused(tmp_path: Path) -> None:
 
 
 def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Path) -> None:
-    """The message contains the mesh and the --package option once, and no mention of a fixed base."""
+    """The message contains mesh and --package option once, and does not mention a fixed base."""
     path = quadruped(tmp_path).urdf
     mesh = "package://all/robots/quad/foot.stl"
     shape = f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>'

@@ -147,7 +147,7 @@ def test_the_base_of_another_robot(tmp_path: Path) -> None:
 
 
 def test_masses_derived_from_geoms_are_one_cause(tmp_path: Path) -> None:
-    """As in an MJCF of B2, whose base has no inertial: its shapes have the density of water."""
+    """As in an MJCF of B2: a body without inertial has the mass of its shapes."""
     files = pair(tmp_path, quadruped())
     text, count = re.subn(
         r'(<body name="thigh[01]"[^>]*>(?:\s*<joint[^>]*/>)?)\s*<inertial[^>]*/>',
@@ -211,7 +211,7 @@ def test_displaced_joint_axis_is_the_cause_of_moved_coms(tmp_path: Path) -> None
 
 
 def test_axis_rotated_about_another_point_has_no_offset(tmp_path: Path) -> None:
-    """The axes meet, though not in the URDF's origin: that is nothing apart."""
+    """The axes intersect beside the origin of the URDF's joint, so only a rotation is reported."""
     text = mjcf_text(quadruped())
     axis = re.search(r'<joint name="hip1"[^>]*axis="([^"]*)"', text)
     assert axis is not None
@@ -265,7 +265,8 @@ def test_efforts_that_no_gear_explains(tmp_path: Path) -> None:
 
 
 def test_an_effort_of_zero_is_no_difference_between_engines(tmp_path: Path) -> None:
-    """Pinocchio reads 0 N m, MuJoCo none: the file states none."""
+    """Pinocchio reads 0 N m and MuJoCo no limit, because the MJCF states none: a difference between
+    the files."""
     urdf = urdf_text(changed(quadruped(), "shank2", effort=0.0))
     comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
     assert comparison.engines == ()
@@ -339,7 +340,7 @@ def test_tensors_with_axes_of_the_inverse_rotation_are_one_cause(tmp_path: Path)
 
 @pytest.mark.slow
 def test_other_tensors_with_equal_moments_have_no_such_cause(tmp_path: Path) -> None:
-    """All tensors turned by 0.3 rad about x, which is none of the three mistakes."""
+    """All inertias rotated by 0.3 rad about x, which none of the three known mistakes explains."""
     turn = Rotation.from_euler("x", 0.3).as_matrix()
     mjcf = {
         name: with_tensor(part, turn @ tensor_of(part) @ turn.T)

@@ -27,7 +27,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_guessed_name_is_an_error_with_strict(models: Path, tmp_path: Path) -> None:
-    """A name that was guessed is a note, an error under --strict, and none once it is given."""
+    """A guessed pair of names is a note, an error with --strict, and neither with --map."""
     text = (models / "robot.urdf").read_text().replace('"knee2"', '"lh_kfe"')
     (tmp_path / "robot.urdf").write_text(text)
     pair = ("robot.urdf", str(models / "robot.xml"))

@@ -102,7 +102,7 @@ def test_engine_deviation_is_distinguished_from_model_deviation() -> None:
 
 
 def test_inertia_deviation_is_relative_to_its_own_link() -> None:
-    """And not on that of the base's, which is a hundred times greater."""
+    """Reference: the largest moment of the changed link, a hundredth of that of the base."""
     robot = _with_urdf(pa.load_variant("v3"), 'ixx="7.4e-05"', 'ixx="7.5e-05"')
     check = cross_check(robot)
     found = next(quantity for quantity in check.quantities if quantity.name == "body inertias")
@@ -140,8 +140,8 @@ def test_mass_matrices_differ_without_armature() -> None:
     assert np.isfinite([quantity.relative for quantity in check.quantities]).all()
 
 
-def test_an_axis_of_another_length_is_a_direction(tmp_path: Path) -> None:
-    """Both engines take it so; yourdfpy would move a slide by its length times q."""
+def test_length_of_a_joint_axis_is_ignored(tmp_path: Path) -> None:
+    """Both engines normalise the axis; yourdfpy would scale the motion of a slide."""
     tip = (Frame("tip", "rod", (0.1, 0.0, 0.0)),)
     text = urdf_text(arm(), tip)
     one, two = (f'<axis xyz="{numbers((length, 0.0, 0.0))}"/>' for length in (1.0, 2.5))

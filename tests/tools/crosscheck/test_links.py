@@ -115,7 +115,8 @@ def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -
 def test_equal_factor_of_two_masses_is_a_decimal_point_error(
     mass: float, other: float, reported: bool, folder: Path
 ) -> None:
-    """Nothing else of them differs: by another factor, each difference says all that is known."""
+    """Only a factor of 10 is reported as a common cause; with another factor, each mass is a
+    difference."""
     names = ("thigh0", "thigh1")
     urdf, mjcf = (
         {n: replace(p, mass=value) if n in names else p for n, p in quadruped().items()}
@@ -141,8 +142,8 @@ def test_dropped_products_are_found_if_the_base_has_fixed_links(folder: Path) ->
 
 
 @pytest.mark.slow
-def test_no_link_is_blamed_for_another_inertial(folder: Path) -> None:
-    """A body that differs at random is no missing link, though its mass be exactly one's."""
+def test_random_change_of_an_inertial_is_not_explained_by_a_missing_link(folder: Path) -> None:
+    """Six random inertials whose mass differs by exactly the mass of one or several links."""
     random = np.random.default_rng(5)
     for _ in range(6):
         base, less = geared()["base"], 0.089 * int(random.integers(1, 5))
@@ -160,7 +161,7 @@ def test_no_link_is_blamed_for_another_inertial(folder: Path) -> None:
 
 
 def test_moved_rotor_is_not_reported_as_missing(folder: Path) -> None:
-    """Of the right mass, but elsewhere: com and inertia say so."""
+    """The mass of both bodies agrees, but not CoM and inertia."""
     parts = changed(geared(), "hip0_rotor", position=(-0.2, 0.1, 0.02))
     files = write(folder, urdf_text(parts), mjcf_text(without(geared(), "hip0_rotor")))
     assert "links" in {cause.kind for cause in compared(files).causes}
@@ -168,8 +169,8 @@ def test_moved_rotor_is_not_reported_as_missing(folder: Path) -> None:
     assert "links" not in {cause.kind for cause in compared(moved).causes}
 
 
-def test_moments_add_up_as_in_mujoco() -> None:
-    """A body of two boxes is what MuJoCo makes of them."""
+def test_folded_body_of_two_boxes_equals_mujocos_body() -> None:
+    """Reference: mass, CoM and inertia that MuJoCo compiles for the same boxes."""
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body><freejoint/><geom type="box" size="0.1 0.2 0.3" mass="2"/>'
         '<geom type="box" size="0.05 0.1 0.02" mass="3" pos="0.4 -0.1 0.2"/></body></worldbody>'

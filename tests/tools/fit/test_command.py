@@ -82,10 +82,11 @@ def test_bad_input_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_plan_can_be_measured_and_fitted(
+def test_fit_of_a_plan_without_servo_deflection_is_not_written(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """With the commands as positions no servo gives anything: no model explains that it stands."""
+    """The measured positions equal the commands, so no servo has torque, and no model explains the
+    stands: the fit is refused or unexplained."""
     plan, page = tmp_path / "plan.csv", tmp_path / "fit.html"
     assert run_command(capfd, "fit", "v3", "--plan", "4", "-o", str(plan))[0] == 0
     with plan.open(newline="") as file:

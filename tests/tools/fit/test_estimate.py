@@ -28,8 +28,9 @@ def straight(size: int, rows: int = 40) -> tuple[Array, Array]:
     return rows_of, rows_of @ random.uniform(1, 4, size) + random.normal(size=rows)
 
 
-def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() -> None:
-    """With kp, whose priors have half of their variance in common."""
+def test_estimate_of_linear_residuals_solves_the_normal_equations() -> None:
+    """Reference: normal equations in closed form. Half of the prior variance of the kp is common to
+    all joints."""
     given = table("kp", "kp", "offset")
     rows, right = straight(3)
     found = estimate_parameters(

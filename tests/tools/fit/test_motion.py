@@ -73,7 +73,7 @@ def test_only_ratios_are_determined_if_the_mass_is_unknown() -> None:
 
 @pytest.mark.slow
 def test_unexplained_motion_is_reported() -> None:
-    """A spring between the bar and its surroundings, of which the model knows nothing."""
+    """An oscillation of 17 rad/s is added to the positions, which no parameter explains."""
     odd = log().position + 0.02 * np.sin(17 * log().time)[:, None]
     found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
     assert "motion-not-explained" in {one.code for one in found.failures}

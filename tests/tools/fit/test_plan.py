@@ -85,11 +85,13 @@ def test_servos_that_are_too_soft_hold_no_stand() -> None:
 @pytest.mark.parametrize(
     "priors", [("mass=20%", "com=2mm"), ("mass=0", "com=0", "com:base_link=4mm")]
 )
-def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[str, ...]) -> None:
-    """Against 2000 robots whose masses and coms are drawn from the priors.
+def test_com_uncertainty_equals_that_of_robots_drawn_from_the_priors(
+    priors: tuple[str, ...],
+) -> None:
+    """Reference: 2000 robots with masses and CoMs drawn from the priors.
 
-    The base's com is far forward: where it weighs more, the whole robot's moves by what is between.
-    Their coms are sums of bodies; the first few are made as robots, which have the same com.
+    The base CoM is far forward, so a larger base mass moves the CoM of the robot as well. The CoMs
+    are sums over bodies; for the first few draws, robots are created and compared.
     """
     robot = scale_robot(load_variant("original"), {"com_x:base_link": 0.08})
     rng = np.random.default_rng(4)

@@ -136,7 +136,8 @@ class Reversed:
 
 
 def test_joint_that_moves_against_its_command_is_not_accepted(robot: Robot) -> None:
-    """It moves by 0.7 of its way, more than the 0.6 that show a working servo, but backwards."""
+    """The joints move by 0.7 of the command, above the threshold of 0.6 for a working servo, but
+    one moves backwards."""
     person = SimpleNamespace(stops=lambda: False)
     session = _RecordingSession(robot, Reversed(robot), person)  # type: ignore[arg-type]
     session._command = np.zeros(robot.nu)

@@ -35,11 +35,11 @@ def fitted(
 
 
 def test_ratio_is_determined_if_neither_parameter_is() -> None:
-    """In the priors' widths z, the row 2 m - kp is 2 (z_m - z_k).
+    """Reference: closed form. In prior widths z, the residual 2 m - kp is 2 (z_m - z_k).
 
-    With noise s the information about (z_m - z_k) / sqrt(2) is 8 / s^2, and of z_m + z_k nothing is
-    told: var(z_m) = (1 + v) / 2 with v = 1 / (1 + 8 / s^2). The ratio's logarithm, half of
-    z_k - z_m here, has the variance v / 2.
+    With noise s, the information about (z_m - z_k) / sqrt(2) is 8 / s^2, and about z_m + z_k zero:
+    var(z_m) = (1 + v) / 2 with v = 1 / (1 + 8 / s^2). The logarithm of the ratio, here half of z_k
+    - z_m, has the variance v / 2.
     """
     noise = 0.2
     found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)

@@ -121,7 +121,7 @@ def test_prediction_equals_stepwise_mujoco_with_delay_and_offsets() -> None:
 
 
 def test_lag_equals_stepwise_simulation_of_slow_motors() -> None:
-    """A first-order lag of 4 ms in each servo's torque: each part of it counts."""
+    """Reference: MuJoCo with steps of 0.125 ms and a first-order lag of 4 ms in each torque."""
     robot, lag, step = arm(), 0.004, 1.25e-4
     late = [Parameter("lag", SERVOS_SUBJECT, part, 0.0, 0.005) for part in ("command", "position")]
     given = ParameterTable((Parameter("delay", SERVOS_SUBJECT, "", 0.0, 0.01), *late))
@@ -153,7 +153,8 @@ def test_lag_equals_stepwise_simulation_of_slow_motors() -> None:
 
 
 def test_smoothed_commands_equal_a_first_order_lag() -> None:
-    """Means over each step, of a thousand parts of it; also of a lag longer than a step."""
+    """Reference: the mean over each step of the exponential, at a thousand times; for lags shorter
+    and longer than a step."""
     command = np.random.default_rng(2).normal(size=(6, 2))
     for lag in (0.3, 1.7):
         followed, means = command[0].copy(), []

@@ -158,7 +158,7 @@ def equations(
 def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
-    """Each parameter's column, and each own unknown's, against central differences."""
+    """Reference: central differences for each parameter and for each unknown of a stand."""
     system, table = equations(robot, stands)
     truth = table.stated.copy()
     for joint, name in enumerate(robot.joint_names):
@@ -255,7 +255,8 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
 def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     robot: Robot, stands: MeasuredStands
 ) -> None:
-    """Positions tell their ratio. All by a tenth less, noise on feet is less by as much."""
+    """Positions determine only the ratio of masses and kp. If all are 10 % smaller, the noise of
+    the feet must be smaller as well."""
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     none = np.zeros(robot.nu)
     table = ParameterTable(apply_priors(list_parameters(robot, stands, kp)))
@@ -348,7 +349,8 @@ def test_the_whole_com_is_that_of_the_planted_robot(
 def test_one_sided_friction_under_a_known_mass_stays_within_intervals(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:
-    """Friction that carries a part of the known mass would make kp a fifth too large."""
+    """Dry friction bears a part of the known mass; without the settling parameter, kp would be a
+    fifth too large."""
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     held = 0.8 * robot.joint_friction / kp * np.sign(with_mass.command - with_mass.position)
     on = with_mass.added[robot.base][:, :1] > 0
@@ -367,7 +369,7 @@ def test_one_sided_friction_under_a_known_mass_stays_within_intervals(
 def test_dead_band_and_kp_are_identified_together(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
-    """A servo that gives nothing for the first 0.3 deg is commanded by as much further."""
+    """Reference: a planted dead band of 0.3 deg, by which each command is larger."""
     band, kp = (
         math.radians(0.3),
         np.array([list_position_servos(robot)[n][0] for n in robot.joint_names]),
@@ -393,7 +395,7 @@ def test_dead_band_and_kp_are_identified_together(
 def test_kp_is_right_and_friction_is_named_for_joints_held_by_friction(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
-    """Against the load as far as it goes; of a joint that it holds whole, a servo gives little."""
+    """Dry friction of six times the stated value opposes the load, up to 80 % of the load."""
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     carried, times = stands.command - stands.position, 6.0  # of what the file states
     band = times * robot.joint_friction / kp
@@ -409,11 +411,8 @@ def test_kp_is_right_and_friction_is_named_for_joints_held_by_friction(
 
 
 def test_friction_share_of_the_load_equals_mujoco(robot: Robot, stands: MeasuredStands) -> None:
-    """What is held against the load, in parts of the friction, on average of 690 joints.
-
-    Of Go1 and MEVIUS, set down in ``benchmarks/fit_disturbed.py`` with a friction of 2 and 4 % of
-    weight times height, by what the servo gives, likewise. Where that is little, either sign is.
-    """
+    """Reference: mean over 690 joints of Go1 and MEVIUS in MuJoCo, lowered to the ground with a
+    friction of 2 and 4 % of weight times height (``benchmarks/fit_disturbed.py``)."""
     given = np.array([0.125, 0.375, 0.625, 0.875, 1.25, 1.75, 2.5])
     held = np.array([0.38, 0.64, 0.69, 0.77, 0.92, 0.90, 0.96])
     band, joints = 0.02, slice(6, 6 + len(given))
@@ -538,7 +537,7 @@ def test_plugs_and_signs_that_are_wrong_are_named(
 def test_plugs_are_not_doubted_if_an_exchange_explains_less(
     robot: Robot, stands: MeasuredStands
 ) -> None:
-    """A longer calf, and friction, leave nothing where noise is made large for exchanged plugs."""
+    """Exchanged plugs are reported only if the evidence for the exchange is larger than without."""
     explains = cast("Fit", SimpleNamespace(explained=True))
 
     def doubted(other: float) -> bool:
@@ -557,10 +556,8 @@ def test_plugs_are_not_doubted_if_an_exchange_explains_less(
 def test_outlier_is_named_with_its_stand_and_joint(
     robot: Robot, stands: MeasuredStands, what: str, stand: int, joint: int, off: float
 ) -> None:
-    """One was read wrongly; in the last stand a servo is stuck where another command has led it.
-
-    That makes moments on feet 40 times as large as they were, and hides in them.
-    """
+    """A position that was misread, and a servo that is stuck in the last stand, which increases the
+    moments at the feet 40-fold."""
     values = getattr(stands, what).copy()
     values[stand, joint] += off
     fit = fit_stands(robot, replace(stands, **{what: values}), priors=["kp=0"])
@@ -576,7 +573,7 @@ def test_outlier_is_named_with_its_stand_and_joint(
 def test_outlier_threshold_uses_the_smaller_of_expected_and_found_noise(
     robot: Robot, stands: MeasuredStands
 ) -> None:
-    """Of a file whose friction is not believed, that which is expected is twenty times as large."""
+    """If the friction of the file is not trusted, the expected friction is 20 times larger."""
     known = _StandProblem.from_stands(robot, stands, [], None, None, None)
     for own, friction in ((known, 1.0), (replace(known, friction=known.friction / 10), 20.0)):
         asked, usual = [], own.noise
@@ -596,7 +593,7 @@ def test_outlier_threshold_uses_the_smaller_of_expected_and_found_noise(
 def test_only_the_ratio_of_kp_and_mass_is_determined_without_a_known_kp(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
-    """And a scale tells the rest."""
+    """With the weight from a scale, mass and kp are determined as well."""
     fit = fit_stands(robot, stands)
     assert fit.total_mass.determined != "data"
     assert fit.kp_factor.std > 3 * fit.kp_over_mass.std
@@ -710,10 +707,10 @@ def test_log_coordinates_are_symmetric_in_factors_and_positive() -> None:
 
 
 def test_scale_is_unbiased_if_only_ratios_are_determined() -> None:
-    """Twelve kp by their ratio to one mass: to 0.8 and 1.25 of it, as many each.
+    """Twelve kp, of which half are 0.8 and half 1.25 times a mass. By symmetry of factors, the
+    stated scale is the most probable.
 
-    The stated scale is the most probable one, by symmetry of factors. Of normal distributions it
-    is 5 % less: what differs by a share differs by less if all is less.
+    Normal distributions in place of logarithmic ones would give 5 % less.
     """
     factors = np.repeat([0.8, 1.25], 6)
     parameters = (
@@ -769,7 +766,8 @@ FEET = tuple(Parameter("softness", foot, "", 1.0, 0.5) for foot in ("FL", "FR", 
 
 
 def test_slope_is_found_from_two_weak_components() -> None:
-    """2.6 sigma along each axis: neither alone is beyond 3.1, of which 0.002 are by chance."""
+    """Components of 2.6 standard deviations: one alone is below the threshold of 3.1 (probability
+    0.002), both together are above."""
     noise = 0.5
     sigma = WIDTH * math.hypot(1, noise)
     one = measured(SLOPE, np.array([2.6, 0.0]) * sigma, noise)
@@ -792,10 +790,11 @@ def test_soles_that_are_all_a_little_softer_are_softer() -> None:
     assert not list(check_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
 
 
-def test_legs_that_are_all_a_little_longer_are_longer() -> None:
-    """By the parts' half per cent, not by the 2 % that intervals allow for; unless a prior says so.
+def test_equal_length_error_of_all_legs_is_found_from_part_tolerances() -> None:
+    """The tolerance of the parts, 0.5 %, decides, and not the prior width of 2 %, unless the user
+    states a prior.
 
-    And a load is doubted where a known mass tells of it, and nowhere else.
+    A load error is reported only if a known mass was attached.
     """
     noise, width = 0.5, 0.02
     sigma = math.hypot(0.005, noise * width)
@@ -827,9 +826,10 @@ def test_legs_that_are_all_a_little_longer_are_longer() -> None:
 def test_expected_friction_limits_the_stated_friction(
     typed: float, random: float, band: float, named: bool
 ) -> None:
-    """Random friction in parts of a file's, and a dead band below zero in what that takes up.
+    """Random friction as a multiple of the file's, and a dead band below zero as a fraction of that
+    friction.
 
-    A file of a twentieth of what joints have is not believed: HyQReal's, undisturbed, are not off.
+    A file that states a twentieth of the friction is not trusted (HyQReal).
     """
     stuck = 1e-3
     servos = Parameter("deadband", "servos", "", 0.0, math.radians(1.0))

@@ -65,7 +65,7 @@ def test_weak_motors_and_bad_input(
 def test_urdf_without_inertials_is_refused(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Beside an MJCF that has them, too: what its motors hold was divided by a weight of zero."""
+    """With or without inertials in the MJCF; the payload would be divided by a weight of zero."""
     urdf = Path(files[0])
     urdf.write_text(re.sub(r"<inertial>.*?</inertial>", "", URDF))
     status, _, errors = run_command(capfd, "hold", *files)

@@ -30,7 +30,8 @@ POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
 
 
 def test_worst_postures_equal_the_closed_form() -> None:
-    """At the ends of ranges, where the links point ahead, and where the slide is up or down."""
+    """Reference: torques of the links in closed form, at the ends of the ranges with the links
+    horizontal, and with the slide vertical."""
     robot = arm()
     worst = worst_postures(robot, find_posture(robot), find_tool(robot))
     found = dict(zip(ORDER, np.abs(worst.joint_torques), strict=True))
@@ -108,7 +109,7 @@ FOUR_BARS = """<mujoco><compiler angle="radian"/><worldbody><body name="base">
 def test_the_worst_posture_of_a_four_bar_linkage_is_that_of_virtual_work(
     tmp_path: Path,
 ) -> None:
-    """Virtual work: its crank holds the slope of the height of what moves."""
+    """Reference: the crank torque is the derivative of the potential energy by the crank angle."""
     (tmp_path / "bars.xml").write_text(FOUR_BARS)
     robot = pa.load_robot(tmp_path / "bars.xml", fixed_base=True)
     crank, length = robot.joint_names.index("crank"), math.hypot(0.1, 0.23)
@@ -134,7 +135,8 @@ def test_the_worst_posture_of_a_four_bar_linkage_is_that_of_virtual_work(
 
 
 def test_payload_limit_is_equal_in_both_engines() -> None:
-    """And in the worst posture that is found the weakest motor is at its limit."""
+    """Reference: MuJoCo with 98 % and 102 % of the payload. In the worst posture, the limiting
+    motor is at its limit."""
     robot = arm()
     posture, tool = find_posture(robot, POSTURE), find_tool(robot)
     worst = worst_postures(robot, posture, tool)
@@ -206,7 +208,8 @@ def test_tool_forces_equal_the_force_polytope() -> None:
 
 
 def test_an_overloaded_posture_withstands_no_force_from_any_side() -> None:
-    """A force that happens to relieve the motor was told as withstood, by 26.9 N."""
+    """A motor is overloaded by gravity alone, so the largest force is zero in all directions, also
+    if a force would relieve the motor."""
     robot = arm()
     posture, tool = find_posture(robot, POSTURE), find_tool(robot)
     load, weak = np.abs(Configuration(robot, posture.qpos).load()), replace(robot)
@@ -222,15 +225,16 @@ def test_an_overloaded_posture_withstands_no_force_from_any_side() -> None:
         np.testing.assert_array_equal(most, 0.0)
 
 
-def test_a_mass_without_a_lever_but_rounding_is_unlimited() -> None:
-    """2.02e+16 kg were said to be held where the lever was zero but for its last digit."""
+def test_lever_arm_of_rounding_size_does_not_limit_the_payload() -> None:
+    """A lever arm of 1e-16 m would give a payload of 2e16 kg."""
     limits = np.array([3.0, 4.0])
     assert borne_by_motors(np.array([0.5, -1.0]), np.array([1e-16, -1e-14]), limits) == math.inf
     assert borne_by_motors(np.array([0.5, -1.0]), np.array([1e-16, -0.5]), limits) == 6.0
 
 
-def test_soft_servos_are_turned_over_by_less_than_motors_hold() -> None:
-    """With links that point up; beyond it the joints' damping lets it fall slowly, at first."""
+def test_payload_of_soft_servos_is_below_that_of_the_motors() -> None:
+    """Reference: MuJoCo with 97 % and 120 % of the payload. The links point up, and gravity exceeds
+    the servo stiffness."""
     robot, kd = arm(), 2.0
     kp = np.array([{"elbow": 8.0, "shoulder": 22.0}.get(name, 500.0) for name in ORDER])
     posture = find_posture(robot, {"a_turn": 0.0, "shoulder": -1.2, "elbow": 0.2, "b_slide": 0.0})
@@ -247,7 +251,8 @@ def test_soft_servos_are_turned_over_by_less_than_motors_hold() -> None:
 
 
 def test_payload_is_limited_by_the_ctrlrange_of_a_servo(tmp_path: Path) -> None:
-    """The elbow's command for its torque is at the end of its ctrlrange with that mass."""
+    """Reference: with this payload, the torque of the elbow is kp times the distance of the posture
+    from the end of ctrlrange, 0.02 rad."""
     servo, kp = '<position joint="elbow"', by_hand.STIFFNESS["elbow"]
     text = by_hand.MJCF.replace(servo, f'{servo} ctrlrange="0.98 3"')
     robot = load_arm(tmp_path, mjcf=text)

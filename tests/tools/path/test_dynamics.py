@@ -34,8 +34,9 @@ def mujoco_inverse(robot: pa.Robot, qpos: Array, qvel: Array, qacc: Array) -> Ar
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_balance_in_mujocos_terms(name: str) -> None:
-    """Its M, bias, dampers and dry friction, and its Jacobians at the points of contact."""
+def test_contact_forces_balance_mujocos_inverse_dynamics(name: str) -> None:
+    """Reference: MuJoCo's mass matrix, bias, damping and dry friction, and its Jacobians at the
+    contact points."""
     robot, stand = load(name), stand_of(name)
     for seed in range(5):
         qvel, qacc = motion(name, seed)
@@ -62,7 +63,8 @@ def test_balance_in_mujocos_terms(name: str) -> None:
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
 @pytest.mark.parametrize("speed", [0.0, 1e-4, 3.0])
 def test_damping_and_dry_friction_equal_mujoco(name: str, speed: float) -> None:
-    """At low speed, where dry friction is regularised, and at high speed, where it is constant."""
+    """Reference: MuJoCo's inverse dynamics, at low speed, where dry friction is regularised, and at
+    high speed, where it is constant."""
     robot, stand = load(name), stand_of(name)
     qvel, qacc = motion(name)
     qvel, qacc = speed * qvel, (speed + 1e-3) * qacc
@@ -101,7 +103,7 @@ def test_zero_moment_point_two_ways(name: str) -> None:
 
 
 def test_rolling_friction_equals_mujoco() -> None:
-    """v3's feet roll as it rises: moments of MuJoCo's contacts in its own inverse dynamics."""
+    """Reference: contact moments in MuJoCo's inverse dynamics, as v3 rises and the feet roll."""
     robot = load("v3")
     stand = solve_stand_on_soft_ground(robot)
     config = pa.Configuration(robot, stand.qpos)

@@ -292,7 +292,8 @@ def test_refusals_name_the_moment() -> None:
 
 @pytest.mark.slow
 def test_a_path_keeps_its_clearances() -> None:
-    """A knee that comes down to 30 mm, where 35 are asked for."""
+    """With a required clearance 1 mm above that of the lowest stance, the path is refused; with a
+    smaller one, all samples keep the interpolated clearance."""
     robot = load("v3")
     low = 0.08
     stance_path(robot, [Task(), Task(height=low)], 1.0, rate=20.0)

@@ -57,7 +57,8 @@ def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
 @pytest.mark.parametrize("seconds", [0.6, 1.0, 4.0])
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float) -> None:
-    """Without inertia the fast ones would be off by more than they are."""
+    """Reference: MuJoCo. In the fast path, the share of inertia in the torques is more than twice
+    the torque error."""
     robot = load(name)
     path = stance_path(robot, stances(name, "squat"), seconds, rate=50 / seconds)
     tracking = track_path(robot, path)
@@ -100,7 +101,8 @@ def test_a_time_step_suits_the_servos_damping() -> None:
 
 @pytest.mark.slow
 def test_commands_include_the_foot_depth_on_soft_ground() -> None:
-    """v3's feet are 4 mm in the ground: on its first command it stays, with 3 % less in knees."""
+    """Reference: MuJoCo at rest with the first command. v3's feet are 4 mm in the ground, which
+    changes the knee torques by 3 %."""
     robot = benchmark("sag").changed(load("v3"), benchmark("sag").without_dry_friction)
     lower = pa.StandTask(height=0.99 * robot.stand_height)
     path = stance_path(robot, [pa.StandTask(), lower], 9.0, rate=5)
@@ -146,9 +148,10 @@ def fast_sway() -> pa.stance.StancePath:
 
 @pytest.mark.slow
 def test_tangential_and_rolling_friction_share_one_cone() -> None:
-    """Simulated contacts are on its edge while a foot is pushed and rolls; the path's are not out.
+    """Reference: MuJoCo's contact forces, which are on the edge of the cone while a foot is pushed
+    and rolls; those of the path must be within.
 
-    With moments that took no heed of the push these would be out by as much as 0.64.
+    Moments that ignore the tangential force would exceed the cone by 0.64.
     """
     robot, path = load("v3"), fast_sway()
     plan = path_commands(robot, path)
@@ -177,7 +180,8 @@ def test_tangential_and_rolling_friction_share_one_cone() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("mass", "passes"), [(5.0, True), (7.0, False)])
 def test_path_passes_only_if_its_last_stand_holds(mass: float, passes: bool) -> None:
-    """With 7 kg v3 follows it for a second, on its joints' dry friction, and buckles later."""
+    """With 7 kg, v3 follows the path for a second because of the dry friction of the joints, and
+    buckles later."""
     robot = pa.robot.with_payload(load("v3"), mass, (0.0, 0.0, 0.08))
     found = study_path(robot, pa.StandTask(height=0.13), 1.0)
     assert found.tracking.passed

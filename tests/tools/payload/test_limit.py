@@ -175,9 +175,9 @@ def test_payload_on_a_leg_is_limited_by_its_motors() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("mass", "lasts"), [(5.7, True), (6.4, False)])
 def test_a_loaded_stand_buckles_as_fast_as_in_bare_mujoco(mass: float, lasts: bool) -> None:
-    """A nudge of all joints by 0.1 rad/s, with all friction as it is, in bare MuJoCo.
+    """Reference: MuJoCo with all friction, and a nudge of all joints by 0.1 rad/s.
 
-    The linearisation without the torsional friction of the feet said 2.2 s for 5.7 kg.
+    The linearisation without torsional friction of the feet gives 2.2 s for 5.7 kg.
     """
     loaded, stand = solve_loaded_stand(load("v3"), pa.StandTask(), mass, (0.0, 0.0, 0.08))
     begun = make_stand_start(loaded, stand)
@@ -205,7 +205,8 @@ def test_a_loaded_stand_buckles_as_fast_as_in_bare_mujoco(mass: float, lasts: bo
 def test_payload_is_zero_if_the_stand_fails_without_payload(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A file that fails as published fails with a payload: the word is the one judge's."""
+    """The verdict on the stand is replaced by a failure; the bound of the servos is reported
+    nevertheless."""
 
     def judged(robot: pa.Robot, stand: pa.Stand, **gains: Any) -> Any:
         return replace(judge_stand(robot, stand, **gains), passed=False)
@@ -262,8 +263,9 @@ def test_few_masses_are_simulated_if_the_bound_is_near_the_static_limit(
 
 
 @pytest.mark.slow
-def test_robots_that_were_loaded_are_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each has MuJoCo's model with its meshes: of ANYmal C fifty took half a gigabyte."""
+def test_loaded_robots_of_a_search_are_freed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each loaded robot has a MuJoCo model with its meshes; fifty of ANYmal C would take half a
+    gigabyte."""
     made: list[ref[pa.Robot]] = []
     alive: list[int] = []
 

@@ -15,7 +15,8 @@ def printed(shown: object) -> list[str]:
 
 
 def test_push_limits_of_a_failing_stand_state_its_verdict() -> None:
-    """It stands, and not as predicted: limits are told, and so is that `stand` fails."""
+    """A robot that stands, but not as predicted, has limits and FAILS; a robot that does not stand
+    has no limits."""
     one = pushed("one", 0.0, 0.00311)
     one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False
     text = " ".join(printed(push_document(one)))

@@ -87,7 +87,7 @@ def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
 
 
 def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
-    """By MuJoCo's bodies: their own inertia, and their distances from the line between two feet."""
+    """Reference: MuJoCo's bodies, with the parallel axis theorem about the line between two feet."""
     robot, stand = load("heavy"), stand_of("heavy")
     config, data = pa.Configuration(robot, stand.qpos), mujoco_at(robot, stand.qpos)
     com, ground = config.center_of_mass(), config.contact_points()
@@ -188,7 +188,8 @@ def test_push_recovery_on_three_legs_slopes_and_steps(task: pa.StandTask) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize(("kd", "stands"), [(5.0, True), (8.0, False)])
 def test_push_limit_is_zero_if_the_stand_fails(tmp_path: Path, kd: float, stands: bool) -> None:
-    """At 8 N m s/rad its servos shake, and throw it over in the second after a nudge at 5 s."""
+    """Reference: ``verify_stand``. At 8 N m s/rad the servos oscillate, and the robot falls in the
+    second after a nudge at 5 s."""
     robot = pa.load_robot(**quadruped(tmp_path, actuators="position", floor=True)._asdict())
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     alone = pa.verify_stand(robot, stand, kp=150.0, kd=kd)
