@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -18,6 +18,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.base.kinds import Folder, Kind
+from pupper_analysis.base.progress import MIN_REPORTED_TIME, ProgressClock, observe_progress
 from pupper_analysis.base.runs import ensure_run, register_input
 from pupper_analysis.base.units import UNIT_FACTORS, Position
 
@@ -468,12 +469,47 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
 
 
 def show_progress(what: str) -> AbstractContextManager[object]:
-    """Show a progress message while a context is active, if standard error is a terminal."""
-    if not sys.stderr.isatty():
-        return nullcontext()
-    from rich.console import Console
+    """Show a progress message while a context is active, if standard error is a terminal.
 
-    return Console(stderr=True).status(what)
+    After ``MIN_REPORTED_TIME``, the message contains the elapsed time, or the number of completed
+    parts and an estimate of the remaining time.
+    """
+    return _display_progress(what) if sys.stderr.isatty() else nullcontext()
+
+
+@contextmanager
+def _display_progress(what: str) -> Iterator[None]:
+    """Display a message with spinner, completed parts and remaining time on standard error."""
+    from rich.console import Console
+    from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
+    from rich.text import Text
+
+    with observe_progress() as clock:
+
+        class TimeColumn(ProgressColumn):
+            """Column with the elapsed time, or completed parts and remaining time."""
+
+            def render(self, task: Task) -> Text:  # noqa: ARG002
+                """Return the text of the column; the progress is in ``clock``."""
+                return Text(format_progress(clock))
+
+        columns = SpinnerColumn(), TextColumn("{task.description}"), TimeColumn()
+        bar = Progress(*columns, console=Console(stderr=True), transient=True, refresh_per_second=4)
+        bar.add_task(what, total=None)
+        with bar:
+            yield
+
+
+def format_progress(clock: ProgressClock) -> str:
+    """Format elapsed time, or completed parts and remaining time; empty at the beginning."""
+    from pupper_analysis.present.document import text
+
+    if clock.elapsed < MIN_REPORTED_TIME:
+        return ""
+    if clock.remaining is None:
+        return text("progress-elapsed", elapsed=round(clock.elapsed)).en
+    left = max(1, math.ceil(clock.remaining))
+    return text("progress-left", done=clock.done, total=clock.total, left=left).en
 
 
 def show_results(

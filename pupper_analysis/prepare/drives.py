@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.models.additions import (
     Addition,
     Options,
@@ -167,6 +168,7 @@ def add_position_servos(
         simulation, within seconds.
         """
         for number, candidate in enumerate(candidates):
+            report_progress("servos", number, len(candidates))
             if all(rests(number, fed=way) for way in sorted(directions)):
                 yield candidate
 

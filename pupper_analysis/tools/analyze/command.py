@@ -10,6 +10,7 @@ import click
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_idle
 from pupper_analysis.cli.robots import (
@@ -188,13 +189,18 @@ def _write_figures(robots: list[Robot], analyses: list[Analysis], folder: Path) 
     from pupper_analysis.tools.analyze.comparison_figures import FIGURES
     from pupper_analysis.tools.analyze.figures import render_variants
 
-    for robot, analysis in zip(robots, analyses, strict=True):
-        path = folder / f"pose_{analysis.name}.png"
-        write_pose_figure(robot, analysis.stand, analysis.statics, path)
-    for name, draw in FIGURES.items():
-        draw(analyses, folder / name)
-    stands = [analysis.stand for analysis in analyses]
-    picture = render_variants(list(zip(robots, stands, strict=True)), folder / "variants.png")
+    count = len(robots) + len(FIGURES) + 1
+    with shared.show_progress("drawing the figures"):
+        for number, (robot, analysis) in enumerate(zip(robots, analyses, strict=True)):
+            report_progress("figures", number, count)
+            path = folder / f"pose_{analysis.name}.png"
+            write_pose_figure(robot, analysis.stand, analysis.statics, path)
+        for number, (name, draw) in enumerate(FIGURES.items(), start=len(robots)):
+            report_progress("figures", number, count)
+            draw(analyses, folder / name)
+        report_progress("figures", count - 1, count)
+        stands = [analysis.stand for analysis in analyses]
+        picture = render_variants(list(zip(robots, stands, strict=True)), folder / "variants.png")
     shared.confirm_written(f"{folder}/")
     if picture.note:
         click.echo(f"note: {picture.note}", err=True)

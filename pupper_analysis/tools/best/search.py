@@ -22,6 +22,7 @@ from pupper_analysis.base.errors import (
     NoEquilibriumError,
     StaticsInfeasibleError,
 )
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import Place, find_place
@@ -286,12 +287,19 @@ class StanceSearch:
             return
         coupled = Subspace(space, space.start, space.directions())
         samples = _draw_latin_hypercube(coupled.size)
-        stances = [self.evaluate(coupled.at(sample)) for sample in samples]
+        stances = []
+        for count, sample in enumerate(samples):
+            report_progress("samples", count, len(samples))
+            stances.append(self.evaluate(coupled.at(sample)))
         order = np.argsort([self.merit(stance) for stance in stances], kind="stable")
         starts = (coupled.start, *samples[order[:_START_COUNT]])
-        ends = [self._minimise_level(coupled, start, _RANKING_ITERATIONS) for start in starts]
+        ends = []
+        for count, start in enumerate(starts):
+            report_progress("descents", count, len(starts))
+            ends.append(self._minimise_level(coupled, start, _RANKING_ITERATIONS))
         order = np.argsort([level for level, _ in ends], kind="stable")
-        for index in order[:_FINALIST_COUNT]:
+        for count, index in enumerate(order[:_FINALIST_COUNT]):
+            report_progress("final descents", count, _FINALIST_COUNT)
             level, share = ends[index]
             last_level = np.inf
             while last_level - level > _MIN_RELATIVE_GAIN * abs(level):

@@ -21,6 +21,7 @@ from pupper_analysis.base.errors import (
     StanceUnreachableError,
     StaticsInfeasibleError,
 )
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation, judge_stand
@@ -476,7 +477,11 @@ def _bisect_mass(
         relative_tolerance: Tolerance relative to the lower end of the bracket, used if larger.
     """
     assert cause is not None
-    while high - low > max(tolerance, relative_tolerance * low):
+    rounds = 0
+    while high - low > (resolution := max(tolerance, relative_tolerance * low)):
+        rounds_left = math.ceil(math.log2((high - low) / resolution))
+        report_progress("payload", rounds, rounds + rounds_left)
+        rounds += 1
         middle = (low + high) / 2
         if (middle_cause := find_cause(middle)) is None:
             low = middle

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation
@@ -460,8 +461,13 @@ class _LimitSearch:
 
     def bisect_limits(self, initial: Array, resolution: float) -> None:
         """Double impulses from ``initial`` (n,) until the robot falls, then bisect."""
+        rounds = 0
         while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:
             low, high = self.survived[wide], self.failed[wide]
+            expected = np.where(np.isinf(high), np.maximum(2 * low, initial[wide]), high - low)
+            rounds_left = math.ceil(math.log2(max(float(expected.max()) / resolution, 2.0)))
+            report_progress("push limits", rounds, rounds + rounds_left)
+            rounds += 1
             impulses = np.where(
                 np.isinf(high), np.maximum(2 * low, initial[wide]), (low + high) / 2
             )

@@ -19,6 +19,7 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError, NoStiffnessError
 from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import STAND_TABLE
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -118,6 +119,11 @@ class Stance(Tabular):
         return self.verdict.passed
 
 
+_NUM_SIMULATIONS = 3
+"""Number of simulations of `study_stance` for the estimate of the remaining time: with
+feed-forward, with position commands alone, and those of the published file."""
+
+
 def study_stance(
     robot: Robot,
     stance: StandTask | Stand,
@@ -154,8 +160,11 @@ def study_stance(
         with contextlib.suppress(NoStiffnessError):
             min_kp = minimum_stiffness(robot, held)
     statics = stand_statics(robot, held)
+    report_progress("simulations", 0, _NUM_SIMULATIONS)
     fed = verify_stand(robot, held, kp=kp, kd=kd)
+    report_progress("simulations", 1, _NUM_SIMULATIONS)
     alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, settled=settled)
+    report_progress("simulations", 2, _NUM_SIMULATIONS)
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),

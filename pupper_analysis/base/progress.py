@@ -1,0 +1,85 @@
+"""Progress of a long computation: counted parts, elapsed time and estimated remaining time.
+
+A computation reports its parts with `report_progress`. Nothing is computed or printed unless a
+command observes the progress with `observe_progress`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+MIN_REPORTED_TIME = 2.0
+"""Elapsed time from which progress is displayed [s]. Chosen, not tuned: shorter waits need no
+explanation."""
+
+
+class ProgressClock:
+    """Elapsed time of a computation, and an estimate of the remaining time of its current stage.
+
+    The estimate assumes that the remaining parts of the stage take as long as the mean of the
+    completed parts.
+
+    Args:
+        clock: Function that returns the time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._start = clock, clock()
+        self._stage, self._stage_start, self._updated = "", self._start, self._start
+        self.done, self.total = 0, 0
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        """Record that some parts of a stage are completed.
+
+        Args:
+            stage: Name of the stage. Another name than before begins a stage.
+            done: Number of completed parts.
+            total: Number of parts, as far as known.
+        """
+        now = self._clock()
+        if stage != self._stage or done < self.done:
+            self._stage, self._stage_start = stage, now if done == 0 else self._updated
+        self.done, self.total, self._updated = done, total, now
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the computation began [s]."""
+        return self._clock() - self._start
+
+    @property
+    def remaining(self) -> float | None:
+        """Estimated remaining time of the stage [s]; None before its first part is completed."""
+        if not 0 < self.done < self.total:
+            return None
+        part_duration = (self._updated - self._stage_start) / self.done
+        expected = part_duration * (self.total - self.done)
+        return max(expected - (self._clock() - self._updated), 0.0)
+
+
+_clocks: list[ProgressClock] = []
+"""Clocks of the active `observe_progress` contexts, the innermost last."""
+
+
+@contextmanager
+def observe_progress() -> Iterator[ProgressClock]:
+    """Yield a clock that receives the reports of computations while the context is active."""
+    clock = ProgressClock()
+    _clocks.append(clock)
+    try:
+        yield clock
+    finally:
+        _clocks.remove(clock)
+
+
+def report_progress(stage: str, done: int, total: int) -> None:
+    """Report the number of completed parts of a stage, if a command observes the progress.
+
+    Args:
+        stage: Name of the stage.
+        done: Number of completed parts.
+        total: Number of parts, as far as known.
+    """
+    if _clocks:
+        _clocks[-1].update(stage, done, total)

@@ -1,0 +1,72 @@
+"""Elapsed time, and the estimate of the remaining time of a stage."""
+
+from __future__ import annotations
+
+import pytest
+
+from pupper_analysis.base.progress import ProgressClock, observe_progress, report_progress
+from pupper_analysis.cli.shared import format_progress
+
+
+class Time:
+    """Clock that a test sets [s]."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_remaining_time_follows_from_the_mean_of_the_completed_parts() -> None:
+    """Closed form: (total - done) times the mean duration, less the time since the last part."""
+    time = Time()
+    clock = ProgressClock(time)
+    assert clock.remaining is None
+    clock.update("search", 0, 10)
+    assert clock.remaining is None
+    time.now = 106.0
+    clock.update("search", 3, 10)
+    assert clock.remaining == pytest.approx(14.0)
+    time.now = 110.0
+    assert clock.remaining == pytest.approx(10.0)
+    assert clock.elapsed == pytest.approx(10.0)
+    time.now = 200.0
+    assert clock.remaining == 0.0
+    clock.update("search", 10, 10)
+    assert clock.remaining is None
+
+
+def test_displayed_text_begins_after_two_seconds() -> None:
+    time = Time()
+    clock = ProgressClock(time)
+    clock.update("search", 0, 10)
+    time.now = 101.9
+    assert format_progress(clock) == ""
+    time.now = 103.2
+    assert format_progress(clock) == "3 s so far"
+    clock.update("search", 2, 10)
+    assert format_progress(clock) == "this step: 2 of 10, about 13 s left"
+    time.now = 150.0
+    assert format_progress(clock) == "this step: 2 of 10, about 1 s left"
+
+
+def test_next_stage_has_its_own_estimate() -> None:
+    time = Time()
+    clock = ProgressClock(time)
+    clock.update("samples", 0, 2)
+    time.now = 150.0
+    clock.update("samples", 1, 2)
+    clock.update("descents", 0, 4)
+    time.now = 151.0
+    clock.update("descents", 1, 4)
+    assert clock.remaining == pytest.approx(3.0)
+
+
+def test_reports_reach_the_innermost_observer_alone() -> None:
+    report_progress("search", 1, 2)
+    with observe_progress() as outer, observe_progress() as inner:
+        report_progress("search", 1, 2)
+        assert (inner.done, inner.total) == (1, 2)
+        assert (outer.done, outer.total) == (0, 0)
+    with observe_progress() as later:
+        assert later.total == 0
