@@ -37,7 +37,7 @@ def test_every_variant_is_as_predicted_and_verified_if_its_file_stands(name: str
 
 
 def test_joint_motions_follow_from_their_axes() -> None:
-    """The tutorial's names say roll, pitch, pitch; v3's axes say pitch, roll, pitch."""
+    """The names of the tutorial mean roll, pitch, pitch; the axes of v3 are pitch, roll, pitch."""
     v3 = summarise_joints(pa.load_variant("v3"))
     assert [joint.motion for joint in v3] == ["pitch", "roll", "pitch"] * 4
     skeleton = summarise_joints(pa.load_variant("original"))

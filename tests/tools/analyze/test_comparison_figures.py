@@ -135,7 +135,8 @@ def test_height_figure_states_the_mean_of_the_last_second(figures: list[Figure])
 def test_height_figure_marks_the_first_contact_of_a_robot_that_fails(
     figures: list[Figure],
 ) -> None:
-    """v3-long-leg sinks onto its shanks on its own servos; the failure states link and time."""
+    """Reference: the simulation's failure with link and time. v3-long-leg sinks onto its shanks
+    on its own servos."""
     robot = load("v3-long-leg")
     stand = pa.solve_stand_as_simulated(robot)
     sagging = pa.verify_stand(robot, stand, feedforward=False, duration=12.0)

@@ -73,8 +73,8 @@ def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_the_projection_is_that_of_the_camera(name: str, tmp_path: Path) -> None:
-    """Feet are black, and black pixels are where the line drawing has its feet."""
+def test_line_drawing_has_the_projection_of_the_rendered_picture(name: str, tmp_path: Path) -> None:
+    """Reference: the rendered picture, whose feet are black, at the feet of the line drawing."""
     picture = render_with_opengl(pairs(name), tmp_path / "a.png", width=WIDTH)
     image = pixels(picture.path)
     robot, stand = load(name), stand_of(name)

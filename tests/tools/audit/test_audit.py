@@ -714,7 +714,8 @@ def test_reference_to_a_missing_body_is_found_at_its_line(tmp_path: Path) -> Non
 
 
 def test_stated_inertias_of_an_mjcf_are_as_written(tmp_path: Path) -> None:
-    """A thousand times too large, in a file that another one includes."""
+    """An inertia that is a thousand times too large in an included file is reported with that
+    file's line."""
     folder = shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
     body = folder / "pupper_v3_body.xml"
     stated, slip = "4.05e-05 4.05e-05 7.7e-05 3.5e-05", "4.05e-02 4.05e-02 7.7e-02 3.5e-02"
@@ -764,7 +765,7 @@ LOST_SIGNS = [
 def test_lost_signs_between_links_with_rotated_frames(
     rule: str, target: str, old: str, new: str, tmp_path: Path
 ) -> None:
-    """Frames of v3's left and right links are turned against each other."""
+    """The frames of v3's left and right links are rotated against each other."""
     for folder in ("urdf", "mjcf"):
         shutil.copytree(ROOT / folder, tmp_path / folder)
     format, tag, name = target.split()
@@ -794,7 +795,7 @@ def test_rounded_inertias_are_sound(tmp_path: Path) -> None:
 
 
 def test_rules_accept_all_encodings_that_the_reader_accepts(tmp_path: Path) -> None:
-    """A mesh that is missing, and the gravity, are looked for in the file's own elements."""
+    """A missing mesh and the gravity are found by line in a file with a declared encoding."""
     text = OWN["mjcf"].read_text()
     extra = '<asset><mesh name="k" file="no.obj"/></asset>\n<option gravity="0 0 -1"/>'
     text = '<?xml version="1.0" encoding="latin-1"?>\n' + text[text.index("<mujoco") :]
@@ -809,9 +810,9 @@ def test_rules_accept_all_encodings_that_the_reader_accepts(tmp_path: Path) -> N
 
 
 def test_urdf_inertia_is_rotated_by_its_origin(tmp_path: Path) -> None:
-    """A frame that is turned by R holds I: in the link's axes that is R I R^T, as Pinocchio has it.
+    """Reference: Pinocchio, R I R^T in the axes of the link.
 
-    The turn is of no symmetry, and no two moments are alike, so that R^T I R is another matrix.
+    The rotation has no symmetry and all moments differ, so that R^T I R is another matrix.
     """
     path = tmp_path / "one.urdf"
     path.write_text(
@@ -838,7 +839,7 @@ def test_shapes_of_massless_links_are_one_finding(tmp_path: Path) -> None:
 
 
 def test_links_without_inertial_are_one_finding(tmp_path: Path) -> None:
-    """PyBullet 3.2.7 makes 8.17 kg of a Pupper v3 whose five frames state nothing."""
+    """Reference: PyBullet 3.2.7 loads 8.17 kg for a Pupper v3 with five links without inertial."""
     text = (ROOT / "urdf/pupper_v3.urdf").read_text()
     for site in re.findall(r'<link name="(\w+_site)">', text):
         text = re.sub(rf'(<link name="{site}")>.*?</link>', r"\1/>", text)
@@ -853,7 +854,7 @@ def test_links_without_inertial_are_one_finding(tmp_path: Path) -> None:
 
 
 def test_com_outside_the_robot_is_found_for_a_link_without_shapes(tmp_path: Path) -> None:
-    """In degrees, say: 5.73 m, on a leg of 0.6 m."""
+    """A CoM at 5.73 m (as if typed in degrees), on a leg of 0.6 m."""
     pair = quadruped(tmp_path)
     thigh = '<inertial pos="0 0 -0.1" mass="0.5"'
     assert not any(one.rule == "com-outside-shapes" for one in pa.audit_model(pair.mjcf).findings)
@@ -881,7 +882,7 @@ def test_shape_much_larger_than_the_robot_is_found(tmp_path: Path) -> None:
 
 
 def test_legs_on_the_world_have_no_lever_to_their_base(tmp_path: Path) -> None:
-    """As where a base was fused with the world: there is no link that two legs share."""
+    """If the base is fused with the world, no link is common to two legs."""
     leg = (
         "<body><joint name='hip{0}' axis='0 1 0'/><geom size='0.05'/>"
         "<body pos='0 0 -0.2'><joint name='knee{0}' axis='0 1 0'/><geom size='0.05'/></body></body>"
@@ -902,8 +903,8 @@ def test_legs_on_the_world_have_no_lever_to_their_base(tmp_path: Path) -> None:
         assert ("mass-beyond-motors" in rules) is found
 
 
-def test_legs_that_begin_at_the_world_lack_their_base(tmp_path: Path) -> None:
-    """As MuJoCo's importer leaves a URDF; two arms on one bench lack nothing."""
+def test_legs_on_the_world_are_reported_as_a_fused_base(tmp_path: Path) -> None:
+    """As in MuJoCo's import of a URDF; two arms on a bench are not reported."""
     pair = quadruped(tmp_path)
     assert not found(audit_model(pair.mjcf), "base-fused")
     (finding,) = found(audit_model(fused(pair).mjcf), "base-fused")

@@ -110,7 +110,8 @@ def test_best_stance_has_the_least_utilisation(name: str) -> None:
 
 @pytest.mark.slow
 def test_best_stance_has_the_largest_margin() -> None:
-    """As long as it may be, and the com where the nearest edges are equally far."""
+    """Reference: half of the support length, with the CoM equally far from the nearest edges,
+    and the feet at the largest offsets."""
     robot, found = load("v3"), best_stance(load("v3"), "margin")
     check_kept(robot, found)
     assert found.value == pytest.approx(com_margin(robot, found.stand), rel=1e-9)
@@ -123,7 +124,8 @@ def test_best_stance_has_the_largest_margin() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_redundant_joints_of_the_best_stance_equal_its_task(tmp_path: Path) -> None:
-    """Legs of four joints: a search, from what was near, left them 4e-8 rad from ``stand``'s."""
+    """Reference: ``solve_stand`` of the returned task, bit by bit. Legs of four joints have a
+    free joint, which a search from a near stand leaves 4e-8 rad away."""
     pair = written(drawn(91004), tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
     found = best_stance(robot, Objective.MARGIN)
@@ -192,7 +194,7 @@ def test_unit_of_levels_fits_the_objective_if_its_initial_value_is_zero(
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_asymmetric_stance_is_optimised_over_all_free_parameters() -> None:
-    """On three legs the com moves sideways: without that it would be outside the triangle."""
+    """On three legs, the CoM must move sideways into the support triangle."""
     robot = load("v3")
     task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
     found = best_stance(robot, task=task)
@@ -254,7 +256,7 @@ def test_motors_without_a_limit_to_use(limit: float, words: str) -> None:
 def test_next_best_stance_is_returned_if_the_best_does_not_hold(
     monkeypatch: pytest.MonkeyPatch, few_samples: None
 ) -> None:
-    """Of three stances that are simulated, each uses the motors more; the third holds."""
+    """Three stances are simulated, with increasing motor utilisation; the third holds."""
     tried: list[float] = []
 
     def fail_twice(robot: pa.Robot, stand: pa.Stand, **_: object) -> SimpleNamespace:

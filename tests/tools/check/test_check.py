@@ -117,7 +117,7 @@ def test_resolved_remark_is_stale_until_the_baseline_is_updated(folder: Path) ->
 
 
 def test_unreadable_file_fails_and_other_remarks_are_reported(folder: Path) -> None:
-    """And no baseline is written, for nobody knows which of its entries occur."""
+    """The baseline is not written, because its entries for the unreadable file are unknown."""
     before = (folder / BASELINE).read_bytes()
     line = change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
     check = pa.guard.check_repository(folder / "pupper-analysis.toml", update_baseline=True)
@@ -156,7 +156,8 @@ def baseline_with(folder: Path, *lines: str) -> list[str]:
 
 
 def test_update_baseline_keeps_the_lines_that_a_person_wrote(folder: Path) -> None:
-    """Above the entry that they are about, wherever that is sorted to, or below the last one."""
+    """A comment stays above its entry if entries are sorted, and at the end after the last
+    entry."""
     baseline_with(folder, "^# of the project", "^", f"^{COMMENTS}", "# looked at on Monday")
     change(folder / "hopper.xml", 'damping="0.05"', 'damping="0.06"')  # two more entries
     assert run(folder, "--update-baseline").returncode == 0

@@ -60,7 +60,7 @@ def test_github_annotations_name_both_lines(tmp_path: Path) -> None:
 
 
 def test_paths_are_shown_relative_to_the_working_folder(tmp_path: Path) -> None:
-    """Of modules, too, and of those that they import; one line that is both is shown once."""
+    """Also of imported modules. A line that contains both values is shown once."""
     sources = write_all(tmp_path)
     text = sources["deploy.yaml"].read_text()
     kd = listed([0.25] * 12)

@@ -56,7 +56,8 @@ def test_isaac_lab_lists_are_ordered_by_depth_if_left_and_right_agree(
 
 
 def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
-    """As rl_sar's: a robot's table names its motors, a policy's goes by their numbers."""
+    """As in rl_sar: the table of the robot names the motors, and the policy refers to their
+    numbers."""
     folder = sources["deploy.yaml"].parent / "more"
     folder.mkdir()
     base, policy = folder / "base.yaml", folder / "config.yaml"
@@ -258,8 +259,9 @@ def test_a_deployment_of_unitree_rl_gym(sources: dict[str, Path]) -> None:
     assert step.places[1] == f"{path}:3"
 
 
-def test_a_trainer_of_unitree_rl_lab_names_the_motors(sources: dict[str, Path]) -> None:
-    """Its order is by depth; its deployment's stiffness is by motor, all else in its own order."""
+def test_joint_orders_of_unitree_rl_lab_are_read(sources: dict[str, Path]) -> None:
+    """The order of the trainer is by depth; the stiffness of the deployment is by motor, all
+    other values in the order of the trainer."""
     folder = sources["isaac_cfg.py"].parent
     path, deploy = folder / "unitree.py", folder / "lab.yaml"
     motors = [*JOINTS[3:6], *JOINTS[:3], *JOINTS[9:], *JOINTS[6:9]]

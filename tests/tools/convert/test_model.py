@@ -168,7 +168,7 @@ def test_missing_meshes_are_left_out_with_a_note(tmp_path: Path) -> None:
 
 
 def test_errors_of_the_source_file_are_reported(tmp_path: Path) -> None:
-    """As by all other commands: the new file has them, too."""
+    """A negative damping of the source is in the converted file as well."""
     _, mjcf = features.files(tmp_path, features.FEATURES["damping -2"])
     notes = pa.convert_model(mjcf, tmp_path / "new.urdf").notes
     (message,) = [note for note in notes if note.code == "rests-on-made-up"]
@@ -351,8 +351,8 @@ def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return mjcf
 
 
-def test_a_hand_is_no_legged_robot(tmp_path: Path) -> None:
-    """It has as many limbs as a tripod, and does not stand: what to type is said."""
+def test_free_hand_that_cannot_stand_fails_and_names_fixed_base(tmp_path: Path) -> None:
+    """A hand has as many limbs as a tripod; with fixed_base the conversion passes."""
     mjcf, found = converted(hand(tmp_path), "free.xml")
     assert found.agree
     assert not found.passed
@@ -387,8 +387,8 @@ def test_feet_hold_on_a_slope(quad: Path) -> None:
     assert speeds["written"] < speeds["default"] / 30
 
 
-def test_a_mesh_that_an_mjcf_touches_with_and_lacks_is_no_conversion(tmp_path: Path) -> None:
-    """One that is drawn alone is left out; without one that touches it is another robot."""
+def test_conversion_of_an_mjcf_fails_if_a_collision_mesh_is_missing(tmp_path: Path) -> None:
+    """A missing visual mesh is left out; a missing collision mesh changes the robot."""
     for bits, passed in (('contype="0" conaffinity="0"', True), ("", False)):
         path = tmp_path / "robot.xml"
         path.write_text(f"""<mujoco>
@@ -408,10 +408,8 @@ def test_a_mesh_that_an_mjcf_touches_with_and_lacks_is_no_conversion(tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize("empty", [False, True])
 def test_base_frame_below_the_feet_keeps_its_position(empty: bool, tmp_path: Path) -> None:
-    """Its own keyframe has it as far below the ground as the URDF does.
-
-    Its root is the link that moves, or one without mass above that.
-    """
+    """The keyframe has the base below the ground, as the URDF has; with and without an empty
+    root link above the base."""
     path, lift = standing_urdf(tmp_path), 1.05
     tree = ElementTree.parse(path)
     root, new = tree.getroot(), ElementTree.SubElement

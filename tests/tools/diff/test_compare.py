@@ -121,7 +121,8 @@ def test_moved_lines_and_other_digits_are_no_change(tmp_path: Path) -> None:
 
 
 def test_a_moved_base_frame_is_one_change(tmp_path: Path) -> None:
-    """All that is on the base moves with it; a joint whose zero is moved with its limits, too."""
+    """Everything on the base moves with its frame. A joint with another zero, and limits moved
+    by as much, is one change as well."""
     moved = changed(ROBOT, "base", com=(0.01, 0.002, 0.045))
     for leg in range(4):
         x, y, z = ROBOT[f"thigh{leg}"].position
@@ -413,8 +414,8 @@ def test_no_code_of_a_repository_is_executed(repository: Path, tmp_path: Path) -
     assert not proof.exists()
 
 
-def test_a_file_of_git_lfs(repository: Path) -> None:
-    """Its pointer is committed; the file is where Git LFS keeps it, or is not there."""
+def test_file_of_git_lfs_is_read_from_its_store_or_refused(repository: Path) -> None:
+    """The commit contains a pointer; the content is in the store of Git LFS, or absent."""
     urdf = repository / "robot.urdf"
     text = urdf.read_bytes()
     name = hashlib.sha256(text).hexdigest()
@@ -433,7 +434,7 @@ def test_a_file_of_git_lfs(repository: Path) -> None:
 
 
 def test_a_link_without_mass_is_compared(tmp_path: Path) -> None:
-    """It has no acceleration; all else of it can be compared."""
+    """The acceleration of a massless link is undefined; all other quantities are compared."""
     old = changed(ROBOT, "shank2", mass=0.0)
     diff = diff_of(tmp_path, old, old, "urdf")
     assert diff.same

@@ -55,7 +55,8 @@ def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, 
 
 
 def test_several_changes_have_a_common_effect(tmp_path: Path) -> None:
-    """Friction of 0.01 counts where the floor's priority is the higher: alone neither does it."""
+    """A friction of 0.01 acts only if the floor has the higher priority: each change alone has
+    no effect."""
     after = edited(tmp_path, FELT["floor's friction"])
     diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", after)
     assert {str(change.diagnostic.values["what"]) for change in diff.changes} == {
@@ -118,7 +119,7 @@ def in_a_scene(file: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["conaffinity", "shape", "solref", "condim", "contacts off"])
 def test_robots_without_ground_are_compared_on_a_plane(tmp_path: Path, name: str) -> None:
-    """A robot's file has no ground; in the air, none of its feet's numbers does anything."""
+    """In the air, the contact parameters of the feet would have no effect."""
     folders = [copied(tmp_path / each) for each in ("before", "after")]
     for folder in folders:
         scene = folder / "pupper_v3.xml"
@@ -140,8 +141,9 @@ DRAWN = '<geom class="visual" type="sphere" material="rubber" size="0.01995"'
 
 
 @pytest.mark.slow
-def test_a_number_in_the_file_is_no_change(tmp_path: Path) -> None:
-    """Geoms without a name are known again by what they are: drawn ones come and go before."""
+def test_renumbered_geoms_without_name_are_no_change(tmp_path: Path) -> None:
+    """Visual geoms before the foot are removed, which changes the numbers of geoms without a
+    name."""
     file = copied(tmp_path) / "pupper_v3_body.xml"
     text = file.read_text()
     lines = [line for line in text.splitlines(keepends=True) if DRAWN not in line]

@@ -28,7 +28,7 @@ def page() -> Iterator[Page]:
 
 
 def test_unresponsive_browser_does_not_delay_closing(page: Page) -> None:
-    """viser gives up after 6 s, and its thread is left; one that sleeps may need 10 s and more."""
+    """viser would wait for 6 s and leave its thread; a sleeping browser needs 10 s and more."""
     server = page._server._websock_server._server_thread
 
     async def sleep_while_it_closes() -> None:
@@ -49,7 +49,7 @@ def test_unresponsive_browser_does_not_delay_closing(page: Page) -> None:
 def test_connection_after_closing_gets_no_session(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """viser calls for browsers in a queue, which Python waits for at its end."""
+    """viser queues connections, which Python processes at exit."""
     made: list[Any] = []
     monkeypatch.setattr(page, "_make_session", lambda *asked: made.append(asked))
     page.close()
@@ -62,7 +62,8 @@ def test_connection_after_closing_gets_no_session(
 def test_serving_uses_the_default_garbage_collection(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Commands postpone it: each action of a browser left 60 KB of cycles, for hours."""
+    """Commands postpone garbage collection, which would leave 60 kB of cycles per browser
+    action."""
     found: list[tuple[int, int, int]] = []
     monkeypatch.setattr(server, "serve", lambda *_, **__: found.append(gc.get_threshold()))
     before = gc.get_threshold()

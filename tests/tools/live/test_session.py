@@ -113,7 +113,8 @@ def test_last_of_many_quick_moves_is_shown(page: Open) -> None:
 
 
 def test_pending_result_is_marked(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The sag is held back; the page has the torques, and says that it is worked out."""
+    """The steady state is delayed: the page has the torques, and marks the sag as being
+    computed."""
     go_on = threading.Event()
     real = pa.steady_state
 
@@ -169,7 +170,8 @@ def test_simulation_and_push_results_are_shown(page: Open) -> None:
 
 @pytest.mark.slow
 def test_simulation_is_compared_with_the_prediction_of_its_commands(page: Open) -> None:
-    """Both are of the stand whose legs are longer by what feet sink: they are half a mm apart."""
+    """Reference: ``verify_stand`` of the stand on soft ground, whose legs are longer by the
+    penetration, half a millimetre."""
     page.ask(State(roll=5.0))
     wait_for(lambda: page.shows(State(roll=5.0)), "not shown")
     page.session.simulate()
@@ -233,7 +235,8 @@ def test_typed_value_beyond_a_slider_is_kept(page: Open) -> None:
 
 
 def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
-    """A foot on a slope and one on a table, whose planes a slider moves; the file has them."""
+    """A foot on a slope and a foot on a table; sliders move the planes, and the saved file
+    contains them."""
     controls = page.controls
     move(controls.contacts, "FR=slope:10deg,uphill=90deg\n\nRL=table:2cm,mu=0.7\nRR=tab")
     assert not controls.state.contacts  # a line is no contact yet

@@ -291,9 +291,9 @@ def test_refusals_name_the_moment() -> None:
 
 
 @pytest.mark.slow
-def test_a_path_keeps_its_clearances() -> None:
-    """With a required clearance 1 mm above that of the lowest stance, the path is refused; with a
-    smaller one, all samples keep the interpolated clearance."""
+def test_path_below_a_required_clearance_is_refused() -> None:
+    """The lowest stance is 1 mm below the required clearance; with a smaller required clearance
+    the path is planned."""
     robot = load("v3")
     low = 0.08
     stance_path(robot, [Task(), Task(height=low)], 1.0, rate=20.0)

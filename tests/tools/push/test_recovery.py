@@ -87,7 +87,7 @@ def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
 
 
 def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
-    """Reference: MuJoCo's bodies, with the parallel axis theorem about the line between two feet."""
+    """Reference: MuJoCo's bodies and the parallel axis theorem, about the line between two feet."""
     robot, stand = load("heavy"), stand_of("heavy")
     config, data = pa.Configuration(robot, stand.qpos), mujoco_at(robot, stand.qpos)
     com, ground = config.center_of_mass(), config.contact_points()
