@@ -97,7 +97,7 @@ def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.stud
 
 @pytest.mark.slow
 def test_pareto_front_is_plotted_and_listed() -> None:
-    """Each design with both objectives, in % and mm as in other commands, and its number."""
+    """Both objectives in % and mm, as in other commands, and the number of each design."""
     found = outcome()
     document = study_document(found)
     (plot,) = (one for one in document.blocks if isinstance(one, LinePlot))

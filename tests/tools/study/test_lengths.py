@@ -138,7 +138,8 @@ def test_scaled_link_lengths_are_equal_in_both_engines(own: Robot) -> None:
 
 @pytest.mark.slow
 def test_engines_agree_on_a_stretched_robot(own: Robot) -> None:
-    """The mass matrix at a random state: a lever or tensor that one file alone got differs."""
+    """Reference: MuJoCo's mass matrix at a random state; a CoM or inertia that is scaled in one
+    file only would differ."""
     factors = {f"length:{joint}": 1.3 for joint in with_length(own)}
     assert len(factors) >= 4
     longer = scale_robot(own, factors)

@@ -57,10 +57,8 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 def test_design_that_does_not_stand_has_zero_metrics_and_no_sag(
     threads: Executor, tmp_path: Path
 ) -> None:
-    """Of v3 on legs of 1.4: it stands, has no equilibrium, or one that is not stable; or no place.
-
-    A fallen robot's sag would be one of an equilibrium that it never comes to.
-    """
+    """v3 with legs of 1.4: a design stands, has no stable equilibrium, or is out of reach. A
+    fallen robot has no static deflection."""
     metrics = ("stands", "verified", "sag", "stiffness", "peak_utilisation")
     vary = {"leg_scale": [1.4], "torso_mass_scale": [1.0, 1.75, 2.5], "height": [0.19, 0.9]}
     table = study(vary, *metrics).run(tmp_path, executor=threads).set_index(
@@ -190,8 +188,10 @@ def test_changed_study_uses_only_its_own_rows(tmp_path: Path, threads: Executor)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sole", [True, False], ids=["boxes", "spheres"])
-def test_a_pair_of_files_as_published(sole: bool, tmp_path: Path, threads: Executor) -> None:
-    """Joints of other names, torque motors, no floor: factors are in both of its models."""
+def test_study_of_published_files_scales_both_models(
+    sole: bool, tmp_path: Path, threads: Executor
+) -> None:
+    """Other joint names, torque motors and no floor."""
     foot = {"foot": legged.BOX.format(name="")} if sole else {}
     files = legged.quadruped(tmp_path, prefix="x_", **foot)
     (tmp_path / "study.toml").write_text(
@@ -253,7 +253,8 @@ HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs m
 @pytest.mark.slow
 @pytest.mark.parametrize("guilty", ["crashes", "hangs"])
 def test_design_that_crashes_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
-    """The first limit that the sound designs meet counts: a busy machine needs a longer one."""
+    """The time limit is raised until the sound designs meet the limit, because the machine may
+    be busy."""
     kind = {"crashes": "crashed", "hangs": "timed out"}[guilty]
     for limit in (3.0, 12.0, 60.0, 240.0):
         folder = tmp_path / str(limit)

@@ -194,8 +194,8 @@ FACTORS = {"mass:leg_front_l_3": 1.3, "inertia:*_2": 1.2, "armature:*_1": 2.0, "
            "frictionloss:*_3": 3.0, "effort:leg_back_r_2": 0.5}  # fmt: skip
 
 
-def test_factors_are_in_both_files_alike() -> None:
-    """Both engines' dynamics agree afterwards; and the numbers are what was asked for."""
+def test_factors_change_both_models_equally() -> None:
+    """Reference: both engines' dynamics agree, and the masses have the requested ratio."""
     before = load("v3")
     after = scale_robot(before, FACTORS)
     assert pa.cross_check(after, configurations=3).passed
@@ -296,7 +296,7 @@ def test_design_has_the_values_of_its_variables() -> None:
 
 
 def test_metrics_equal_the_direct_calls() -> None:
-    """Each against the call that a user would make."""
+    """Reference: the public function of each metric."""
     robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1))
     design = DesignBuilder(study({"pitch": [0.1]}).source, pa.StandTask(), (0, 0, 0)).design(
         {"pitch": 0.1}
@@ -326,7 +326,8 @@ def test_metrics_equal_the_direct_calls() -> None:
 
 @pytest.mark.slow
 def test_design_fails_if_its_unmodified_file_falls(tmp_path: Path) -> None:
-    """On servos that were added in the place of its own; with gains that are given it may."""
+    """Servos of the wrong sign are replaced by added servos, on which the design fails; with
+    gains in the study it may pass."""
     pair = slips.standing(tmp_path)
     text = pair.mjcf.read_text()
     for kp, stands in (("150", True), ("-150", False)):

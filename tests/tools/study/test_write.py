@@ -96,7 +96,7 @@ def test_existing_design_files_are_not_replaced(heavy: WrittenDesign) -> None:
 def test_files_of_another_robot_are_reported(
     heavy: WrittenDesign, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is written is not taken on trust: a writer that loses a gram is found."""
+    """The written files are loaded with 1 g more: the metrics differ, which is reported."""
     from pupper_analysis.tools.study import write
 
     study = pa.Study("v3", {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}, METRICS)

@@ -105,7 +105,7 @@ def test_difference_beside_a_joint_zero_is_written_in_the_own_convention(tmp_pat
 
 @pytest.mark.slow
 def test_different_base_frame_is_not_changed(tmp_path: Path) -> None:
-    """And what differs beside it is written in the file's own frame."""
+    """Other differences are written in the base frame of each file."""
     x, y, z = ROBOT["base"].com
     parts = changed(ROBOT, "base", com=(x, y, z + 0.05))
     for name, part in ROBOT.items():
@@ -123,7 +123,7 @@ def test_different_base_frame_is_not_changed(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_positions_inside_a_frame_are_not_changed(tmp_path: Path) -> None:
-    """Bodies, joints and sites in a <frame> state their places in that."""
+    """Positions of bodies, joints and sites inside a <frame> are relative to the frame."""
     text = mjcf_text(ROBOT)
     leg = text[text.index('<body name="thigh2"') : text.index('<body name="thigh3"')]
     # The same leg, in a frame that is moved by (0.05, 0.02, 0) in the base.
@@ -156,7 +156,7 @@ def test_body_of_an_offset_joint_is_not_changed(tmp_path: Path) -> None:
 
 
 def test_attached_copies_are_not_changed(tmp_path: Path) -> None:
-    """A leg that is attached stands in a file of its own, under another name."""
+    """An attached leg is in a file of its own, with names without the prefix."""
     parts = {name: part for name, part in ROBOT.items() if name in ("base", "thigh0", "shank0")}
     text = mjcf_text(parts)
     start, end = text.index('<body name="thigh0"'), text.rindex("</body>\n</worldbody>")

@@ -12,8 +12,9 @@ import pupper_analysis as pa
 from tests.support.robots import changed, mjcf_text, quadruped, urdf_text, write
 
 
-def test_the_body_that_weighs_is_changed(tmp_path: Path) -> None:
-    """The joint's own body is empty; what it carries without a joint has all of its mass."""
+def test_mass_is_changed_in_the_child_body_that_has_the_mass(tmp_path: Path) -> None:
+    """The body of the joint has no inertial; a child body without joint has the mass of the
+    link."""
     robot = quadruped()
     head, rest = mjcf_text(robot).split('<body name="thigh1"', 1)
     rest, count = re.subn("(<inertial [^>]*/>)", r'<body name="core">\1</body>', rest, count=1)

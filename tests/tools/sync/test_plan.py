@@ -238,7 +238,7 @@ def test_missing_limits_are_inserted(tmp_path: Path) -> None:
 
 
 def test_unstated_values_overwrite_nothing(tmp_path: Path) -> None:
-    """Efforts of 0 are none, and a <dynamics> or an attribute that is not there is no 0."""
+    """An effort of 0 is no limit, and a missing <dynamics> or attribute is not 0."""
     heavy = changed(ROBOT, "base", mass=7.0)
     stated = re.sub('effort="[^"]*"', 'effort="0"', urdf_text(heavy))
     files = write(tmp_path, re.sub("<dynamics [^>]*/>", "", stated), mjcf_text(ROBOT))
@@ -264,7 +264,7 @@ def test_unstated_values_overwrite_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_all_chosen_changes_are_written_or_none(tmp_path: Path) -> None:
-    """One body that cannot be mended would leave a robot of two versions on the disk."""
+    """A body that cannot be changed would leave files that describe a mixture of two robots."""
     parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
     parts = changed(changed(parts, "shank0", mass=1.0), "thigh1", mass=2.0)
     files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
@@ -487,10 +487,7 @@ def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("done", [False, True], ids=["to do", "nothing to do"])
 def test_leftovers_of_a_killed_sync_are_removed(tmp_path: Path, done: bool) -> None:
-    """The process is killed after its rename and before its clean-up.
-
-    A second run writes nothing.
-    """
+    """The process is killed between rename and clean-up; a second run writes nothing."""
     (tmp_path / "part").mkdir()
     files = pair(tmp_path, ROBOT if done else DIFFERENT)
     main = files.mjcf.read_text()

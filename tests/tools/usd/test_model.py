@@ -47,7 +47,7 @@ def test_up_axis_is_converted_and_unknown_values_are_absent(tmp_path: Path) -> N
     "ignore:LoadUsdPhysicsFromRange:DeprecationWarning"
 )  # its new name is new
 def test_joint_frames_equal_those_of_usd_physics(tmp_path: Path) -> None:
-    """Frames that are written in a child of a body, against USD's own parser of its physics."""
+    """Reference: USD's parser of its physics schema, for frames in a child prim of a body."""
     path = usd.write(
         tmp_path,
         ("rel physics:body1 = </leg/base/thigh/shank/rod/foot>",

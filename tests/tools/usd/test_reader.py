@@ -29,7 +29,8 @@ CONVERTERS = ROOT / "build" / "converters" / "bin"
     ("converter", "folder"), [("urdf_usd_converter", "urdf"), ("mujoco_usd_converter", "mjcf")]
 )
 def test_converted_usd_agrees_with_its_source(converter: str, folder: str, tmp_path: Path) -> None:
-    """The converters depend on other libraries and have an environment of their own."""
+    """Reference: the URDF or MJCF from which an independent converter made the USD. Skipped if
+    the converter is not installed."""
     command = shutil.which(converter, path=f"{CONVERTERS}{os.pathsep}{os.environ['PATH']}")
     if command is None:
         pytest.skip(f"{converter} is not installed")
@@ -144,8 +145,9 @@ def test_values_missing_in_the_usd_are_no_difference(tmp_path: Path) -> None:
     assert {one.kind for one in strict.differences} == {"effort", "damping", "friction"}
 
 
-def test_the_robot_of_fixed_parts_may_have_an_inertia_that_mujoco_refuses(tmp_path: Path) -> None:
-    """A label of six equal values, fixed to the rest: what moves together counts as one."""
+def test_invalid_inertia_of_a_fixed_part_is_a_difference(tmp_path: Path) -> None:
+    """The inertia of a part fixed to another body is invalid by itself; the sum of both parts is
+    compared."""
     thin = "float3 physics:diagonalInertia = (0, 0, 200)"
     found = compared(tmp_path, ("float3 physics:diagonalInertia = (200, 200, 200)", thin))
     assert {(one.kind, one.element) for one in found.differences} == {("inertia", "spring")}
@@ -185,14 +187,14 @@ def test_invalid_usd_inertia_is_refused_at_its_prim(tmp_path: Path) -> None:
 
 
 def test_a_range_from_0_to_0_is_a_difference(tmp_path: Path) -> None:
-    """A URDF without a range has none; a converter wrote 0 to 0, which holds the joint."""
+    """A converter wrote 0 to 0, which locks the joint, for a URDF without a range."""
     zero = (("lowerLimit = -30", "lowerLimit = 0"), ("upperLimit = 60", "upperLimit = 0"))
     kinds = {one.kind for one in compared(tmp_path, *zero).differences}
     assert kinds == {"lower limit", "upper limit"}
 
 
-def test_a_usd_stands_in_the_place_of_either_file(tmp_path: Path) -> None:
-    """As a URDF and as an MJCF it is written by two writers, of which neither reads the other's."""
+def test_usd_can_replace_urdf_or_mjcf_in_a_comparison(tmp_path: Path) -> None:
+    """Two independent writers make the URDF and the MJCF of the USD."""
     old = usd.write(tmp_path, name="old.usda")
     assert compare_models(old, usd.write(tmp_path), configurations=2).agree
     change = ("centerOfMass = (0, 0, -10)", "centerOfMass = (0, 1, -10)")

@@ -135,7 +135,7 @@ def test_motor_and_com_changes_equal_mujoco_forces(still: Policy) -> None:
 
 
 def test_push_velocity_equals_impulse_by_mass(still: Policy) -> None:
-    """Over the mass it is the step of the velocity of the com, less what the feet hold."""
+    """Reference: the CoM velocity changes by impulse / mass, minus the impulse of the feet."""
     stage = prepare_stage(load("v3"), still)
     model, data = stage.model, mujoco.MjData(stage.model)
     cases = [
@@ -166,7 +166,8 @@ def trot(tmp_path_factory: pytest.TempPathFactory) -> Policy:
 
 @pytest.mark.slow
 def test_intervals_are_reproducible_and_their_ends_are_exact(trot: Policy) -> None:
-    """Each end is walked, and what is beyond is not, in a run of its own; repeated, bit by bit."""
+    """Reference: a separate run at each end tracks, and a run beyond does not; repeated bit by
+    bit with three workers."""
     robot, command, names = load("v3"), made.TROT[0], ("mass", "kp", "delay", "strength")
     one, two = (
         tracked_intervals(
@@ -294,7 +295,8 @@ def test_a_planted_sign_and_a_planted_scale_are_found(trot: Policy) -> None:
 
 @pytest.mark.slow
 def test_candidates_that_walk_equally_are_not_determined(tmp_path: Path) -> None:
-    """A history that is read the other way round: here it is one frame late, which walks, too."""
+    """A history in the reverse order delays the observations by a frame, and the robot walks as
+    well."""
     policy = Policy.load(made.trot(tmp_path / "trot.json", history=2))
     found = ranked(policy.with_contract(newest_first=True))
     assert found.passed

@@ -35,7 +35,7 @@ def test_walk_with_a_standing_policy_passes(
 
 @pytest.mark.slow
 def test_walk_reports_audit_errors(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """As by all other commands that say whether a robot holds."""
+    """As all commands with a verdict."""
     text = (ROOT / "urdf/pupper_v3.urdf").read_text(encoding="utf-8")
     text = text.replace("../mjcf/", f"{ROOT}/mjcf/").replace('ixx="7.4e-05"', 'ixx="7.4e-03"', 1)
     urdf, policy = tmp_path / "robot.urdf", made.still(tmp_path / "still.json")
@@ -91,7 +91,7 @@ def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
 def test_push_and_payload_with_a_policy_equal_walk(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """One question, one answer: the intervals are equal, and their ends in N s and kg."""
+    """The intervals of all three commands are equal, and their ends are in N s and kg."""
     policy = str(made.still(tmp_path / "still.json"))
     more = ("--command", "0,0,0", "--seconds", "3", "--seeds", "1", "--policy", policy, "--json")
     found = {}

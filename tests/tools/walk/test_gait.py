@@ -114,7 +114,7 @@ def test_observations_equal_mujoco_sensors_at_the_base(still: Policy) -> None:
 
 
 def test_fall_of_a_walk_is_reported(still: Policy) -> None:
-    """Thrown over by a pose on which nothing stands."""
+    """The default pose of the policy cannot stand."""
     pose = POSE + np.array([0, 1.2, 0] * 4)
     walk = simulate_walk(load("v3"), still.with_contract(default=pose), (0, 0, 0), seconds=4.0)
     gait = walk.gaits[0]

@@ -51,7 +51,7 @@ def test_invalid_walk_metrics_are_refused(
 
 @pytest.mark.slow
 def test_policy_path_of_a_study_is_relative_to_its_file(tmp_path: Path) -> None:
-    """Which designs are walked: one on motors too weak to stand is not."""
+    """A design with a torso mass of 12 times has motors too weak to stand, and the margin 0."""
     made.still(tmp_path / "still.json")
     (tmp_path / "study.toml").write_text(
         'robot = "v3"\nmeasure = ["walk_margin:still.json@0,0,0"]\n'

@@ -158,7 +158,8 @@ def check_read_or_refused(path: Path) -> None:
 
 @pytest.mark.slow
 def test_rtneural_of_wrong_types_is_read_or_refused(tmp_path: Path) -> None:
-    """Each value of a policy, replaced by a value of each type of JSON; no other error."""
+    """Each value of a policy is replaced by a value of each JSON type; no other exception is
+    raised."""
     sound = json.loads(made.still(tmp_path / "p.json").read_text()) | {"layers": RECURRENT}
     Policy.load(made.still(tmp_path / "p.json", layers=RECURRENT))
     cases = [(place, new) for place in places_in(sound) for new in WRONG]
@@ -189,7 +190,8 @@ def test_rtneural_layer_of_a_wrong_type_is_named(tmp_path: Path, layer: Any, tex
 
 @pytest.mark.slow
 def test_onnx_of_wrong_fields_is_read_or_refused(tmp_path: Path) -> None:
-    """Each byte of the graph's structure is changed, or the file ends there; no other error."""
+    """Each byte of the structure of the graph is changed, or the file is truncated at the byte;
+    no other exception is raised."""
     path = onnx_policy(tmp_path)
     sound = path.read_bytes()
     for at in range(len(sound)):
@@ -199,7 +201,7 @@ def test_onnx_of_wrong_fields_is_read_or_refused(tmp_path: Path) -> None:
 
 
 def test_onnx_states_of_huge_size_are_refused(tmp_path: Path) -> None:
-    """Without computing 10^12 zeros for a state that a file says to be so long."""
+    """A state of 10^12 numbers is refused before zeros are allocated."""
     nodes = [made.node("Tanh", ("obs",), ("act",)), made.node("Tanh", ("h",), ("hn",))]
     inputs = [made.value("obs", 1, 4), made.value("h", 1, 10**12)]
     outputs = [made.value("act", 1, 4), made.value("hn", 1, 10**12)]
@@ -209,7 +211,7 @@ def test_onnx_states_of_huge_size_are_refused(tmp_path: Path) -> None:
 
 
 def test_onnx_values_that_grow_without_end_are_refused(tmp_path: Path) -> None:
-    """Forty layers, each of which doubles the length of its input."""
+    """Each of forty layers doubles the length of its input."""
     nodes = [made.node("Concat", (f"x{n}", f"x{n}"), (f"x{n + 1}",), axis=1) for n in range(40)]
     data = made.onnx(nodes, [], [made.value("x0", 1, 4)], [made.value("x40", 1, 4)])
     path = tmp_path / "made.onnx"
