@@ -216,7 +216,7 @@ def test_values_raise_unless_an_array_of_real_numbers(given: Any, said: str) -> 
 
 
 def test_fits_and_plans_check_their_arguments(tmp_path: Path) -> None:
-    """Each is too slow to be called with all that is wrong."""
+    """A selection of wrong arguments, because each function is too slow for all of them."""
     robot = load("v3")
     a_log = pa.identification.Log("log", np.zeros(1), ("j",), *np.zeros((2, 1, 1)))
     for call in (

@@ -64,7 +64,8 @@ def test_pictures_are_drawn_without_opengl(tmp_path: Path) -> None:
 
 
 def test_study_process_runs_without_opengl(tmp_path: Path) -> None:
-    """What is imported past the package's door, as by who unpickles a robot."""
+    """Modules that are imported directly, as when a robot is unpickled, without the package's
+    command line."""
     broken = BROKEN.partition("sys.argv")[0]
     code = "import os, pupper_analysis.robot.robot, mujoco; print(os.environ['MUJOCO_GL'])"
     result = run("-c", broken + code, folder=tmp_path, gl="osmesa")
@@ -142,7 +143,7 @@ NAMED_NAN = """<mujoco><worldbody><body name="NaN"><joint axis="0 1 0" pos="NaN 
 def test_no_log_is_written_if_a_model_has_warnings(
     command: bool, mujoco_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A number that is NaN makes MuJoCo warn while it parses; MuJoCo's own log shows that."""
+    """Reference: MuJoCo by itself writes a log for a number that is NaN."""
     monkeypatch.chdir(tmp_path)
     Path("nan.xml").write_text(NAMED_NAN)
     mujoco_log.unlink(missing_ok=True)

@@ -256,7 +256,7 @@ def test_input_of_a_run_is_not_overwritten(
 
 
 def test_output_of_a_run_is_not_read(tmp_path: Path) -> None:
-    """Before any work, though what a model includes is known only when it is read."""
+    """Refused before any work, although included files are known only when the model is read."""
     mesh, out = tmp_path / "foot.stl", tmp_path / "out.json"
     mesh.write_text("solid")
     out.symlink_to(mesh)
@@ -288,7 +288,7 @@ def test_result_replaces_only_files_of_its_kind(tmp_path: Path) -> None:
 
 
 def test_files_of_killed_runs_are_removed_by_the_next_run(tmp_path: Path) -> None:
-    """SIGKILL while the temporary file is there; that of a process that runs is left."""
+    """SIGKILL while the temporary file exists; the file of a running process is kept."""
     dead, alive = held_in(tmp_path), held_in(tmp_path)
     dead.kill()
     dead.communicate(timeout=20)
@@ -320,7 +320,8 @@ def test_hidden_files_are_removed_if_a_run_writes_nothing(tmp_path: Path) -> Non
 def test_hidden_files_of_a_removed_container_are_removed_after_a_day(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its process ids cannot be looked up. The second name of an old file is not old by itself."""
+    """Process ids of another container cannot be looked up. A hard link to an old file is not
+    old itself."""
     name = files.hidden_token().split("-")
     left = tmp_path / f".{'-'.join([name[0], '0' * 8, *name[2:]])}.tmp"
     (tmp_path / "model.xml").write_text("<mujoco/>")

@@ -69,7 +69,7 @@ def test_values_without_a_json_form_raise() -> None:
 
 
 def test_results_and_tasks_are_immutable() -> None:
-    """Other functions take them for checked: a stand turned upside down would still be one."""
+    """Functions rely on checks of the constructor, for example of a stand's orientation."""
     stand = stand_of("v3")
     for one in (stand, pickle.loads(pickle.dumps(stand)), copy.deepcopy(stand)):
         with pytest.raises(ValueError, match="read-only"):

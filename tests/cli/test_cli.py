@@ -111,7 +111,7 @@ def test_colors_are_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_shell_completes() -> None:
-    """As docs/how-to/output.md says: click answers to this variable, whatever the shell."""
+    """As in docs/how-to/output.md: click answers to this environment variable."""
     done = subprocess.run(
         [str(Path(sys.executable).with_name("pupper-analysis"))],
         env={
@@ -151,7 +151,8 @@ def test_robots_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_help_lists_each_command_under_its_heading(capsys: pytest.CaptureFixture[str]) -> None:
-    """Our tools have a listed heading; tools of other distributions may omit it."""
+    """Tools of this package have a listed heading; tools of other distributions may omit the
+    heading."""
     assert {one.heading for one in own_tools().values()} <= set(HELP_HEADINGS[:-1])
     with pytest.raises(SystemExit):
         cli.run(cli.group, ["--help"])

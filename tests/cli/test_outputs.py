@@ -263,7 +263,7 @@ def test_no_output_is_an_input(command: Command, folder: Path) -> None:
 
 
 def test_every_command_with_a_path_is_swept() -> None:
-    """An option that takes a path is an input that is known here, or an output."""
+    """An option with a path is a known input of this test, or an output."""
     for command in ALL:
         assert isinstance(command, Command), command.name
         for option in command.params:

@@ -118,7 +118,8 @@ def test_output_is_written_in_each_terminal_encoding(encoding: str, tmp_path: Pa
 
 
 def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> None:
-    """It would be nowhere; and no file may get the closed stream's number, and what is printed."""
+    """The result would be lost; and no file may get the descriptor of the closed stream, with
+    the printed text."""
     script = """
         import os, sys
         from pupper_analysis import cli
@@ -164,10 +165,10 @@ def test_interrupt_during_import_prints_one_line(module: str) -> None:
 
 
 @pytest.mark.parametrize("made_of_it", [None, ImportError, SystemError, SystemExit])
-def test_a_signal_that_is_swallowed_counts(
+def test_exit_status_is_that_of_a_signal_if_a_library_swallows_it(
     made_of_it: type[BaseException] | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Libraries make other errors of KeyboardInterrupt, or nothing."""
+    """Libraries turn KeyboardInterrupt into other exceptions, or into none."""
 
     @click.command()
     def command() -> None:
@@ -259,8 +260,10 @@ def test_operating_system_errors_are_not_reported_as_bugs(
 
 
 @pytest.mark.slow
-def test_names_that_are_no_text_and_windows_that_are_none(tmp_path: Path) -> None:
-    """On Linux a file's name is bytes; an environment may ask for any window."""
+def test_commands_accept_file_names_that_are_not_utf8_and_invalid_window_settings(
+    tmp_path: Path,
+) -> None:
+    """On Linux a file name is bytes, and the environment may request any window system."""
     odd = tmp_path / os.fsdecode(b"\xff.urdf")
     odd.write_bytes((ROOT / "urdf" / "pupper_skeleton.urdf").read_bytes())
     for words in (

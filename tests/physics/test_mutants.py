@@ -71,7 +71,8 @@ def test_a_sphere_beside_a_foots_site_is_not_the_foot(tmp_path: Path) -> None:
 
 
 def test_bar_across_a_scaled_link_is_stretched_along_the_link_only() -> None:
-    """A bar at 45 degrees to the thigh is moved and turned: what lies along it is stretched."""
+    """A bar at 45 degrees to the thigh is moved and rotated; only its component along the thigh
+    is stretched."""
     spec = mujoco.MjSpec.from_file(str(ROOT / "mjcf" / f"{BASES['original']}.xml"))
     variant = pa.pupper.VariantSpec(base="skeleton", leg_scale=1.5)
     robot = load("original")
@@ -91,7 +92,8 @@ def test_bar_across_a_scaled_link_is_stretched_along_the_link_only() -> None:
 def test_feet_with_one_matching_contact_mask_touch_the_step(
     foot: tuple[int, int], floor: tuple[int, int]
 ) -> None:
-    """MuJoCo's rule: contype of one and conaffinity of the other, either way round."""
+    """Reference: MuJoCo's rule, contype of one geom and conaffinity of the other, in either
+    order."""
     robot, spec = load("original"), load("original").description.mjcf.copy()
     spec.compile()
     for geom in spec.geoms:
@@ -118,7 +120,7 @@ def test_feet_with_one_matching_contact_mask_touch_the_step(
 
 
 def test_angles_are_unwound_by_whole_turns() -> None:
-    """After it each is the same direction, and none is further than half a turn from home."""
+    """Each angle keeps its direction, and is at most half a turn from home."""
     robot = load("original")
     home = robot.home[7:]
     wide = np.full(robot.nu, 20.0)

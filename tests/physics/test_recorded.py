@@ -78,7 +78,8 @@ def test_all_jobs_of_all_variants_are_recorded() -> None:
 
 
 def test_the_group_recorded_installs_the_recorded_engines() -> None:
-    """``make setup-quick`` installs it; with other engines the tests above may be skipped."""
+    """``make setup-quick`` installs this group; with other engines, tests of recorded values may
+    be skipped."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     then = recorded()["setting"]
     pinned = [f"{name}=={then[name]}" for name in ENGINES]

@@ -131,7 +131,7 @@ def test_console_escapes_control_characters(hostile: str, terminal: bool) -> Non
 def test_workflow_commands_cannot_be_forged_by_names_in_a_model(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """GitHub executes each printed line that begins with ``::``, also in JUnit's XML."""
+    """GitHub executes printed lines that begin with ``::``, also in JUnit's XML."""
     file = tmp_path / "robot\n::error::forged.urdf"
     name = "a&#10;::error::forged&#x9b;31m&#x202e;"
     file.write_text(

@@ -117,7 +117,7 @@ def test_page_is_well_formed_and_loads_no_resource() -> None:
 
 @pytest.mark.slow
 def test_header_has_a_unit_if_the_column_has_numbers() -> None:
-    """A column's own, or one beside it for each row."""
+    """The unit of the column, or a column with the unit of each row."""
     count = 0
     for page in (page_of(analysis()), page_of(comparison()), page_of(stance())):
         for table in page.root.iter("table"):
@@ -331,7 +331,7 @@ def test_robots_share_equal_meshes_in_one_page() -> None:
 
 
 def test_coarsened_meshes_keep_their_size() -> None:
-    """The torso's volume by the file's triangles is that of what the page has."""
+    """Reference: volume of the mesh in the file."""
     model = load("v3").mj_model
     shapes, whole_scene = collect_visible_shapes(model, int(model.mesh_facenum.sum()))
     coarse = collect_visible_shapes(
@@ -410,7 +410,7 @@ def test_write_report_raises_for_invalid_arguments(tmp_path: Path) -> None:
 
 
 def test_bar_plot_is_one_sided_if_negative_values_are_rounding() -> None:
-    """Hips that hold nothing are -1e-17 N m by one robot's numbers, and 0 by another's."""
+    """A torque of -1e-17 N m, which another robot has as 0."""
 
     def limits(least: float) -> int:
         bars = [document.Bar(Name("hip"), least, limit=18.0), document.Bar(Name("knee"), 0.4)]

@@ -297,7 +297,7 @@ def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
 
 
 def test_sections_are_folded_and_verdicts_are_visible(browser: Any, tmp_path: Path) -> None:
-    """Of two robots: each part is opened by its link, and on paper, where a view is there once."""
+    """Two robots: a link opens its section, and print opens all; a view appears once."""
     file = tmp_path / "two.html"
     both = [analysis(), replace(analysis(), name="other")]
     rows = [compare_with_base(one, "v3", 1.0, None) for one in both]

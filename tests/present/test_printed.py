@@ -21,7 +21,7 @@ def printed(shown: Document) -> list[str]:
 
 
 def test_comparison_row_fields_come_from_the_analysis() -> None:
-    """Each field of a row from its own of the analysis; ratios the right way up."""
+    """Reference: a stub with distinct values, so exchanged fields and inverted ratios are found."""
     stub = Stub(**{**vars(ANALYSIS), "stand": Stub(task=Stub(height=0.1234))})
     found = vars(comparison.compare_with_base(stub, "v3", 1.5, 0.05))
     words = {"name": "stub", "base": "v3", "stands_without": False, "verified": False}

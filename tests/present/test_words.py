@@ -52,5 +52,5 @@ def test_text_raises_for_an_unknown_key() -> None:
 
 
 def test_text_keys_are_lower_case_with_hyphens() -> None:
-    """What English says may be corrected alone, and no translation is lost."""
+    """Keys differ from the English text, so that a corrected text keeps its translation."""
     assert [key for key in TEXTS if not re.fullmatch("[a-z0-9]+(-[a-z0-9]+)*", key)] == []

@@ -75,7 +75,7 @@ def lump(points: np.ndarray, masses: np.ndarray) -> tuple[float, np.ndarray, np.
 @settings(max_examples=15)
 @given(first=leg_scales, second=leg_scales)
 def test_v3_links_are_stretched_matter(source: str, first: float, second: float) -> None:
-    """Stretching the v3 of one scale, point mass by point mass, gives that of another scale."""
+    """Reference: each point mass of v3 at one scale, stretched, gives v3 at another scale."""
     start, end = (bodies_of(source, "v3", scale) for scale in (first, second))
     ratio = second / first
     for leg in ("leg_front_r", "leg_front_l", "leg_back_r", "leg_back_l"):
@@ -204,7 +204,8 @@ def test_meshes_have_the_same_position_in_both_files(name: str, tmp_path: Path) 
 def test_heavier_torso_is_marked_by_a_block_without_mass_in_both_files(
     base: str, tmp_path: Path
 ) -> None:
-    """The block has one place and size in both files, and no effect; lighter torsos have none."""
+    """The block has equal place and size in both files and no mass; lighter torsos have no
+    block."""
     variant = pa.pupper.VariantSpec(base, 1.0, 1.5, "marked")
     urdf_file, mjcf_file = pa.pupper.write_variant(variant, tmp_path)[:2]
     box = next(

@@ -114,7 +114,7 @@ def test_action_fails_at_the_line_of_a_new_difference(installed: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["since", "config", "format"])
 def test_an_input_that_begins_with_a_dash_is_no_option(installed: Path, name: str) -> None:
-    """Of git, which runs what ``--upload-pack`` names where the remote is a path, or of ours."""
+    """Git would execute ``--upload-pack`` if the remote is a path."""
     made = installed.parent / "made"
     for command in (
         ["init", "--quiet"],
@@ -144,7 +144,7 @@ def test_action_installs_the_packages_of_check(checkout: Path) -> None:
 
 
 def test_fetched_actions_and_packages_are_pinned_by_hash() -> None:
-    """It runs in repositories of others: a tag could be moved, and a package's file replaced."""
+    """The action runs in other repositories; tags can be moved and files of packages replaced."""
     for file in (ROOT / "action.yml", *(ROOT / ".github/workflows").glob("*.yml")):
         used = re.findall(r"uses: (\S+)", file.read_text())
         assert used, file

@@ -21,7 +21,7 @@ import run as benchmarks
 
 @pytest.mark.slow
 def test_the_quick_setting_runs_and_writes(tmp_path: Path) -> None:
-    """It ends with 1 where an answer is not exact; times are not looked at."""
+    """Exit status 1 if a result is inexact; times are not tested."""
     written = tmp_path / "found.json"
     arguments = ["--quick", "--json", str(written), "--tables", str(tmp_path)]
     done = subprocess.run(
@@ -45,7 +45,7 @@ def test_the_quick_setting_runs_and_writes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples", "scripts"])
 def test_names_that_benchmarks_import_exist(folder: str) -> None:
-    """Most benchmarks run in no test: what left the package would be missed by nobody."""
+    """Most benchmarks are run by no test, so an import of a removed name would not be noticed."""
     wanted = {
         (node.module, alias.name)
         for file in (ROOT / folder).rglob("*.py")

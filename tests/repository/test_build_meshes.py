@@ -59,10 +59,8 @@ def test_committed_file_is_a_fresh_build(fresh: Path, name: str) -> None:
 
 
 def test_torso_is_drawn_in_the_collision_box_of_the_model() -> None:
-    """MuJoCo's box of the base bounds the drawn shell; only the collars of the hips reach further.
-
-    The box lies turned in its body: its extents along x, y and z are |R| times the half sizes.
-    """
+    """Reference: MuJoCo's box of the base, whose extents along x, y and z are |R| times the half
+    sizes. Only the collars of the hips extend further."""
     model = mujoco.MjModel.from_xml_path(str(ROOT / "mjcf" / "pupper_v3.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

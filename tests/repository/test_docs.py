@@ -116,7 +116,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_page_of_robots_states_its_number_of_rows(generated: Path) -> None:
-    """At least 80 robots, each with its defect's line or none."""
+    """At least 80 robots, each with the line of the first defect or none."""
     page = (generated / "en/reference/generated/tables/robots.md").read_text()
     with (DATA / "robots-of-packages.csv").open(encoding="utf-8", newline="") as file:
         table = list(csv.DictReader(file))

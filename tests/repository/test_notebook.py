@@ -43,7 +43,7 @@ def test_notebook_shows_tables_and_figures(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_notebook_is_stored_without_outputs() -> None:
-    """Outputs change with each run, and would make each change of the notebook unreadable."""
+    """Outputs change with each run, and would make differences of the notebook unreadable."""
     text = NOTEBOOK.read_text(encoding="utf-8")
     assert '"outputs": []' in text
     assert '"output_type"' not in text

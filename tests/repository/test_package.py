@@ -14,7 +14,7 @@ from tests.support.repository import ROOT
 
 
 def test_each_public_name_equals_the_name_of_its_object() -> None:
-    """Two names that are swapped, or one that leads to another module, would be seen."""
+    """Exchanged names, or a name of an object of another package, are found."""
     others = {}
     for module in (pa, *public_modules()):
         for name, value in public(module).items():
@@ -85,7 +85,8 @@ def test_docstrings_example_works(tmp_path: Path) -> None:
 
 
 def test_completion_offers_public_names_only() -> None:
-    """``dir`` is what IPython completes; it showed ``Any``, ``np`` and ``make_lazy_exports``."""
+    """``dir``, which IPython completes, must not contain ``Any``, ``np`` or
+    ``make_lazy_exports``."""
     values = [getattr(pa, name) for name in pa.__all__]
     for module in (pa, *(value for value in values if isinstance(value, ModuleType))):
         names = [name for name in dir(module) if not name.startswith("_")]

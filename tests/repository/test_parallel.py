@@ -158,7 +158,8 @@ def test_massless_shape_stays_massless_after_pickling() -> None:
 
 
 def test_infinite_limits_are_equal_after_pickling(tiny: pa.Robot) -> None:
-    """Pinocchio cannot read the infinity that it writes: no study of Mini Cheetah's pair ran."""
+    """Pinocchio cannot read the infinity that Pinocchio writes, which would stop studies of Mini
+    Cheetah."""
     robot = pickled(tiny)
     robot.pin_model.effortLimit[-1] = np.inf
     robot.pin_model.lowerPositionLimit[-1] = -np.inf

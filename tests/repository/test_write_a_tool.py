@@ -112,7 +112,8 @@ def test_a_format_from_outside_is_audited_and_compared(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_reader_of_the_guide_is_used_by_contract(tmp_path: Path) -> None:
-    """With it a file of limits is held against the URDF; without it, it is of no kind."""
+    """With the reader, a file of limits is compared with the URDF; without, the file is of
+    unknown kind."""
     reader = re.search(r"```python\n(# our_firmware/limits.py.*?)```", CONTRACT, re.S)
     project = re.search(r"```toml\n(\[project.entry-points.*?)```", CONTRACT, re.S)
     assert reader is not None

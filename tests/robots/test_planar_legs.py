@@ -42,7 +42,7 @@ def test_a_planar_robot_stands_with_the_com_two_micrometres_off_the_centre(tmp_p
 
 @pytest.mark.slow
 def test_planar_legs_stand_at_both_ends_of_the_reachable_heights(tmp_path: Path) -> None:
-    """Legs that swing in planes cannot hold the com where the start has it, to rounding."""
+    """Legs that move in a plane cannot place the CoM sideways better than rounding."""
     robot = load(planar(quadruped(tmp_path)))
     heights = pa.stance.reachable_heights(robot)
     assert heights.low < 0.8 * robot.stand_height < 1.2 * robot.stand_height < heights.high
@@ -62,8 +62,9 @@ def test_a_planar_robot_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sag_of_a_planar_robot_is_mujocos(tmp_path: Path) -> None:
-    """Its feet, pinned, say each other's places sideways twice: the equations must bear it."""
+def test_height_loss_of_a_planar_robot_equals_mujoco(tmp_path: Path) -> None:
+    """Reference: simulation. The sideways positions of pinned feet are redundant, so the
+    equations are singular."""
     robot = load(planar(quadruped(tmp_path)))
     stand = pa.solve_stand(robot)
     sag = pa.steady_state(robot, stand)
@@ -89,7 +90,7 @@ def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_creep_on_a_slope_equals_the_friction_law_of_mujoco(tmp_path: Path) -> None:
-    """MuJoCo's friction creeps, by as much as its law says."""
+    """Reference: the drift of height in simulation, the reported creep speed times sin(slope)."""
     robot = load(planar(quadruped(tmp_path)))
     stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=pa.Ground(slope=0.25)))
     seen = pa.verify_stand(robot, stand)

@@ -270,7 +270,7 @@ def test_random_stands_of_other_quadrupeds(name: str) -> None:
 
 @pytest.mark.slow
 def test_mini_cheetah_stands_as_predicted() -> None:
-    """It has no servos of its own; with those added MuJoCo holds what Pinocchio predicts."""
+    """Reference: MuJoCo, on added servos, because the file has none."""
     folder = file(MJCF, ".").parents[1]
     robot = stances.other_robot(folder, "mini-cheetah")
     assert pa.verify_stand(robot, pa.stance.solve_stand_as_simulated(robot)).passed

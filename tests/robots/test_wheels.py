@@ -51,7 +51,8 @@ def wheeled(folder: Path, *legs: str, aside: float = 0.0) -> Pair:
 
 @pytest.mark.slow
 def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
-    """Forces pass through the axles, wherever the wheels turned: they hold nothing."""
+    """The contact forces pass through the axles at any wheel angle, so wheel motors have no
+    static torque."""
     files = wheeled(tmp_path, "FL", "FR", "RL", "RR", aside=0.004)
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
     assert set(robot.contact_radius.values()) == {RADIUS}

@@ -177,7 +177,8 @@ SENTENCE = re.compile("[a-z]+ [a-z]+ [a-z]+")
 
 
 def test_errors_contain_diagnostics_instead_of_sentences() -> None:
-    """No error of the package's is made of words that stand in the code."""
+    """Reference: the syntax tree. No error of the package is constructed from a literal
+    sentence."""
     made = {name for name, one in vars(errors).items() if name.endswith("Error")}
     found, kinds = set(), set()
     for module, node in made_calls():

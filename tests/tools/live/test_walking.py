@@ -65,7 +65,7 @@ def test_played_walk_equals_the_simulation_of_walk(tmp_path: Path) -> None:
 
 
 def test_push_changes_the_momentum_by_its_impulse(tmp_path: Path) -> None:
-    """In the air, where nothing else acts along the ground."""
+    """Reference: momentum = impulse, in the air without horizontal forces."""
     stage = prepare_stage(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
     run = Lockstep(stage, [replace(stage.case(np.zeros(3)), lift=1.0)])
     run.advance(make_push_forces(stage, [(0.6, -0.2)]))

@@ -24,7 +24,8 @@ from tests.support.printing import printed
 def test_the_table_of_joints_is_a_file_and_a_dataframe(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Each column from its own: torques with their sign, a share of each motor's own limit."""
+    """Reference: the stance itself; torques with sign, utilisation relative to each motor's
+    limit."""
     path = tmp_path / "joints.csv"
     status, out, err = run_command(capfd, "stand", "v3", "--height", "12cm", "--csv", str(path))
     assert status == 0, err

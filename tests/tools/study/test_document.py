@@ -64,8 +64,9 @@ def test_front_contains_only_standing_designs() -> None:
     pd.testing.assert_frame_equal(found.front, expected)
 
 
-def test_shares_on_a_full_grid_are_plain_and_leave_the_interaction(tmp_path: Path) -> None:
-    """Of y = a + 2 a b, a and b from 0 to 1: 4, 1 and what they make only together."""
+def test_main_effects_on_a_full_grid_equal_the_closed_form(tmp_path: Path) -> None:
+    """Reference: y = a + 2 a b with a and b from 0 to 1: main effects in the ratio 4 to 1, and
+    an interaction of 4 / 36."""
     axes = np.array([0.0, 0.5, 1.0])
     a, b = (values.ravel() for values in np.meshgrid(axes, axes))
     table = pd.DataFrame({"a": a, "b": b, "y": a + 2 * a * b})
