@@ -86,7 +86,7 @@ def test_bad_input_of_scripts_is_one_line_and_exit_status_2(
 
 
 @pytest.mark.slow
-def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exit_status_is_1_if_the_verification_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     from click.testing import CliRunner
 
     from pupper_analysis.simulation import verify as simulation
@@ -168,7 +168,7 @@ def test_help_lists_each_command_under_its_heading(capsys: pytest.CaptureFixture
     [(["--help"], set()), (["diff", "--help"], {"diff"})],
     ids=["the list of all", "one command"],
 )
-def test_a_command_imports_no_other(arguments: list[str], needed: set[str]) -> None:
+def test_command_imports_no_other_command(arguments: list[str], needed: set[str]) -> None:
     code = f"""
 import sys
 from pupper_analysis import cli

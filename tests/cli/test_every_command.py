@@ -127,7 +127,7 @@ def test_state_that_mujoco_resets_in_the_first_step_passes_no_command(tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_knee_that_pushes_away_passes_nowhere(tmp_path: Path) -> None:
+def test_knee_with_a_gain_of_the_wrong_sign_passes_in_no_command(tmp_path: Path) -> None:
     name = "slip: kp of one has the wrong sign"
     row = every_command.row_of(name, EDITS[name], tmp_path, ("stand", "study"))
     assert row.truth is Truth.FALLS

@@ -24,7 +24,7 @@ def refusal(*arguments: str, folder: Path | None = None) -> str:
     ("typed", "suggested"),
     [("stnad", "Did you mean stand"), ("crosschek", "Did you mean crosscheck?"), ("hodl", "hold")],
 )
-def test_a_misspelt_command_leads_to_similar_ones(typed: str, suggested: str) -> None:
+def test_error_of_a_misspelt_command_lists_similar_commands(typed: str, suggested: str) -> None:
     assert suggested in refusal(typed, "v3")
     assert "Did you mean" not in refusal("xyzzy", "v3")
 
@@ -43,7 +43,7 @@ def test_a_misspelt_command_leads_to_similar_ones(typed: str, suggested: str) ->
     ],
     ids=" ".join,
 )
-def test_a_length_in_millimetres_without_unit_leads_to_its_unit(
+def test_error_of_a_length_without_unit_suggests_millimetres(
     arguments: tuple[str, ...], tmp_path: Path
 ) -> None:
     (tmp_path / "stance.toml").write_text("height = 120\n")
@@ -62,7 +62,7 @@ def test_a_direction_may_have_any_length() -> None:
 @pytest.mark.parametrize(
     "arguments", [("--height", "12", "cm"), ("--height=12", "cm"), ("--payload", "1.5", "kg")]
 )
-def test_a_unit_behind_a_blank_leads_to_one_word(arguments: tuple[str, ...]) -> None:
+def test_error_of_a_unit_after_a_blank_suggests_one_word(arguments: tuple[str, ...]) -> None:
     message = refusal("stand", "v3", *arguments)
     value = arguments[-2].rpartition("=")[2]
     assert f"'{value} {arguments[-1]}' is two words" in message

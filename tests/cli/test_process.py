@@ -92,7 +92,7 @@ def test_results_are_written_if_standard_output_fails(
 
 
 @pytest.mark.slow
-def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
+def test_results_are_written_if_the_reader_of_standard_output_closes(tmp_path: Path) -> None:
     process = start(
         *COMMAND, "workspace", "v3", "--json", "out.json", "--report", "out.html", cwd=tmp_path
     )

@@ -90,7 +90,7 @@ def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:
         ("FL=weld,grip=9N", "'grip' is none of 'place', 'offset'"),
     ],
 )
-def test_a_contact_that_is_none_is_refused_in_a_line(typed: str, message: str) -> None:
+def test_invalid_contact_is_refused_in_one_line(typed: str, message: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         asked("--contact", typed).task()
     assert refused.value.field == "contact"

@@ -304,7 +304,7 @@ def test_effort_is_read_from_the_mjcf_if_the_urdf_has_none(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_an_effort_of_zero_fails_and_names_the_mjcfs(tmp_path: Path) -> None:
+def test_urdf_effort_of_zero_fails_and_names_the_mjcf_limit(tmp_path: Path) -> None:
     """In MuJoCo with the forces clamped to zero the robot falls; the MJCF states 30 N m."""
     pair = _without_effort(quadruped(tmp_path), 'effort="0" velocity="0"')
     robot = pa.load_robot(*pair)
@@ -327,7 +327,7 @@ def test_an_effort_of_zero_fails_and_names_the_mjcfs(tmp_path: Path) -> None:
     assert judge_stand(with_efforts(robot, dict.fromkeys(robot.joint_names, 30.0)), stand).passed
 
 
-def test_an_effort_of_zero_names_that_of_a_sibling_limb(tmp_path: Path) -> None:
+def test_effort_of_zero_is_reported_with_the_effort_of_a_sibling_limb(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     rewritten(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
     robot = pa.load_robot(pair.urdf)

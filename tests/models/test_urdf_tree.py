@@ -41,7 +41,7 @@ def test_links_on_fixed_joints_form_one_group(tree: UrdfTree) -> None:
     assert set(tree.fixed_group("base")) == set(tree.links)
 
 
-def test_a_chain_leads_to_the_base(tree: UrdfTree) -> None:
+def test_chain_of_joints_ends_at_the_base_and_equals_pinocchio(tree: UrdfTree) -> None:
     chain = list(tree.chain("foot3"))
     assert chain[0].child == "foot3"
     assert chain[-1].parent == "base"

@@ -85,7 +85,7 @@ def test_used_xacro_is_refused_at_its_line(files: Any, name: str) -> None:
         read_urdf(files.urdf)
 
 
-def test_a_note_names_what_is_ignored(files: Any) -> None:
+def test_note_lists_the_ignored_xacro_elements(files: Any) -> None:
     with_xacro(files.urdf, HARMLESS["property"] + HARMLESS["materials beside"])
     (note,) = read_urdf(files.urdf).notes
     assert str(note).endswith("are ignored: property width; include parts/inks.xacro")

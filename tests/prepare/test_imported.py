@@ -99,7 +99,7 @@ def test_verdict_fails_if_the_mujoco_import_falls(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> None:
+def test_time_step_of_the_import_suits_the_soles_of_the_file(tmp_path: Path) -> None:
     """Servos and step are ours, made for spheres: at 2 ms meshes shake on them, at 1 ms not."""
     verdict = verdict_of(pa.load_robot(two_legs(tmp_path)))
     assert verdict.passed, format_verdict(verdict)

@@ -99,7 +99,7 @@ def test_negative_mass_of_a_fixed_link_is_not_a_known_mass(tmp_path: Path, momen
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("gravity", "named"), [("0 0 -3.71", True), ("0 0 -9.81", False)])
-def test_a_gravity_that_is_not_the_earths_is_in_the_verdict(
+def test_verdict_states_a_gravity_other_than_the_earths(
     tmp_path: Path, gravity: str, named: bool
 ) -> None:
     """Mars has 3.71 m/s^2."""

@@ -154,7 +154,7 @@ def test_flat_feet_stand_on_steps_of_a_slope_and_one_is_lifted(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("below", "framed"), [(0.78, False), (0.78, True), (1.7, False), (0.72 - 1e-9, False)]
 )
-def test_a_base_frame_on_the_ground_between_the_feet(
+def test_base_frame_on_the_ground_is_raised_to_the_com_of_the_base(
     tmp_path: Path, below: float, framed: bool
 ) -> None:
     """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been.

@@ -59,7 +59,7 @@ def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
     assert not verdict.servos.made
 
 
-def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
+def test_height_loss_excludes_the_drop_of_a_keyframe_in_the_air(tmp_path: Path) -> None:
     """Pupper v3's own keyframe is 0.15 m above the ground, as many that are dropped from."""
     pair = standing(tmp_path)
     force = ("<position ", '<position forcerange="-40 40" ')

@@ -54,7 +54,7 @@ def test_no_joint_is_stiffer_than_a_step_can_follow() -> None:
 
 
 @pytest.mark.parametrize("sag", [0.02, 0.05])
-def test_a_rod_that_is_held_is_critically_damped(sag: float) -> None:
+def test_tuned_servo_of_a_rod_is_critically_damped(sag: float) -> None:
     """A point mass on a rod: 2 kg, 0.5 m, so 9.81 N m at the most, and 0.5 kg m^2."""
     model = mujoco.MjModel.from_xml_string(ROD.format(step=0.001))
     kp, kd = suggest_fixed_base_gains(model, sag)

@@ -66,7 +66,9 @@ def test_limits_the_wrong_way_round_are_refused(tmp_path: Path, upper: str) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False])
-def test_a_ball_in_the_scene_and_named_feet(tmp_path: Path, first: bool) -> None:
+def test_keyframe_of_the_robot_alone_is_used_if_the_scene_has_a_free_ball(
+    tmp_path: Path, first: bool
+) -> None:
     """The keyframe is of the robot alone: MuJoCo fills it up with zeros."""
     urdf, mjcf = pa.pupper.write_variant("heavy", tmp_path)
     ball = '<body name="ball" pos="2 0 0.1"><freejoint/><geom size="0.1"/></body>'

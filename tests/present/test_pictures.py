@@ -92,7 +92,9 @@ def test_show_without_opengl_names_the_package_to_install(monkeypatch: pytest.Mo
     assert "\n" not in str(caught.value)
 
 
-def test_what_cannot_be_drawn_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_picture_of_a_result_without_view_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     stand = stand_of("v3")
     with pytest.raises(pa.ConfigurationError, match=r"result\.show\(robot\)"):
         pickle.loads(pickle.dumps(stand)).show()

@@ -77,7 +77,7 @@ def test_bad_scale_is_refused(field: str, value: object) -> None:
     assert isinstance(caught.value, pa.PupperAnalysisError)
 
 
-def test_a_spec_names_itself() -> None:
+def test_variant_without_name_is_named_after_its_values() -> None:
     assert pa.pupper.VariantSpec("v3", 1.2, 2.0).name == "v3-leg1.2-torso2"
     assert pa.pupper.VariantSpec("v3", 1.2, name="mine").name == "mine"
     assert pa.load_variant(pa.pupper.VariantSpec("v3", 1.2, name="mine")).name == "mine"

@@ -134,7 +134,7 @@ def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
 
 
 @pytest.mark.slow
-def test_the_tables_are_those_that_toml_reads_and_no_code_is_in_two() -> None:
+def test_catalogue_tables_equal_tomllibs_and_no_code_is_in_two_files() -> None:
     found = []
     for read in WORDS.values():
         found += list(read)

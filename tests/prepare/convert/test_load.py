@@ -121,7 +121,7 @@ def test_one_of_two_different_files_can_be_loaded(tmp_path: Path) -> None:
         ({"models": (Path("no/such.urdf"),)}, "no/such.urdf: there is no such file"),
     ],
 )
-def test_what_is_no_robot_is_refused(given: dict[str, object], message: str) -> None:
+def test_file_without_a_robot_is_refused(given: dict[str, object], message: str) -> None:
     models = given.pop("models", ())
     with pytest.raises(pa.PupperAnalysisError, match=message):
         pa.load_robot(*models, **given)  # type: ignore[misc, arg-type]

@@ -130,7 +130,7 @@ def test_floating_robot_takes_precedence_over_hinged_objects(tmp_path: Path) -> 
         ((CUBE, CUBE.replace("cube", "ball")), None, "several free bodies"),
     ],
 )
-def test_what_is_no_robot_is_refused(
+def test_file_without_a_robot_is_refused(
     tmp_path: Path, bodies: tuple[str, ...], body: str | None, message: str
 ) -> None:
     with pytest.raises(pa.PupperAnalysisError, match=message):

@@ -85,7 +85,7 @@ def same_world(memory: mujoco.MjModel, file: mujoco.MjModel) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [70201, 70208, 70209])
-def test_a_lone_urdf_stands_in_the_world_that_is_written(seed: int, tmp_path: Path) -> None:
+def test_converted_urdf_has_the_verdicts_of_its_source(seed: int, tmp_path: Path) -> None:
     urdf = drawn(tmp_path, seed)
     robot, file, output = both(urdf, tmp_path)
     same_world(robot.mj_model, file)

@@ -138,7 +138,7 @@ def test_invalid_configuration_is_refused_with_its_line(
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
-def test_a_config_without_pairs_is_refused(folder: Path) -> None:
+def test_configuration_without_pairs_is_refused(folder: Path) -> None:
     with pytest.raises(ModelError, match=r"it has no \[\[pair\]\]"):
         read_config(written(folder, "# nothing\n"))
 

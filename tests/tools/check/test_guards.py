@@ -48,7 +48,7 @@ def slip(folder: Path) -> int:
     return text[: text.index("stiffness:")].count("\n") + 1
 
 
-def test_a_slip_fails_with_both_lines(folder: Path) -> None:
+def test_planted_mistake_fails_with_the_lines_of_both_files(folder: Path) -> None:
     line = slip(folder)
     done = run(folder, "--json", "check.json", "--format", "sarif")
     assert done.returncode == 1

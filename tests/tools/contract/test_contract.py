@@ -83,7 +83,9 @@ def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("given", [".inf", "-1", "0.5", "0", "x"])
-def test_numbers_of_motors_that_are_none_are_not_read(sources: dict[str, Path], given: str) -> None:
+def test_numbers_that_are_no_motor_numbers_are_ignored(
+    sources: dict[str, Path], given: str
+) -> None:
     path = sources["deploy.yaml"]
     text = path.read_text()
     numbers = listed(range(12))
@@ -291,7 +293,7 @@ def test_joint_orders_of_unitree_rl_lab_are_read(sources: dict[str, Path]) -> No
 
 
 @pytest.mark.parametrize("given", [[1.0], [1.0] * 11, [1.0] * 13])
-def test_a_list_of_another_length_is_of_no_joints(
+def test_list_of_another_length_is_not_assigned_to_joints(
     sources: dict[str, Path], given: list[float]
 ) -> None:
     alone = sources["deploy.yaml"].with_name("alone.yaml")

@@ -25,7 +25,7 @@ LOOKS = {"order": "order", "sign": "sign", "unit": "unit"}
 
 
 @pytest.mark.parametrize(("name", "kind", "slip"), CASES)
-def test_a_planted_slip_is_found_with_both_lines(
+def test_planted_mistake_is_found_with_both_lines(
     tmp_path: Path, name: str, kind: str, slip: str
 ) -> None:
     robot = robot_of(name, tmp_path)

@@ -188,7 +188,7 @@ def test_model_that_cannot_be_simulated_is_not_written(feature: str, tmp_path: P
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["pupper_v3", "pupper_skeleton"])
-def test_our_own_mjcfs_become_urdfs_that_agree(name: str, tmp_path: Path) -> None:
+def test_mjcfs_of_this_package_convert_to_urdfs_that_agree(name: str, tmp_path: Path) -> None:
     source = ROOT / "mjcf" / f"{name}.xml"
     output = tmp_path / f"{name}.urdf"
     found = pa.convert_model(source, output)

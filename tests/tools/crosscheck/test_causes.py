@@ -52,13 +52,13 @@ def with_euler(text: str, order: str, compiler: str) -> str:
     return text.replace('<compiler angle="radian"/>', f"<compiler {compiler}/>")
 
 
-def test_euler_angles_that_are_meant_agree(tmp_path: Path) -> None:
+def test_euler_angles_with_their_stated_sequence_agree(tmp_path: Path) -> None:
     text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian" eulerseq="XYZ"')
     assert compared(write(tmp_path, urdf_text(quadruped()), text)).agree
 
 
 @pytest.mark.slow
-def test_another_euler_sequence(tmp_path: Path) -> None:
+def test_euler_angles_of_another_sequence_are_one_cause(tmp_path: Path) -> None:
     text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian"')
     line = first_line(write(tmp_path, urdf_text(quadruped()), text))
     assert 'the MJCF\'s angles are meant otherwise: with eulerseq="XYZ" in place of "xyz"' in line
@@ -135,7 +135,7 @@ def test_causes_are_ordered_by_their_effect(tmp_path: Path) -> None:
         assert headline(comparison).startswith(f"DISAGREE: {said}")
 
 
-def test_the_base_of_another_robot(tmp_path: Path) -> None:
+def test_base_of_another_robot_is_one_cause(tmp_path: Path) -> None:
     other = {"mass": 11.0, "com": (0.03, 0.0, 0.01), "inertia": (0.1, 0.2, 0.25, 0.0, 0.0, 0.0)}
     comparison = compared(pair(tmp_path, changed(quadruped(), "base", **other)))
     assert set(found(comparison)) == {(kind, "base") for kind in ("mass", "com", "inertia")}

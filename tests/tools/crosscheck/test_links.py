@@ -95,7 +95,7 @@ def test_missing_link_is_found_despite_rotated_frames(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("inertia", [True, False])
-def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -> None:
+def test_decimal_point_error_is_found_in_folded_links(inertia: bool, folder: Path) -> None:
     def tenfold(part: Part) -> Part:
         moments = tuple((10.0 if inertia else 1.0) * value for value in part.inertia)
         return replace(part, mass=10 * part.mass, inertia=moments)

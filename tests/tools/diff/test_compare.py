@@ -175,7 +175,7 @@ def test_tendon_and_site_motors_are_matched_by_target_name(tmp_path: Path) -> No
     ]
 
 
-def test_a_base_that_is_fixed_now(tmp_path: Path) -> None:
+def test_base_that_became_fixed_is_a_change(tmp_path: Path) -> None:
     text = mjcf_text(ROBOT)
     diff = pa.diff_models(*written(tmp_path, text, mjcf_text(ROBOT, free=False), "xml"))
     assert kinds(diff) == [("type", "base")]
@@ -248,7 +248,7 @@ def test_behaviour_is_that_of_configurations(name: str) -> None:
             np.testing.assert_allclose(position, config.joint_position(joint), atol=1e-12)
 
 
-def test_a_fixed_joint_is_pinocchios(tmp_path: Path) -> None:
+def test_fixed_joint_equals_the_reduced_model_of_pinocchio(tmp_path: Path) -> None:
     """A joint fixed at zero in the tree, and in Pinocchio's own reduced model."""
     path = tmp_path / "arm.urdf"
     path.write_text(urdf_text(arm(), FEET))
@@ -344,7 +344,7 @@ def _commit(repository: Path) -> None:
     git(repository, "-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "odd")
 
 
-def test_a_file_that_is_called_like_a_revision(repository: Path) -> None:
+def test_file_with_the_name_of_a_revision_is_read_as_a_file(repository: Path) -> None:
     (repository / "HEAD:robot.urdf").write_text(urdf_text(changed(ROBOT, "base", mass=9.0)))
     assert run(repository, "HEAD:robot.urdf", "robot.urdf").returncode == 1
 
@@ -367,7 +367,7 @@ def test_invalid_version_is_refused(repository: Path, given: str, said: str) -> 
     assert len(result.stderr.strip().splitlines()) == 1
 
 
-def test_a_revision_is_no_option_of_git(repository: Path) -> None:
+def test_revision_that_begins_with_a_dash_is_refused(repository: Path) -> None:
     with pytest.raises(pa.ModelError, match="'--output=x' is no revision") as caught:
         pa.diff_models("--output=x:robot.urdf", "robot.urdf")
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)

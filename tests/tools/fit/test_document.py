@@ -123,7 +123,7 @@ RESULTS = {"stands": stand_fit, "motions": motion_fit, "plan": stand_plan}
 
 
 @pytest.mark.parametrize("name", RESULTS)
-def test_documents_are_the_golden_ones(name: str) -> None:
+def test_documents_equal_the_golden_files(name: str) -> None:
     """``python -m tests.tools.fit.test_document`` writes them anew: read their diff."""
     assert shown(name) == (GOLDEN / f"{name}.md").read_text(encoding="utf-8")
 

@@ -641,7 +641,7 @@ def test_stand_with_a_loaded_swing_foot_is_left_out_with_a_note(
         assert not fit_stands(robot, replace(stands, swing=swing), priors=["kp=0"]).explained
 
 
-def test_an_encoders_step_shows(stands: MeasuredStands) -> None:
+def test_encoder_step_is_found_in_the_readings(stands: MeasuredStands) -> None:
     assert estimate_encoder_step(stands) == pytest.approx(2 * math.pi / 2**14, rel=1e-3)
     fine = stands.position + np.random.default_rng(0).normal(0, 1e-3, stands.position.shape)
     assert estimate_encoder_step(replace(stands, position=fine)) == 0.0

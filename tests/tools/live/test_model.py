@@ -77,7 +77,7 @@ def model_of(name: str = "v3") -> StanceSolver:
     return StanceSolver(load(name))
 
 
-def test_an_answer_is_the_python_interfaces() -> None:
+def test_answer_of_a_page_equals_the_python_functions() -> None:
     found = model_of().solve_state(RICH)
     robot = pa.robot.with_payload(load("v3"), 0.3, (0.01, 0.0, 0.05))
     task = pa.StandTask(
@@ -111,7 +111,7 @@ def test_an_answer_is_the_python_interfaces() -> None:
     assert settled.height_loss == pytest.approx(same.height_loss, abs=1e-9)
 
 
-def test_an_offset_is_the_bases() -> None:
+def test_offset_of_the_page_is_that_of_the_base_from_the_feet() -> None:
     found = model_of("original").solve_state(State(place="offset", offset=(10.0, -5.0)))
     assert found.stand is not None
     centre = np.mean(list(found.stand.contact_points.values()), axis=0)

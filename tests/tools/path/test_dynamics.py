@@ -184,7 +184,7 @@ def test_infeasible_acceleration_states_its_reason() -> None:
         inverse_dynamics(config, np.zeros(robot.nv), ["XX"])
 
 
-def test_a_fixed_base_carries_all() -> None:
+def test_fixed_base_carries_all_of_the_load() -> None:
     robot = load("v3", fixed_base=True)
     generator = np.random.default_rng(0)
     qpos, qvel, qacc = generator.normal(size=(3, robot.nu))

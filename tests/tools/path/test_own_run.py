@@ -20,7 +20,7 @@ def judged(robot: pa.Robot) -> Verdict:
 
 
 @pytest.mark.slow
-def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> None:
+def test_verdict_of_a_tracked_path_reports_the_keyframe_run(tmp_path: Path) -> None:
     verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
     assert verdict.question is Question.TRACKED
     assert verdict.passed
@@ -31,7 +31,7 @@ def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_the_own_run_of_a_path_is_that_of_the_robot(tmp_path: Path) -> None:
+def test_keyframe_run_of_a_path_equals_that_of_the_robot(tmp_path: Path) -> None:
     robot = pa.load_robot(four_legs(tmp_path))
     found = judged(robot)
     assert found.keyframe_run == own_run(robot)

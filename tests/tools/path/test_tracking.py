@@ -84,7 +84,7 @@ def test_time_step_of_tracking_is_reduced_for_an_inexact_integrator() -> None:
 
 
 @pytest.mark.slow
-def test_a_time_step_suits_the_servos_damping() -> None:
+def test_time_step_of_tracking_suits_the_damping_of_the_servos() -> None:
     """13 N m s/rad made half of the inertia of A1's knees: its fastest squat lost the ground."""
     robot, share = load("original"), []
     path = stance_path(robot, [pa.StandTask(), pa.StandTask(height=0.98 * robot.stand_height)], 0.4)

@@ -100,7 +100,9 @@ def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
     assert flat["peak_utilisation"].notna().all()
 
 
-def test_a_measure_of_several_values_and_a_wrong_one(threads: Executor, tmp_path: Path) -> None:
+def test_metric_of_several_values_has_columns_and_a_wrong_type_fails(
+    threads: Executor, tmp_path: Path
+) -> None:
     own = study_metrics.places, study_metrics.wrong
     table = study({"kp": [5.0]}, *own, "torque").run(tmp_path, executor=threads)
     places = pa.solve_stand(load("v3")).contact_points

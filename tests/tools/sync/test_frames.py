@@ -70,7 +70,7 @@ def test_link_frames_that_are_turned(
         ("column", {"mass": 2.0, "com": (0.1, 0.0, 0.0)}),
     ],
 )
-def test_an_arm_on_a_base_that_stands_somewhere(
+def test_arm_on_a_displaced_base_is_synchronised(
     tmp_path: Path, link: str, values: dict[str, object], side: str
 ) -> None:
     mjcf = mjcf_text(arm(), free=False, base_position=(0.3, -0.2, 0.7))

@@ -30,7 +30,7 @@ BODY = 'def Xform "b" ( prepend apiSchemas = ["PhysicsRigidBodyAPI"] )\n{\n}\n'
         ("world.usda", b'#usda 1.0\ndef Xform "a"\n{\n}\n', "usd-without-bodies"),
     ],
 )
-def test_what_is_no_robot_is_refused(
+def test_file_without_a_robot_is_refused(
     name: str, content: bytes, code: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / name

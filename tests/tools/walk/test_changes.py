@@ -258,7 +258,7 @@ def own(trot: Policy) -> Orders:
 
 
 @pytest.mark.slow
-def test_the_own_order_is_the_best(own: Orders, trot: Policy) -> None:
+def test_stated_order_is_ranked_first_for_any_number_of_workers(own: Orders, trot: Policy) -> None:
     assert own.passed
     assert own.determined
     assert own.stated == 0

@@ -62,7 +62,7 @@ def test_bad_input(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         check_refusal(capfd, tmp_path, (*words, *more), message)
 
 
-def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
+def test_error_is_one_line_if_servos_or_joints_of_the_policy_are_missing(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     values = json.loads(made.still(tmp_path / "still.json").read_text())

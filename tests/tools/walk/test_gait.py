@@ -79,7 +79,7 @@ def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
     assert gait.static[2::3] == pytest.approx(rms[2::3], rel=0.1)  # knees: feet do not push aside
 
 
-def test_a_delay_is_that_of_the_commands(still: Policy) -> None:
+def test_latency_delays_the_commands_by_its_time(still: Policy) -> None:
     stage = prepare_stage(load("v3"), still.with_contract(latency=0.03))
     moving = prepare_stage(load("v3"), still)
     case = stage.case(np.zeros(3), 1)

@@ -87,7 +87,7 @@ def test_rtneural_of_pupper(tmp_path: Path) -> None:
         ("default = [0.1, -0.2]", "", "default"),
     ],
 )
-def test_a_contract_that_cannot_be(tmp_path: Path, old: str, new: str, text: str) -> None:
+def test_impossible_contract_is_refused(tmp_path: Path, old: str, new: str, text: str) -> None:
     assert old in TOML
     assert text in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
 
