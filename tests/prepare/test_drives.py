@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from pupper_analysis.prepare.self_check import compare_as_published, compare_nom
 from pupper_analysis.pupper.variants import find_model_folder
 from pupper_analysis.robot.servos import find_servos_used, model_with_servos
 from pupper_analysis.robot.tool import with_payload
+from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import quadruped, rewritten
@@ -56,6 +58,73 @@ def test_added_servos_suit_the_time_step_of_the_file(tmp_path: Path, seed: int) 
     assert not verdict.published.differs
     assert verdict.keyframe_run is not None
     assert not verdict.keyframe_run.falls
+
+
+def _light_footed_biped() -> str:
+    """Return a URDF of a biped with line feet: dimensions and masses of the public robot HECTOR.
+
+    The inertia about the ankle is 2e-4 kg m^2, since the URDF states no armature.
+    """
+    chain = (
+        ("hip", "0 0 1", (0, 0.047, -0.1265), 0.0, 0.778, (0.067, 0.011, -0.061), (1.2, 1.4, 1.0)),
+        (
+            "roll",
+            "1 0 0",
+            (0.0465, 0.015, -0.0705),
+            0.0,
+            0.677,
+            (-0.057, -0.014, 0),
+            (0.5, 0.6, 0.8),
+        ),
+        ("thigh", "0 1 0", (-0.06, 0.018, 0), 0.785, 1.607, (0, 0.02, -0.057), (6.0, 5.8, 1.8)),
+        ("calf", "0 1 0", (0, 0, -0.22), -1.571, 0.163, (0, 0.02, -0.114), (0.71, 0.71, 0.07)),
+        ("toe", "0 1 0", (0, 0, -0.22), 0.785, 0.184, (0.011, 0.018, -0.017), (0.05, 0.21, 0.2)),
+    )
+    parts = [
+        '<robot name="light_feet"><link name="trunk"><inertial><mass value="4.87"/>'
+        '<inertia ixx="0.052" iyy="0.0441" izz="0.0184" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    ]
+    for side, sign in (("L", 1), ("R", -1)):
+        parent = "trunk"
+        for name, axis, (x, y, z), pitch, mass, com, moments in chain:
+            link, (xx, yy, zz) = f"{side}_{name}", (1e-3 * moment for moment in moments)
+            sole = (
+                f'<collision><origin xyz="0.01 {0.0194 * sign} -0.02"/><geometry>'
+                '<box size="0.15 0.02 0.04"/></geometry></collision>'
+            )
+            parts.append(
+                f'<link name="{link}"><inertial><origin xyz="{com[0]} {com[1] * sign} {com[2]}"/>'
+                f'<mass value="{mass}"/><inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0"'
+                f' iyz="0"/></inertial>{sole if name == "toe" else ""}</link>'
+                f'<joint name="{link}_joint" type="revolute"><parent link="{parent}"/>'
+                f'<child link="{link}"/><origin xyz="{x} {y * sign} {z}" rpy="0 {pitch} 0"/>'
+                f'<axis xyz="{axis}"/><limit lower="-1.7" upper="1.7" effort="67" velocity="20"/>'
+                "</joint>"
+            )
+            parent = link
+    return "".join([*parts, "</robot>"])
+
+
+@pytest.mark.slow
+def test_time_step_of_a_light_footed_robot_lets_it_rest(tmp_path: Path) -> None:
+    """Reference: a plain MuJoCo loop from the stand, nudged by 1 mm/s and 1 mrad/s, comes to rest.
+
+    At 0.5 ms no gains of `add_position_servos` brought it to rest: its contacts chattered.
+    """
+    file = tmp_path / "light_feet.urdf"
+    file.write_text(_light_footed_biped())
+    robot = pa.load_robot(file)
+    stance = study_stance(robot, pa.StandTask())
+    assert stance.verdict.code is VerdictCode.HOLDS_ON_ADDED_SERVOS
+    held = make_stand_start(robot, stance.stand)
+    model = held.drive.model
+    assert model.opt.timestep == 2e-3 / 8
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, held.start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+    data.ctrl[:], data.qvel[:] = held.ctrl, 1e-3
+    mujoco.mj_step(model, data, round(10.0 / model.opt.timestep))
+    assert np.abs(data.qvel).max() < 1e-5
+    assert data.qpos[2] == pytest.approx(stance.stand.qpos[2], abs=1e-3)
 
 
 FINGERS = 12
