@@ -129,7 +129,7 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 
 # With the versions of the engines that tests/data/recorded.json was computed with.
 $(VENV)/.ready-ci: $(VENV)/.ready-dev
-	$(BIN)/python -m pip install --quiet --group recorded
+	$(BIN)/python -m pip install --quiet --group recorded --group peers
 	@touch $@
 
 $(VENV)/.ready-torch: $(VENV)/.ready-ci

@@ -120,3 +120,20 @@ def test_window_opens_with_the_stand_if_there_is_a_display(
     robot, stand = load("v3"), stand_of("v3")
     assert stand.show() is None
     assert np.abs(shown[0][robot.mj_convention.qpos_index] - stand.qpos).max() < 1e-15
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of imageio_ffmpeg
+def test_animation_is_written_as_mp4_with_its_frames(tmp_path: Path) -> None:
+    """The package imageio reads the file."""
+    pytest.importorskip("imageio_ffmpeg")
+    from imageio import v2 as imageio
+
+    bright = np.arange(12, dtype=np.uint8)[:, None, None, None] * 20
+    movie = pictures.Animation(np.broadcast_to(bright, (12, 32, 48, 3)).copy(), 10.0)
+    file = movie.save(tmp_path / "grey.mp4")
+    with imageio.get_reader(file) as reader:
+        read = [frame.mean() for frame in reader]
+        assert reader.get_meta_data()["fps"] == pytest.approx(10.0)
+    np.testing.assert_allclose(read, bright.ravel(), atol=4)
+    movie.save(file)  # replaces its own file

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import warnings
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -16,7 +17,7 @@ import pupper_analysis as pa
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state
 from tests.support.tiny import Files
-from tests.support.variants import load
+from tests.support.variants import load, stand_of
 
 # Joint order unlike Pinocchio's, slides, an offset base, an unlimited hinge, and two hinges of one
 # body; the base is free or fixed.
@@ -330,3 +331,31 @@ def test_each_stand_of_a_sequence_has_commands() -> None:
     for stand in pa.solve_stands(robot, tasks):
         np.testing.assert_array_equal(stand.q_pin, robot.to_pinocchio(stand.qpos))
     assert len(pa.solve_stand_as_simulated(robot).ctrl) == robot.mj_model.nu
+
+
+@pytest.mark.slow
+def test_visualizer_of_pinocchio_shows_both_models_at_q_pin() -> None:
+    """The place of each shape is that of MuJoCo's geom."""
+    pytest.importorskip("viser")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of MeshCat's packages, which this import loads
+        from pinocchio.visualize import ViserVisualizer
+
+    robot, stand = load("v3"), stand_of("v3")
+    shown = ViserVisualizer(robot.pin_model, robot.collision_model, robot.collision_model)
+    shown.initViewer(open=False, loadModel=True)
+    try:
+        shown.display(stand.q_pin)
+        data = robot.placed(stand.qpos)
+        found = {
+            name.rpartition("/")[2]: np.array(frame.position)
+            for name, frame in shown.frames.items()
+            if "/visual/" in name
+        }
+        shapes = [item.name for item in robot.collision_model.geometryObjects]
+        assert set(shapes) <= set(found)
+        for shape in shapes:
+            apart = np.linalg.norm(data.geom_xpos - found[shape], axis=1)
+            assert apart.min() < 1e-6
+    finally:
+        shown.viewer.stop()
