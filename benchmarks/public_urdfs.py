@@ -1,0 +1,77 @@
+"""Read public URDFs, and count the causes of refusals: `python benchmarks/public_urdfs.py FOLDER`.
+
+FOLDER contains clones of repositories and packages of robots, one folder each. Files with equal
+content count once. `--json` writes the outcome of each file. An earlier revision is measured with
+`PYTHONPATH=OLD_CHECKOUT python -P benchmarks/public_urdfs.py FOLDER --json before.json`; then
+`--before before.json --table` writes docs/data/public-urdfs.csv.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+from tables import write_csv
+
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.loading import read_model
+
+ROOT = Path(__file__).parents[1]
+
+READ = "read"
+"""Outcome of a file that is not refused."""
+
+
+def list_files(folder: Path) -> Iterator[Path]:
+    """Yield the path of each URDF with a content of its own."""
+    seen = set()
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() == ".urdf" and path.is_file():
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            if digest not in seen:
+                seen.add(digest)
+                yield path
+
+
+def describe_outcome(path: Path) -> str:
+    """Return `READ`, or the code of the refusal and its text without the file name."""
+    try:
+        read_model(path)
+    except ModelError as error:
+        problem = error.cause
+        return f"{problem.code}: {problem}"
+    return READ
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path, exists=True))
+@click.option("--json", "output", type=click.Path(path_type=Path), help="Outcome of each file.")
+@click.option("--before", type=click.Path(path_type=Path, exists=True), help="An earlier --json.")
+@click.option("--table", is_flag=True, help="Write the table in docs/data; needs --before.")
+def main(folder: Path, output: Path | None, before: Path | None, *, table: bool) -> None:
+    """Read all URDFs in a folder, and print the number of files for each outcome."""
+    outcomes = {
+        str(path.relative_to(folder)): describe_outcome(path) for path in list_files(folder)
+    }
+    if output is not None:
+        output.write_text(json.dumps(outcomes, indent=1))
+    now = Counter(outcome.partition(":")[0] for outcome in outcomes.values())
+    earlier = {} if before is None else json.loads(before.read_text())
+    then = Counter(outcome.partition(":")[0] for outcome in earlier.values())
+    rows = []
+    for code in sorted(now | then, key=lambda code: -max(now[code], then[code])):
+        found = [pair for pair in outcomes.items() if pair[1].startswith(f"{code}:")]
+        example = f"{Path(found[0][0]).name}: {found[0][1].partition(': ')[2]}" if found else ""
+        rows.append((code, then[code], now[code], example))
+        print(f"{then[code]:4d} {now[code]:4d} {code}")
+    if table:
+        columns = ("outcome", "files before", "files now", "example")
+        write_csv(ROOT / "docs" / "data" / "public-urdfs.csv", columns, rows)
+
+
+if __name__ == "__main__":
+    main()
