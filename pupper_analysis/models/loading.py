@@ -16,11 +16,12 @@ from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.base.tools import find_format
-from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
-from pupper_analysis.models.places import NO_LINE, Place, make_element_error
+from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from, read_mjcf
+from pupper_analysis.models.objects import ModelObject, is_object, read_objects
+from pupper_analysis.models.places import Place, forget_lines, make_element_error
 from pupper_analysis.models.published import XACRO_SUFFIX, expand_xacro, find_file
 from pupper_analysis.models.stated.model import RobotModel
-from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xacro_declarations import remove_declarations
 from pupper_analysis.models.xml import parse_file_text, parse_xml
 
@@ -92,9 +93,11 @@ class Reader(Protocol):
         """
 
 
-def reader_of(path: Path) -> Reader | None:
-    """Return the reader for a file by suffix; None for URDF, MJCF and unknown suffixes."""
-    model_format = find_format(path)
+def reader_of(path: str | Path | ModelObject) -> Reader | None:
+    """Return the reader for a file by suffix; None for URDF, MJCF, unknown suffixes and objects."""
+    if is_object(path):
+        return None
+    model_format = find_format(Path(cast(str | Path, path)))
     return (
         None
         if model_format is None
@@ -103,7 +106,7 @@ def reader_of(path: Path) -> Reader | None:
 
 
 def read_model(
-    path: str | Path,
+    path: str | Path | ModelObject,
     packages: Mapping[str, Path] | None = None,
     xacro_args: Mapping[str, str] | None = None,
 ) -> UrdfFile | MjcfFile:
@@ -113,7 +116,8 @@ def read_model(
     An MJCF that MuJoCo parses but does not compile is also returned, with the error in ``refusal``.
 
     Args:
-        path: The file, the name of a published robot, or ``package://NAME/FILE``.
+        path: The file, the name of a published robot, ``package://NAME/FILE``, or a robot in memory
+            (see `read_objects`).
         packages: Folders of ROS packages, for ``package://`` in a URDF and ``$(find)`` in a xacro
             file.
         xacro_args: {argument of a xacro file: value}.
@@ -124,14 +128,16 @@ def read_model(
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
     """
+    if is_object(path):
+        with read_objects([cast(ModelObject, path)], packages) as in_memory:
+            return in_memory.files[0]
     check_type("path", path, str | Path)
-    path = find_file(path, packages)
+    path = find_file(cast(str | Path, path), packages)
     register_input(path)
     if path.suffix == XACRO_SUFFIX:
         text = expand_xacro(path, packages, xacro_args)
         root = parse_file_text(path, text)
-        for element in root.iter():
-            element.sourceline = NO_LINE
+        forget_lines(root)
     elif xacro_args:
         raise ConfigurationError("xacro_args", diagnose("no-xacro-file", file=str(path)))
     else:
@@ -141,6 +147,47 @@ def read_model(
     if root.tag != "robot":
         raise make_element_error(path, root, diagnose("no-model", tag=str(root.tag)))
     return urdf_from(path, text, root, packages)
+
+
+def read_as_urdf(
+    model: str | Path | ModelObject, packages: Mapping[str, Path] | None = None
+) -> UrdfFile:
+    """Read a URDF, a file that is converted to a URDF, or a robot in memory that is a URDF.
+
+    Raises:
+        ModelError: If the file cannot be read, or is not a URDF.
+        MissingPackageError: If the reader of the format is not installed.
+    """
+    reader = reader_of(model)
+    if reader is not None:
+        return reader.read_as_urdf(Path(cast(str | Path, model)))
+    if not is_object(model):
+        return read_urdf(find_file(cast(str | Path, model), packages), packages)
+    file = read_model(model, packages)
+    if not isinstance(file, UrdfFile):
+        raise ModelError(file.path, diagnose("object-of-other-format", wanted="URDF"))
+    return file
+
+
+def read_as_mjcf(
+    model: str | Path | ModelObject, packages: Mapping[str, Path] | None = None
+) -> MjcfFile:
+    """Read an MJCF, a file that is converted to an MJCF, or a robot in memory that is an MJCF.
+
+    Raises:
+        ModelError: If the file cannot be read, or is not an MJCF.
+        MissingPackageError: If the reader of the format is not installed.
+    """
+    reader = reader_of(model)
+    if reader is not None:
+        return reader.read_as_mjcf(Path(cast(str | Path, model)))
+    if not is_object(model):
+        return read_mjcf(find_file(cast(str | Path, model), packages))
+    file = read_model(model, packages)
+    if not isinstance(file, MjcfFile):
+        raise ModelError(file.path, diagnose("object-of-other-format", wanted="MJCF"))
+    file.check_compiled()
+    return file
 
 
 def kind_of(path: Path) -> str | None:

@@ -28,8 +28,8 @@ from pupper_analysis.models.mjcf import (
     to_xml,
 )
 from pupper_analysis.models.places import (
-    NO_LINE,
     Place,
+    forget_lines,
     innermost_element,
     line_of,
     make_element_error,
@@ -743,8 +743,7 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
         problem = diagnose("mjcf-not-valid", message=one_line(error))
         raise make_file_error(Place(path), problem) from error
     root = parse_text(text)
-    for element in root.iter():
-        element.sourceline = NO_LINE
+    forget_lines(root)
     tree = IncludeTree(path, root)
     index = index_of(tree.root)
 

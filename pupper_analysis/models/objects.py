@@ -22,7 +22,7 @@ from pupper_analysis.models.decompile import make_spec_of_model
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_spec
 from pupper_analysis.models.pinocchio_urdf import write_urdf_of_model
-from pupper_analysis.models.places import NO_LINE, make_element_error, one_line
+from pupper_analysis.models.places import forget_lines, make_element_error, one_line
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.xml import parse_file_text
 
@@ -183,7 +183,6 @@ def _read_urdf(
 ) -> UrdfFile:
     """Return the URDF of a text, without line numbers."""
     root = parse_file_text(path, text)
-    for element in root.iter():
-        element.sourceline = NO_LINE
+    forget_lines(root)
     file = urdf_from(path, text, root, packages)
     return replace(file, notes=(note, *file.notes))

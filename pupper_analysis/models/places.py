@@ -82,6 +82,20 @@ NO_LINE: Final = 65535
 """Largest line number of lxml. Elements with this number have an unknown line."""
 
 
+def forget_lines(root: etree._Element) -> None:
+    """Set the line numbers of all elements to unknown, for a text that is not in a file.
+
+    Blank texts between the elements are removed: libxml2 returns their line for an element whose
+    line is unknown.
+    """
+    for element in root.iter():
+        if element.text is not None and not element.text.strip():
+            element.text = None
+        if element.tail is not None and not element.tail.strip():
+            element.tail = None
+        element.sourceline = NO_LINE
+
+
 def line_of(element: etree._Element) -> int | None:
     """Return the line number of an XML element in the file; None if unknown."""
     line = element.sourceline

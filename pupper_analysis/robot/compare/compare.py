@@ -33,16 +33,17 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.base.units import DOWNWARD_GRAVITY
-from pupper_analysis.models.loading import reader_of
+from pupper_analysis.models.loading import read_as_mjcf, read_as_urdf
 from pupper_analysis.models.mjcf import make_start_data, silence_mujoco
-from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
+from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass
+from pupper_analysis.models.objects import ModelObject
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Pose, Shape, read_shape
 from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.mjcf import find_collidable_geoms, place_of_geom, read_mjcf_model
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.attribution import (
     MAX_RESIDUAL,
@@ -427,8 +428,8 @@ class Compared:
 
 @silence_mujoco()
 def compare_files(
-    urdf: str | Path,
-    mjcf: str | Path,
+    urdf: str | Path | ModelObject,
+    mjcf: str | Path | ModelObject,
     *,
     names: Mapping[str, str] | None = None,
     packages: Mapping[str, Path] | None = None,
@@ -447,7 +448,7 @@ def compare_files(
         ConfigurationError: If an argument is out of range.
     """
     tolerances = tolerances or Tolerances()
-    urdf_file, mjcf_file = _read_first_file(urdf, packages), _read_second_file(mjcf)
+    urdf_file, mjcf_file = read_as_urdf(urdf, packages), read_as_mjcf(mjcf, packages)
     matched = match_models(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
@@ -554,18 +555,6 @@ def _compare_ground_contact(
 
 _DISPLACING_KINDS = ("type", "parent", "base frame", "zero", "position", "rotation", "axis")
 """Kinds of differences that displace the bodies on a joint."""
-
-
-def _read_first_file(path: str | Path, packages: Mapping[str, Path] | None) -> UrdfFile:
-    """Read the first file: a URDF, or a file that is converted to a URDF."""
-    reader = reader_of(Path(path))
-    return read_urdf(path, packages) if reader is None else reader.read_as_urdf(Path(path))
-
-
-def _read_second_file(path: str | Path) -> MjcfFile:
-    """Read the second file: an MJCF, or a file that is converted to an MJCF."""
-    reader = reader_of(Path(path))
-    return read_mjcf(path) if reader is None else reader.read_as_mjcf(Path(path))
 
 
 def _has_mechanical_difference(differences: Iterable[Difference]) -> bool:

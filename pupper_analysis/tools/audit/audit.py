@@ -15,7 +15,8 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.loading import Check, CheckFinding, ModelFile, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.places import Place
+from pupper_analysis.models.objects import ModelObject, is_object
+from pupper_analysis.models.places import NO_LINE, Place
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
@@ -34,7 +35,7 @@ __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
 @check_arguments
 def audit_model(
-    path: str | Path,
+    path: str | Path | ModelObject,
     *,
     packages: Mapping[str, Path] | None = None,
     disabled: Iterable[str] = (),
@@ -42,7 +43,8 @@ def audit_model(
     """Find physical and practical errors in a model file of any supported format.
 
     Args:
-        path: Model file.
+        path: Model file, or a robot in memory, as for ``load_robot``. Findings about a robot in
+            memory have no lines.
         packages: {ROS package: folder}, for ``package://`` paths in a URDF.
         disabled: Ids of rules that are not run.
 
@@ -62,14 +64,16 @@ def audit_model(
     if unknown:
         message = diagnose("rules-unknown", names=unknown, known=RULES)
         raise ConfigurationError("disabled", message)
-    reader = reader_of(Path(path))
+    reader = reader_of(path)
     with warnings.catch_warnings(), np.errstate(all="ignore"), silence_mujoco():
         warnings.simplefilter("ignore")  # MuJoCo's warnings are replaced by findings
         if reader is not None:
+            assert isinstance(path, str | Path)  # objects have no reader
             read = reader.read_file(Path(path))
             return _run_rules(str(path), read, reader.read_model(read), unwanted, reader.CHECKS)
         file = read_model(path, packages)
-        return _run_rules(str(path), file, _read_stated_model(file), unwanted, {})
+        name = str(file.path if is_object(path) else path)
+        return _run_rules(name, file, _read_stated_model(file), unwanted, {})
 
 
 def _run_rules(
@@ -126,6 +130,8 @@ def _make_finding(file: ModelFile, rule: Rule, found: CheckFinding) -> Finding:
         place = file.place(found.kind, found.name.strip("()"), found.child)
     if place is None:
         place = Place(file.path)
+    if place.line == NO_LINE:  # of an expanded or converted text
+        place = replace(place, line=None)
     severity = found.severity or rule.severity
     message = replace(
         found.message,

@@ -50,6 +50,7 @@ from pupper_analysis.models.mjcf import (
     silence_mujoco,
 )
 from pupper_analysis.models.multibody import joint_placements
+from pupper_analysis.models.objects import ModelObject
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
@@ -96,8 +97,8 @@ class Comparison(FilesCompared):
 @check_arguments
 @silence_mujoco()
 def compare_models(
-    urdf: str | Path,
-    mjcf: str | Path,
+    urdf: str | Path | ModelObject,
+    mjcf: str | Path | ModelObject,
     *,
     names: Mapping[str, str] | None = None,
     packages: Mapping[str, Path] | None = None,
@@ -112,8 +113,10 @@ def compare_models(
     Files of further formats (`base.tools.formats`) are accepted in place of either file.
 
     Args:
-        urdf: Path of the URDF or the replacement.
-        mjcf: Path of the MJCF or the replacement.
+        urdf: Path of the URDF or the replacement; or a robot in memory that is a URDF: its text,
+            ``yourdfpy.URDF`` or ``pin.Model``. Differences then have no lines.
+        mjcf: Path of the MJCF or the replacement; or a robot in memory that is an MJCF: its text,
+            ``mujoco.MjSpec`` or ``mujoco.MjModel``.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: folder}, for ``package://`` paths.
         feet: Frames that count as feet, named as in the MJCF; by default all frames in both files.
