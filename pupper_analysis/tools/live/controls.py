@@ -465,7 +465,7 @@ class Range:
 
 
 def make_slider_ranges(robot: Robot) -> dict[str, Range]:
-    """Return the range of each slider, in mm, degrees, kg and N m/rad.
+    """Return the range of each slider, in mm, degrees, kg, N m/rad and N m s/rad.
 
     Ranges of lengths are proportional to the height of the nominal stand, ranges of masses to the
     mass of the robot.

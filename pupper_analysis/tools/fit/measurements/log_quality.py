@@ -188,7 +188,7 @@ def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator
 def find_degrees(
     robot: Robot, joints: Iterable[int], position: Array, command: Array
 ) -> Iterator[Diagnostic]:
-    """Yield columns whose values are not in the stated unit.
+    """Yield columns whose median magnitude is beyond the joint limits, as of angles in degrees.
 
     Args:
         robot: Robot.

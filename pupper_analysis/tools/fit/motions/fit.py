@@ -547,7 +547,7 @@ class SeriesNoise:
         """Return the noise of some series, shape (n,) each, by the Yule-Walker equations.
 
         NaN samples are missing. The equations give a stable filter. White noise is returned if the
-        samples are too few.
+        samples are too few, or their RMS is at most ``_MIN_NOISE_STD``.
         """
         filled = [np.where(np.isfinite(series_part), series_part, 0.0) for series_part in series]
         count = int(sum(np.isfinite(series_part).sum() for series_part in series))

@@ -93,7 +93,7 @@ class RosBridge(WallClock):
                 self._positions[name], self._reception_times[name] = float(value), self.now()
 
     def read(self) -> tuple[float, Array]:
-        """Return the oldest reception time [s] and joint positions, shape (nu,) [rad]."""
+        """Return the oldest reception time [s] and joint positions (nu,) [rad]; NaN if missing."""
         self._ros.spin_once(self._node, timeout_sec=0.0)
         positions = [self._positions.get(name, math.nan) for name in self._robot.joint_names]
         return min(self._reception_times.values()), np.array(positions)
