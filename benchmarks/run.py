@@ -21,6 +21,7 @@ import bare
 import click
 import growth
 import orjson
+import published
 import ratios
 import stages
 import whole
@@ -84,6 +85,8 @@ def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, 
             *((n, clock(t), f"{t / sum(parts.values()):.0%}") for n, t in parts.items()),
             ("together", clock(sum(parts.values())), ""),
         ]
+    if "published robots" in found:
+        made["Published robots"] = list(found["published robots"])
     if "growth" in found:
         made["How time grows"] = [
             ("what", "least", "most", "exponent at the end"),
@@ -229,6 +232,7 @@ def main(
         click.echo("start-up, default run, growth ...", err=True)
         found["start-up"] = whole.start_up(3)
         found["default run"] = whole.default_run(pa.VARIANTS)
+        found["published robots"] = published.measure_robots()
         found["growth"] = growth.growth(variant, max(growth.COUNTS), 0.5)
     made = tables(found, rows)
     for title, lines in made.items():

@@ -16,6 +16,7 @@ from tests.support.repository import ROOT
 
 sys.path.append(str(ROOT / "benchmarks"))  # where its modules find each other
 
+import published
 import run as benchmarks
 
 
@@ -56,3 +57,24 @@ def test_names_that_benchmarks_import_exist(folder: str) -> None:
     for module, name in sorted(wanted):
         if not hasattr(importlib.import_module(module), name):
             importlib.import_module(f"{module}.{name}")
+
+
+def test_published_robots_are_found_and_processes_are_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: memory that a process allocates and writes."""
+    monkeypatch.setenv("PUPPER_ROBOTS", str(tmp_path))
+    file = tmp_path / published.ROBOTS["Go2"]
+    file.parent.mkdir(parents=True)
+    file.touch()
+    assert published.find_robots()["Go2"] == str(file)
+    assert published.find_robots()["v3"] == "v3"
+    small, large = (published.measure_process(f"print(len(b'x' * {size}))") for size in (1, 10**8))
+    assert large.output == "100000000"
+    assert 90 < large.megabytes - small.megabytes < 110
+    assert 0 < small.seconds < 10
+    with pytest.raises(RuntimeError):
+        published.measure_process("import sys; sys.exit(2)")
+    processes = published._list_processes("Go2", str(file), tmp_path)
+    assert {*published.COMMANDS, "load", "load, bare engine"} == set(processes)
+    assert processes["payload"][1:] == ["payload", str(file)]
