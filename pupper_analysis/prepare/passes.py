@@ -673,8 +673,9 @@ def make_robot(
 
     The options are those of `load_robot`, which reads the files. The deferred passes are applied
     when the robot is first simulated, drawn, pickled or copied (see `defer_stages`); immediately if
-    servos may change the order of the joints. The function ``finish``, if any, is applied to the
-    robot after all passes.
+    servos may change the order of the joints. With a fixed base only the visual meshes are then
+    deferred, because servos of a fixed base take no simulation. The function ``finish``, if any, is
+    applied to the robot after all passes.
 
     Raises:
         ConfigurationError: See `parse_feet`.
@@ -685,12 +686,16 @@ def make_robot(
     request = LoadRequest(frames, fixed_base, name, joints, keyframe, as_is, visuals)
     draft = _begin_preparation(urdf, mjcf, request)
 
-    def complete() -> Robot:
+    def complete(*, visuals: bool = visuals) -> Robot:
         """Apply the deferred passes."""
-        robot, _ = _complete_preparation(draft)
+        robot, _ = _complete_preparation(replace(draft, request=replace(request, visuals=visuals)))
         return robot if finish is None else finish(robot)
 
-    return defer_stages(draft.robot, complete) if _keeps_joint_order(draft.robot) else complete()
+    if _keeps_joint_order(draft.robot):
+        return defer_stages(draft.robot, complete)
+    if visuals and draft.mjcf.deferred_visuals is not None and not draft.robot.floating:
+        return defer_stages(complete(visuals=False), complete)
+    return complete()
 
 
 def _keeps_joint_order(robot: Robot) -> bool:

@@ -232,3 +232,31 @@ def test_verdict_without_visual_meshes_equals_the_verdict_with_them(
 def _refuse_conversion(*_: object) -> bytes:
     """Represent the conversion of a mesh that must not be converted."""
     raise AssertionError
+
+
+def test_visual_meshes_of_a_fixed_base_with_coupled_joints_are_deferred(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: the robot of which all passes are applied at once."""
+    urdf = _with_visual_meshes(tmp_path)
+    root = etree.parse(str(urdf)).getroot()
+    follower, leader = root.findall("joint[@type='revolute']")[:2]
+    etree.SubElement(follower, "mimic", joint=leader.get("name"))
+    urdf.write_bytes(etree.tostring(root))
+    converted = []
+    convert = meshes._convert_content
+    monkeypatch.setattr(
+        meshes, "_convert_content", lambda *given: converted.append(given) or convert(*given)
+    )
+    robot = pa.load_robot(urdf, fixed_base=True)
+    order, pin_model = robot.joint_names, robot.pin_model
+    assert not converted
+    pair = read_pair(urdf)
+    whole, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest(fixed_base=True))
+    assert order == whole.joint_names == robot.joint_names
+    assert pin_model == whole.pin_model
+    assert robot.mj_model.ngeom == whole.mj_model.ngeom
+    np.testing.assert_array_equal(robot.mj_model.mesh_vert, whole.mj_model.mesh_vert)
+    np.testing.assert_array_equal(
+        robot.mj_convention.actuator_index, whole.mj_convention.actuator_index
+    )
