@@ -1,4 +1,9 @@
-"""Actuators of hinge and slide joints in an MJCF: transmission, force law and type."""
+"""Actuators of hinge and slide joints in an MJCF: transmission, force law and type.
+
+Input is a compiled MuJoCo model. The force law of an actuator is F = gain ctrl - stiffness l -
+damping dl/dt with the length l = gear q; from the laws of its actuators, each joint is classified
+as driven by a servo, a motor, a velocity servo or another actuator (`classify_joint_drive`).
+"""
 
 from __future__ import annotations
 

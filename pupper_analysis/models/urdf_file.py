@@ -1,4 +1,9 @@
-"""Reading of URDF files: validation with line numbers, mesh paths, joints without limits."""
+"""Reading of URDF files: validation with line numbers, mesh paths, joints without limits.
+
+Input is a path or an XML tree; output is a `UrdfFile` whose XML Pinocchio can read. Missing efforts
+and velocities of limits are completed, and unused xacro declarations are removed; every other error
+raises a `ModelError` with file and line.
+"""
 
 from __future__ import annotations
 

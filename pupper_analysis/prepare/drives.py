@@ -1,4 +1,10 @@
-"""Add position servos to a robot whose MJCF has torque motors, or no actuators."""
+"""Add position servos to a robot whose MJCF has torque motors, or no actuators.
+
+Inputs are a robot with a stand and the force laws of its actuators; output is a robot with a
+position servo at each independent joint. Candidates of gains and time step are tried in order,
+until the robot comes to rest in the stand and agrees with the prediction (`add_position_servos`).
+Joints of closed loops without a motor get motors without effect.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Find the feet of a robot, and add a frame at each contact point to both files."""
+"""Find the feet of a robot, and add a frame at each contact point to both files.
+
+Input is a robot model without named contact points; outputs are the feet, each with one or several
+contact points, and the description with a frame at each point in the URDF and in the MJCF. The feet
+are the collision geoms at the ends of the limbs that are lowest in a pose (`find_feet`), or those
+that the user names (`find_named_foot`).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Form the verdict of a stand or posture from simulations, static limits and the published file."""
+"""Form the verdict of a stand or posture from simulations, static limits and the published file.
+
+Inputs are simulation results with and without feed-forward, and the statics; output is a `Verdict`.
+The verdict also depends on the published file: its simulation from the keyframe, and its deviation
+from the prediction.
+"""
 
 from __future__ import annotations
 

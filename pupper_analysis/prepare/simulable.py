@@ -1,4 +1,9 @@
-"""Refuse values with which a simulation has no meaning; choose an accurate solver."""
+"""Refuse values with which a simulation has no meaning; choose an accurate solver.
+
+Inputs are the compiled models of a robot. Time step, rotor inertias, lengths, gears and masses that
+make a simulation meaningless are errors with file and line. The residual of MuJoCo's constraint
+solver for a pushed base decides on dense matrices.
+"""
 
 from __future__ import annotations
 

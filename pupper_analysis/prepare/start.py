@@ -1,4 +1,10 @@
-"""Find the start pose of a robot: a keyframe of the MJCF, or a stand that is searched."""
+"""Find the start pose of a robot: a keyframe of the MJCF, or a stand that is searched.
+
+Input is a robot with feet; output is a robot with a start pose, which defines the nominal stand and
+the keyframe of the prepared model. A keyframe is taken if its feet are level, its joints are within
+their limits, and the nominal stand exists; otherwise a keyframe from which the unmodified file
+stands, or else a stand in the middle of the reachable heights (`find_start_pose`).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Disable contacts of shapes beside the feet, and of bodies that overlap; drop visual geoms."""
+"""Disable contacts of shapes beside the feet, and of bodies that overlap; drop visual geoms.
+
+Input is a robot with a start pose; output is a robot in which the feet alone bear on the ground, as
+the statics assume. Disabled are shapes of a foot's body near the ground into which the foot sinks,
+contacts between bodies that overlap in the start pose, and visual geoms.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Contacts of feet with the ground in MuJoCo: geoms, positions, forces and effective parameters."""
+"""Contacts of feet with the ground in MuJoCo: geoms, positions, forces and effective parameters.
+
+Input is a compiled MuJoCo model with a ground plane; outputs are the geom, radius and contact
+parameters of each contact point. Parameters of two geoms are combined by MuJoCo's rule
+(`combine_geoms`): priority, larger condim and friction, and solref and solimp weighted by solmix.
+"""
 
 from __future__ import annotations
 

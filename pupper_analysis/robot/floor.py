@@ -1,4 +1,8 @@
-"""Ground plane of an MJCF: search, removal, and levelling."""
+"""Ground plane of an MJCF: search, removal, and levelling.
+
+Functions that change a spec do so in place. Prepared robots have one level plane at z = 0: a tilted
+or raised floor is levelled, and a missing floor is added (`level_ground`).
+"""
 
 from __future__ import annotations
 

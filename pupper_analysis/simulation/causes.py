@@ -1,4 +1,8 @@
-"""Diagnostics of stands that do not come to rest: growing modes, contact chatter, creeping feet."""
+"""Diagnostics of stands that do not come to rest: growing modes, contact chatter, creeping feet.
+
+Inputs are the spectrum and the states of a simulation that does not come to rest; outputs are
+diagnostics with the quantities that show the cause.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Stability of a robot at rest on its servos: spectrum of MuJoCo's step, and nudged simulations."""
+"""Stability of a robot at rest on its servos: spectrum of MuJoCo's step, and nudged simulations.
+
+Inputs are a stand or a simulated state, and constant servo commands; output is a `Stability`. The
+eigenvalues of MuJoCo's step are computed first; a nudged simulation of the unmodified model
+confirms or refutes each growing mode (`judge_stability`).
+"""
 
 from __future__ import annotations
 

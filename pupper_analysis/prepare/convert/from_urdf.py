@@ -1,4 +1,8 @@
-"""Convert a URDF to an MJCF: bodies, joints, inertias and shapes."""
+"""Convert a URDF to an MJCF: bodies, joints, inertias and shapes.
+
+Input is a validated URDF; output is the XML of an MJCF with a fixed base, as `ConvertedMjcf`. Free
+base, ground, servos and feet are added by the passes of the preparation.
+"""
 
 from __future__ import annotations
 

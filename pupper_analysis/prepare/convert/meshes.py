@@ -1,4 +1,9 @@
-"""Mesh files of a URDF for an MJCF, converted to OBJ if MuJoCo cannot read the format."""
+"""Mesh files of a URDF for an MJCF, converted to OBJ if MuJoCo cannot read the format.
+
+Inputs are the paths of a URDF's meshes; outputs are mesh files, once per file and scale, and the
+names under which the MJCF refers to these files. The conversion of visual meshes can be deferred
+(`DeferredMeshes`). Files that cannot be read are left out and reported.
+"""
 
 from __future__ import annotations
 

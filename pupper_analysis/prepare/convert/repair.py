@@ -1,4 +1,10 @@
-"""Make the inertials of a URDF valid for MuJoCo: move them to fixed neighbours, or repair them."""
+"""Make the inertials of a URDF valid for MuJoCo: move them to fixed neighbours, or repair them.
+
+Input is a URDF with inertials that MuJoCo refuses, for example because the principal moments
+violate A + B >= C. An invalid inertial is first moved to a body on fixed joints, which changes no
+motion. If no such sum is valid, the nearest valid moments replace the invalid moments
+(`find_nearest_moments`).
+"""
 
 from __future__ import annotations
 

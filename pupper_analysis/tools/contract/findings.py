@@ -1,4 +1,9 @@
-"""Disagreements between sources, derived from facts only, independent of the file formats."""
+"""Disagreements between sources, derived from facts only, independent of the file formats.
+
+Inputs are the facts of all sources, assigned to joints; outputs are `Disagreement` objects, the
+most severe first. Numbers agree within a tolerance, or if they are equal after rounding
+(`facts_agree`).
+"""
 
 from __future__ import annotations
 

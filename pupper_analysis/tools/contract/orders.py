@@ -1,4 +1,9 @@
-"""Assignment of the statements of a source to joints: by name, pattern, or index in a list."""
+"""Assignment of the statements of a source to joints: by name, pattern, or index in a list.
+
+Inputs are a source (for example a trainer, a deployment or a driver) and the joints of the model;
+output is a `PlacedSource`: each number of the source with its joint, and the order of the policy's
+arrays.
+"""
 
 from __future__ import annotations
 

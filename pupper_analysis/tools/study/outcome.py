@@ -1,4 +1,9 @@
-"""Outcome of a study: failures by kind, summary of each metric, main effects, Pareto front."""
+"""Outcome of a study: failures by kind, summary of each metric, main effects, Pareto front.
+
+Input is the table of a study, a row per design; output is a `StudyOutcome`. Main effects are eta
+squared on a full product of values, and epsilon squared for samples (`compute_main_effects`). No
+design is evaluated.
+"""
 
 from __future__ import annotations
 

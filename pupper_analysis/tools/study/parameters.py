@@ -1,4 +1,8 @@
-"""Factors and offsets on the numbers of a robot, applied to the URDF and the MJCF."""
+"""Factors and offsets on the numbers of a robot, applied to the URDF and the MJCF.
+
+Inputs are a robot and {variable: number}, for example ``mass:*_1`` with a factor; output is a robot
+whose URDF and MJCF have the same factors and offsets. Links on fixed joints are scaled together.
+"""
 
 from __future__ import annotations
 

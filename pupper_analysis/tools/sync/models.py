@@ -1,4 +1,9 @@
-"""Makes a URDF and an MJCF agree: numbers of one file are written into the other, in place."""
+"""Makes a URDF and an MJCF agree: numbers of one file are written into the other, in place.
+
+Inputs are two files and the file from which each value is taken; outputs are the changed files and
+a `Sync`. Changes are planned, verified on copies by comparing the models, and written together: all
+chosen changes or, without ``partial``, none.
+"""
 
 from __future__ import annotations
 

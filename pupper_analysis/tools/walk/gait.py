@@ -1,4 +1,9 @@
-"""Gait of a simulated policy: motor torques, power, contacts, tracking of the command."""
+"""Gait of a simulated policy: motor torques, power, contacts, tracking of the command.
+
+Inputs are a robot, a policy with its contract, and a velocity command; output is a `Walk` with a
+`Gait` per seed. The policy is simulated in MuJoCo on servos with the gains of the policy, if
+stated, and the torque limits of the model. Means exclude the warm-up.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Intervals of robot parameters within which a policy tracks the command."""
+"""Intervals of robot parameters within which a policy tracks the command.
+
+Inputs are a robot, a policy and a command; output is, for each quantity and seed, the range that is
+tracked. Each quantity is changed alone, in both directions from the nominal value, and the range
+between a tracked and an untracked value is bisected (`tracked_intervals`).
+"""
 
 from __future__ import annotations
 

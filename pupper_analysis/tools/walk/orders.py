@@ -1,4 +1,9 @@
-"""Ranking of readings of a policy: joint orders, signs, scales and histories."""
+"""Ranking of readings of a policy: joint orders, signs, scales and histories.
+
+Inputs are a robot, a policy and commands; output is an `Orders`. The stated reading and readings
+that differ in one respect are simulated, and ranked by the number of tracked commands, then by
+torque and tracking error (`Candidate.cost`).
+"""
 
 from __future__ import annotations
 
