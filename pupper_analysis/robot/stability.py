@@ -191,6 +191,12 @@ class Mode(Result):
     repeated_at_second_step: bool = True
     nudge: float | None = field(default=None, metadata={"unit": "rad or m"})
     _direction: Array | None = None
+    _nudge_unit: str = "rad"
+
+    @property
+    def nudge_unit(self) -> str:
+        """Unit of ``nudge``: m if the most displaced coordinate is a translation, else rad."""
+        return self._nudge_unit
 
     @property
     def direction(self) -> Array:

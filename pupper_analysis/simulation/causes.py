@@ -85,13 +85,16 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 def describe_growth(mode: Mode) -> Diagnostic:
     """Describe the growth of a mode, with the nudge of the simulation that confirmed the growth."""
+    nudge = None if mode.nudge is None else Quantity(mode.nudge, mode.nudge_unit)
+    is_length = mode.nudge_unit == "m"
     return diagnose(
         "mode-shakes" if mode.shakes else "mode-buckles",
         frequency=Quantity(mode.frequency, "Hz"),
         freed=mode.without_dry_friction,
         joints=mode.joints,
         doubling_time=None if mode.doubling_time is None else Quantity(mode.doubling_time, "s"),
-        nudge=None if mode.nudge is None else Quantity(mode.nudge, "rad"),
+        nudge=None if is_length else nudge,
+        distance=nudge if is_length else None,
     )
 
 

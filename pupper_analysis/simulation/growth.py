@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.mjcf import scalar_joints
+from pupper_analysis.models.mjcf import JointKind, scalar_joints
 from pupper_analysis.robot.fall import nudge_velocity
 from pupper_analysis.robot.stability import HOLD_DURATION, Mode, Stability, select_most_moving
 from pupper_analysis.simulation import monitor
@@ -129,7 +129,11 @@ def confirm_growth(
         for angle, speed in _nudge_sizes(modes):
             trial = simulate_growth(model, start, ctrl, modes, angle, speed)
             if trial.doubling_time is not None or trial.sustained:
-                confirmed = _make_confirmed_mode(modes, trial, stability.timestep)
+                displacement = _make_displacement(model, modes, angle, speed)
+                confirmed = replace(
+                    _make_confirmed_mode(modes, trial, stability.timestep),
+                    _nudge_unit=_find_largest_unit(model, displacement[: model.nv]),
+                )
                 break
         if confirmed is None:
             refuted += modes
@@ -219,6 +223,20 @@ def _make_displacement(
     largest_angle = np.abs(displacement[:nv]).max() / angle
     largest_speed = np.abs(displacement[nv : 2 * nv]).max() / speed
     return np.asarray(displacement / max(largest_angle, largest_speed))
+
+
+def _find_largest_unit(model: mujoco.MjModel, displacement: Array) -> str:
+    """Return the unit of the largest element of a displacement (nv,): m or rad."""
+    dof = int(np.abs(displacement).argmax())
+    joint = int(model.dof_jntid[dof])
+    is_translation = dof - int(model.jnt_dofadr[joint]) < _NUM_TRANSLATIONS.get(
+        int(model.jnt_type[joint]), 0
+    )
+    return "m" if is_translation else "rad"
+
+
+_NUM_TRANSLATIONS = {int(JointKind.FREE): 3, int(JointKind.SLIDE): 1}
+"""{type of a joint: number of its first degrees of freedom that are translations}."""
 
 
 def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) -> Array:

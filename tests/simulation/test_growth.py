@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.robot.stability import HOLD_DURATION, step_stability
+from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.growth import _doubling_time_of
 from pupper_analysis.simulation.stability import judge_stability
 
@@ -81,3 +82,18 @@ def test_a_drift_at_constant_speed_does_not_double() -> None:
     assert doubling < HOLD_DURATION
     decaying = np.exp(-time / 5) + 1e-4 * 2.0 ** (time / 7.0)
     assert _doubling_time_of(decaying, 1.0, lost=False) == pytest.approx(7.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("kind", "expected"), [("slide", "mm"), ("hinge", "mrad")])
+def test_nudge_of_a_growing_mode_has_the_unit_of_its_joint(kind: str, expected: str) -> None:
+    """Reference: the type of the only joint; its spring has a stiffness of -1, so it grows."""
+    mass = 'pos="1 0 0" mass="1" diaginertia="1e-3 1e-3 1e-3"'
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option gravity="0 0 0"/><worldbody><body>'
+        f'<inertial {mass}/><joint name="j" type="{kind}" axis="0 0 1"/></body></worldbody>'
+        '<actuator><general joint="j" biastype="affine" gainprm="1" biasprm="0 1 0"/></actuator>'
+        "</mujoco>"
+    )
+    (mode,) = judge_stability(model, mujoco.MjData(model)).unstable
+    assert mode.nudge == pytest.approx(1e-4)
+    assert f"a deviation of 0.1 {expected} doubles" in str(describe_growth(mode))
