@@ -330,6 +330,21 @@ def test_robots_share_equal_meshes_in_one_page() -> None:
             assert meshes[geom["mesh"]] == write._pack_mesh(whole[shape.mesh])
 
 
+def test_shapes_of_a_page_are_where_mujoco_has_their_geoms() -> None:
+    """The body index counts bodies without the world; the reference is ``geom_xpos``."""
+    model = load("v3").mj_model
+    data = mujoco.MjData(model)
+    data.qpos[:7] = 0.1, 0.2, 0.3, 0.5, 0.5, 0.5, 0.5
+    mujoco.mj_kinematics(model, data)
+    geoms, _ = write.serialise_geoms(model)
+    assert len(geoms) > 10
+    for geom in geoms:
+        body = 1 + geom["body"]
+        place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ np.array(geom["pos"])
+        of_body = data.geom_xpos[model.geom_bodyid == body]
+        assert np.abs(of_body - place).max(axis=1).min() < 1e-5
+
+
 def test_coarsened_meshes_keep_their_size() -> None:
     """Reference: volume of the mesh in the file."""
     model = load("v3").mj_model

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.tools.crosscheck import crosscheck
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
@@ -115,3 +116,11 @@ def test_files_without_base_mass_disagree_for_legs_and_agree_for_a_hand(
     comparison = compared(write(tmp_path, urdf_text(parts, ()), fused))
     assert "mass-of-base-left-out" in {note.code for note in comparison.notes}
     assert comparison.agree == agree, [*comparison.objections, *comparison.differences]
+
+
+@pytest.mark.parametrize(("mass", "tier"), [(1.011, 1), (1.009, 3), (0.0, 1)])
+def test_mass_difference_of_one_percent_is_listed_before_limits(mass: float, tier: int) -> None:
+    """Relative to the larger mass: 1.1 % is urgent, 0.9 % is not, and a missing mass is."""
+    diagnostic = diagnose("no-mesh", problem="")
+    for urdf, mjcf in ((1.0, mass), (mass, 1.0)):
+        assert Difference("mass", "torso", urdf, mjcf, "kg", diagnostic, {}).tier == tier

@@ -570,6 +570,18 @@ def test_outlier_is_named_with_its_stand_and_joint(
     assert worst.residual == pytest.approx(abs(off), abs=2 * worst.residual / worst.deviations)
 
 
+def test_friction_error_is_mean_friction_over_mean_stiffness(
+    robot: Robot, stands: MeasuredStands
+) -> None:
+    """Means of 0.1 N m and 20 N m/rad, of the two thirds of the joints that have a servo."""
+    known = _StandProblem.from_stands(robot, stands, [], None, None, None)
+    stiffness = np.resize([0.0, 10.0, 30.0], robot.nu)
+    friction = np.resize([5.0, 0.05, 0.15], robot.nu)
+    problem = replace(known, stiffness=stiffness, friction=friction)
+    assert problem.friction_ratio == 1
+    assert problem.friction_error == pytest.approx(0.005)
+
+
 def test_outlier_threshold_uses_the_smaller_of_expected_and_found_noise(
     robot: Robot, stands: MeasuredStands
 ) -> None:
