@@ -7,14 +7,18 @@ import re
 from collections.abc import Callable
 from copy import copy
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
+import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Severity
+from pupper_analysis.prepare import published_model
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import _is_ctrl_angles, own_run, settles_in_place
+from pupper_analysis.prepare.published_model import HoldCommands
 from pupper_analysis.prepare.self_check import name_remaining_cause
 from pupper_analysis.present.verdict import verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
@@ -263,3 +267,27 @@ def test_commands_of_several_controls_are_compared_by_their_first(
         f'<keyframe><key qpos="0.6 -1.2" ctrl="{padded}"/></keyframe></mujoco>'
     )
     assert _is_ctrl_angles(model, 0) is are_angles
+
+
+def test_an_external_servo_compensates_the_constant_torque_of_an_actuator() -> None:
+    """Without gravity a hinge rests at its target, with no torque: closed form."""
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco>
+          <option gravity="0 0 0"/>
+          <worldbody>
+            <body><joint name="turn" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0" mass="1"/></body>
+          </worldbody>
+          <actuator>
+            <general joint="turn" gear="2" gainprm="3" biastype="affine" biasprm="0.4 0 0"/>
+          </actuator>
+        </mujoco>""")
+    data = mujoco.MjData(model)
+    motor_laws = {0: published_model._measure_command_law(model, data, 0, [0])}
+    assert motor_laws[0] == pytest.approx((0, 6.0, 0.8))
+    external = (np.array([0]), *np.array([[20.0], [2.0], [0.3], [0.0]]))
+    hold = HoldCommands(np.zeros(1), np.zeros(0), external, motor_laws)
+    published = SimpleNamespace(model=model)
+    low, high = published_model.simulate_published(published, data, hold, 5.0)
+    assert data.qpos[0] == pytest.approx(0.3, abs=1e-6)
+    assert low[0] == pytest.approx(0.0, abs=1e-5)
+    assert high[0] == pytest.approx(0.0, abs=1e-5)
