@@ -101,6 +101,22 @@ def test_each_field_refuses_invalid_values(field: Field) -> None:
             pa.StandTask().with_values({field.name: 0.1})
 
 
+CLOSED_FIELDS = [
+    field
+    for field in FIELDS.values()
+    if field.part == "task" and math.isfinite(field.low) and not (field.open or field.per)
+]
+
+
+@pytest.mark.parametrize("field", CLOSED_FIELDS, ids=lambda field: field.name)
+def test_value_below_a_permitted_lower_bound_is_refused_as_below_the_least(field: Field) -> None:
+    """The bound is permitted: "not above" would be wrong."""
+    assert pa.StandTask().with_values({field.name: field.low}) is not None
+    with pytest.raises(pa.ConfigurationError) as refused:
+        pa.StandTask().with_values({field.name: field.low - 1e-3})
+    assert refused.value.problem.code == "below-the-least"
+
+
 @pytest.mark.parametrize("field", OPTION_FIELDS.values(), ids=OPTION_FIELDS)
 def test_each_field_is_an_option_with_the_same_value(field: Field) -> None:
     command = cli.find_command("stand")
