@@ -1,18 +1,28 @@
 """Plant faults in a copy of the package and count those that the tests detect.
 
-    python benchmarks/mutations.py --count 200 --seed 1 --csv docs/data/mutations.csv
+    make test PYTEST_ADDOPTS=--junit-xml=build/quick.xml
+    python benchmarks/mutations.py --count 200 --seed 1 --csv docs/data/mutations.csv \\
+      --junit build/quick.xml
 
 Each fault changes one operator, number, index or argument order of one module. Tests run in tiers,
-until one fails: ``near`` (quick tests of the mirrored file, and files that import the module),
-``folder`` (quick tests of the mirrored folder), ``slow`` (slow tests near to the module), ``quick``
-(all quick tests). A fault that no test detects has survived: a test is missing, or the change does
-not alter any result.
+until one fails:
+
+- ``near``: quick tests of the mirrored file, and of files that import the module;
+- ``folder``: quick tests of the mirrored folder, for at most 30 s;
+- ``slow``: slow tests of the near files;
+- ``quick``: all quick tests.
+
+A fault that no test detects has survived: a test is missing, or the change does not alter any
+result. The column ``reason`` is written by hand and kept. ``--junit`` names the file of a run of
+the quick tests; their durations sort the tests of a tier, the shortest first.
 
 The tests run in a forked process that has already imported the packages that this package requires,
 so that a fault costs the time of its tests. Linux and macOS only.
 
-The choice depends on the seed and on the source only. Faults that the CSV contains already are not
-run again, so an interrupted run can be continued. The checkout is not touched.
+The choice depends on the seed and on the faulty lines only: if another line of the source changes,
+the same faults are chosen. A row of the CSV is kept if the source still contains its line, and
+counts towards ``--count``; an interrupted run can be continued. ``--again`` repeats the faults that
+have survived. The checkout is not touched.
 """
 
 from __future__ import annotations
@@ -20,21 +30,23 @@ from __future__ import annotations
 import argparse
 import ast
 import csv
+import hashlib
 import importlib
+import math
 import os
-import random
 import resource
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-import traceback
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import accumulate, islice, pairwise, zip_longest
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise, zip_longest
 from pathlib import Path
+from typing import IO, Any, NoReturn
+from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "pupper_analysis"
@@ -42,11 +54,16 @@ PACKAGE = "pupper_analysis"
 MAX_TEST_FILES = 3
 """Upper bound of test files that count as near to a module. Chosen: seconds of processor."""
 
-MAX_PROCESSOR_SECONDS = 300
-"""Processor time [s] after which a run is stopped; the fault then counts as detected, since it does
-not end. Near tests take 1 to 60 s. Processor time does not depend on the load of the machine."""
+MAX_PROCESSOR_SECONDS = {"near": 300, "folder": 300, "slow": 1200, "quick": 2400}
+"""Processor time [s] after which the tests of a tier are stopped. The fault is then ``killed``,
+since the tests do not end. At least four times the time without a fault: all quick tests take
+350 s. Processor time does not depend on the load of the machine."""
 
-TIERS = ("near", "folder", "slow", "quick")
+MAX_FOLDER_SECONDS = 30.0
+"""Upper bound of the sum of the recorded durations of the tests of a folder [s]. Chosen: the folder
+of the commands has 100 s of tests, most of which do not execute the module."""
+
+TIERS = tuple(MAX_PROCESSOR_SECONDS)
 
 PRELOADED = (
     *("pytest", "numpy", "scipy.optimize", "scipy.spatial", "mujoco", "pinocchio"),
@@ -55,7 +72,10 @@ PRELOADED = (
 )
 """Modules that the parent process imports: together 1.5 s of processor."""
 
-COLUMNS = ("file", "line", "kind", "before", "after", "tiers", "outcome", "detected_by")
+COLUMNS = (
+    *("file", "line", "kind", "before", "after", "code", "occurrence"),
+    *("tiers", "outcome", "detected_by", "reason"),
+)
 
 _OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
     ast.Add: ("sign", "+", "-"),
@@ -94,6 +114,8 @@ class Fault:
         start: Offset of the replaced text in the file's characters.
         before: Replaced text.
         after: New text.
+        code: The line without indentation, before the change.
+        occurrence: Number among the faults of the file with equal line and texts, from 1.
     """
 
     file: str
@@ -102,6 +124,13 @@ class Fault:
     start: int
     before: str
     after: str
+    code: str
+    occurrence: int = 1
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """Texts that identify the fault while other lines of the source change."""
+        return self.file, self.code, self.before, self.after, str(self.occurrence)
 
 
 def find_faults(path: Path) -> list[Fault]:
@@ -135,7 +164,8 @@ class _Finder:
         return self._source[slice(*self._range(node))]
 
     def _add(self, line: int, kind: str, start: int, before: str, after: str) -> None:
-        self.faults.append(Fault(self._file, line, kind, start, before, after))
+        code = self._lines[line - 1].strip()
+        self.faults.append(Fault(self._file, line, kind, start, before, after, code))
 
     def _replace(self, node: ast.expr, kind: str, after: str) -> None:
         self._add(node.lineno, kind, self._range(node)[0], self._text(node), after)
@@ -205,8 +235,8 @@ _PLAIN = (ast.Name, ast.Attribute, ast.Subscript)
 
 def _computing(tree: ast.AST) -> Iterator[ast.AST]:
     """Yield the nodes of a module without annotations, decorators, imports and strings."""
-    for field, value in ast.iter_fields(tree):
-        if field in ("annotation", "returns", "decorator_list", "type_params", "names"):
+    for name, value in ast.iter_fields(tree):
+        if name in ("annotation", "returns", "decorator_list", "type_params", "names"):
             continue
         for node in value if isinstance(value, list) else [value]:
             if not isinstance(node, ast.AST) or isinstance(node, ast.JoinedStr | ast.Import):
@@ -218,20 +248,29 @@ def _computing(tree: ast.AST) -> Iterator[ast.AST]:
 def list_faults(package: Path) -> list[Fault]:
     """Return the faults of all modules of a package, sorted by file and offset."""
     faults = [fault for path in sorted(package.rglob("*.py")) for fault in find_faults(path)]
-    return sorted(faults, key=lambda fault: (fault.file, fault.start, fault.after))
+    seen: Counter[tuple[str, ...]] = Counter()
+    numbered = []
+    for fault in sorted(faults, key=lambda fault: (fault.file, fault.start, fault.after)):
+        seen[fault.key] += 1
+        numbered.append(replace(fault, occurrence=seen[fault.key]))
+    return numbered
 
 
-def draw_faults(faults: Sequence[Fault], count: int, seed: int) -> list[Fault]:
-    """Return a sample that contains the kinds of faults equally often, in turn."""
+def sort_faults(faults: Sequence[Fault], seed: int) -> list[Fault]:
+    """Return the faults in a random order in which the kinds of faults take turns.
+
+    The place of a fault among those of its kind is a hash of its texts and the seed. It does not
+    depend on other lines of the source.
+    """
+
+    def place(fault: Fault) -> str:
+        return hashlib.sha256("\0".join((str(seed), *fault.key)).encode()).hexdigest()
+
     kinds: dict[str, list[Fault]] = {}
-    for fault in faults:
+    for fault in sorted(faults, key=place):
         kinds.setdefault(fault.kind, []).append(fault)
-    for _, same in sorted(kinds.items()):
-        random.Random(seed).shuffle(same)
-    turns = (
-        fault for row in zip_longest(*(kinds[kind] for kind in sorted(kinds))) for fault in row
-    )
-    return list(islice(filter(None, turns), count))
+    turns = zip_longest(*(kinds[kind] for kind in sorted(kinds)))
+    return [fault for row in turns for fault in row if fault is not None]
 
 
 def near_tests(module: Path, tests: Path) -> list[Path]:
@@ -264,15 +303,57 @@ def near_tests(module: Path, tests: Path) -> list[Path]:
     return found[:MAX_TEST_FILES]
 
 
+def read_durations(junit: Path) -> dict[str, float]:
+    """Return {test: duration [s]} of a JUnit file of pytest."""
+    cases = ElementTree.parse(junit).getroot().iter("testcase")
+    return {
+        f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name')}": float(
+            case.get("time", 0.0)
+        )
+        for case in cases
+    }
+
+
+class ShortestFirst:
+    """Plugin of pytest that sorts the tests by duration, and records the first that fails.
+
+    Args:
+        durations: {test: duration [s]}; unknown tests run first.
+        limit: Maximum sum of the durations; the tests beyond are left out.
+        only: The only test or file that runs; empty: all tests.
+
+    Attributes:
+        failed: The first test, or file, that fails; empty if there is none.
+    """
+
+    def __init__(self, durations: Mapping[str, float], limit: float, only: str) -> None:
+        self._durations, self._limit, self._only = durations, limit, only
+        self.failed = ""
+
+    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        """Sort the tests, and leave out the longest ones."""
+        items.sort(key=lambda item: self._durations.get(item.nodeid, 0.0))
+        sums = accumulate(self._durations.get(item.nodeid, 0.0) for item in items)
+        del items[sum(total <= self._limit for total in sums) :]
+        items[:] = [item for item in items if item.nodeid.startswith(self._only)]
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        """Record a failed test."""
+        self.failed = self.failed or (report.nodeid if report.failed else "")
+
+    pytest_collectreport = pytest_runtest_logreport
+
+
 class Bench:
     """Copy of the repository in which faults are planted.
 
     Args:
         folder: Folder of the copy; replaced if it exists.
+        durations: {test: duration [s]}, which sort the tests.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, durations: Mapping[str, float]) -> None:
+        self.folder, self._durations = folder, durations
         shutil.rmtree(folder, ignore_errors=True)
         listed = subprocess.run(
             ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True
@@ -281,19 +362,20 @@ class Bench:
             if (ROOT / name).is_file():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, folder / name)
-        self._passing: dict[tuple[str, ...], bool] = {}
+        self._passing: dict[str, bool] = {}
         self._planted = 0
         for name in PRELOADED:
             importlib.import_module(name)
 
-    def passes(self, arguments: Sequence[str]) -> bool:
-        """Return whether tests pass without a fault; they run once for each selection."""
-        key = tuple(arguments)
-        if key not in self._passing:
-            self._passing[key] = self._run(arguments) == ""
-        return self._passing[key]
+    def passes(self, test: str, tier: str) -> bool:
+        """Return whether a test passes without a fault; it runs once."""
+        if test not in self._passing:
+            file = test.partition("::")[0]
+            exists = (self.folder / file).exists()  # not "timeout", for example
+            self._passing[test] = not exists or self._run(tier, [file], only=test) == ""
+        return self._passing[test]
 
-    def detecting_test(self, fault: Fault, arguments: Sequence[str]) -> str:
+    def detecting_test(self, fault: Fault, tier: str, arguments: Sequence[str]) -> str:
         """Return the first test that fails with a fault, "timeout", or "" if all pass.
 
         Each faulty file has its own modification time, so that no bytecode of another fault is
@@ -307,50 +389,53 @@ class Bench:
         path.write_text(source[: fault.start] + fault.after + source[end:], encoding="utf-8")
         os.utime(path, (stat.st_atime, int(stat.st_mtime) + 10 * self._planted))
         try:
-            return self._run(arguments)
+            return self._run(tier, arguments)
         finally:
             path.write_text(source, encoding="utf-8")
             os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
 
-    def _run(self, arguments: Sequence[str]) -> str:
+    def _run(self, tier: str, arguments: Sequence[str], *, only: str = "") -> str:
         """Run tests until one fails; return its name, "timeout", or "" if all pass."""
-        with tempfile.TemporaryFile("w+") as output:
+        with tempfile.TemporaryFile("w+") as result:
             child = os.fork()
             if child == 0:
-                self._run_in_child(arguments, output.fileno())
+                self._run_in_child(tier, arguments, only, result)
             _, wait_status = os.waitpid(child, 0)
-            output.seek(0)
-            lines = output.read().splitlines()
+            result.seek(0)
+            failed = result.read()
         status = os.waitstatus_to_exitcode(wait_status)
         if status == -signal.SIGXCPU:
             return "timeout"
         if status in (0, 5):  # 5: no test is selected
             return ""
-        failed = (line for line in lines if line.startswith(("FAILED", "ERROR")))
-        return next((line.split()[1] for line in failed), f"exit status {status}")
+        return failed or f"exit status {status}"
 
-    def _run_in_child(self, arguments: Sequence[str], output: int) -> None:
-        """Run tests in a forked process; do not return."""
-        resource.setrlimit(resource.RLIMIT_CPU, (MAX_PROCESSOR_SECONDS, MAX_PROCESSOR_SECONDS + 10))
-        os.dup2(output, 1)
-        os.dup2(output, 2)
+    def _run_in_child(
+        self, tier: str, arguments: Sequence[str], only: str, result: IO[str]
+    ) -> NoReturn:
+        """Run tests in a forked process, write the name of the failed one, and exit."""
+        seconds = MAX_PROCESSOR_SECONDS[tier]
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 10))
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
         os.chdir(self.folder)
         os.environ["PYTHONPATH"] = str(self.folder)
         sys.path[:] = [str(self.folder), *(path for path in sys.path if path != str(ROOT))]
         status = 1
         try:
-            options = ["-n", "0", "-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider"]
-            status = int(sys.modules["pytest"].main([*options, *arguments]))
-        except BaseException:
-            traceback.print_exc()
+            limit = MAX_FOLDER_SECONDS if tier == "folder" else math.inf
+            plugin = ShortestFirst(self._durations, limit, only)
+            options = ["-n", "0", "-x", "-q", "--tb=no", "-p", "no:cacheprovider"]
+            status = int(sys.modules["pytest"].main([*options, *arguments], [plugin]))
+            result.write(plugin.failed)
         finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
+            result.flush()
             os._exit(status)
 
 
-def run_fault(bench: Bench, fault: Fault, *, tiers: Sequence[str]) -> tuple[str, str]:
-    """Return the outcome of a fault, and the test that detects it.
+def run_fault(bench: Bench, fault: Fault, *, tiers: Sequence[str]) -> tuple[set[str], str, str]:
+    """Return the tiers that ran for a fault, its outcome, and the test that detects it.
 
     The outcome is ``killed``, ``survived``, or ``untested`` if the tests fail without the fault,
     too, or there are none.
@@ -371,15 +456,16 @@ def run_fault(bench: Bench, fault: Fault, *, tiers: Sequence[str]) -> tuple[str,
     selections = {"near": ["-m", "not slow", *near], "slow": ["-m", "slow", *near],
                   "folder": ["-m", "not slow", *others, str(folder.relative_to(bench.folder))],
                   "quick": ["-m", "not slow", "tests"]}  # fmt: skip
-    outcome = "untested"
+    outcome, run = "untested", set()
     for tier in tiers:
         if not near and tier in ("near", "slow"):
             continue
-        if not (failed := bench.detecting_test(fault, selections[tier])):
+        run.add(tier)
+        if not (failed := bench.detecting_test(fault, tier, selections[tier])):
             outcome = "survived"
-        elif bench.passes(selections[tier]):
-            return "killed", failed
-    return outcome, ""
+        elif bench.passes(failed, tier):
+            return run, "killed", failed
+    return run, outcome, ""
 
 
 def main() -> int:
@@ -392,30 +478,44 @@ def main() -> int:
         "--tiers", nargs="+", choices=TIERS, default=TIERS,
         help="tests that run, in this order",
     )  # fmt: skip
+    parser.add_argument("--junit", type=Path, help="JUnit file of the quick tests")
+    parser.add_argument("--again", action="store_true", help="repeat faults that are not killed")
     parser.add_argument("--folder", type=Path, default=ROOT / "build/mutations")
     parser.add_argument("modules", nargs="*", help="beginnings of paths, e.g. statics robot/fall")
     given = parser.parse_args()
     faults = list_faults(ROOT / PACKAGE)
+    known = {fault.key: fault for fault in faults}
     if given.modules:
         chosen = tuple(f"{PACKAGE}/{one}" for one in given.modules)
         faults = [fault for fault in faults if fault.file.startswith(chosen)]
-    sample = draw_faults(faults, given.count, given.seed)
-    rows = read_rows(given.csv)
-    known = {(row["file"], row["line"], row["before"], row["after"]) for row in rows}
-    bench = Bench(given.folder)
-    for number, fault in enumerate(sample, start=1):
-        key = fault.file, str(fault.line), fault.before, fault.after
+    faults = sort_faults(faults, given.seed)
+    rows: dict[tuple[str, ...], dict[str, str]] = {}
+    for row in read_rows(given.csv):
+        key = row["file"], row["code"], row["before"], row["after"], row["occurrence"]
         if key in known:
-            continue
-        outcome, detected_by = run_fault(bench, fault, tiers=given.tiers)
-        tiers = " ".join(given.tiers)
-        values = (fault.file, fault.line, fault.kind, fault.before, fault.after, tiers, outcome,
-                  detected_by)  # fmt: skip
-        rows.append(dict(zip(COLUMNS, map(str, values), strict=True)))
-        write_rows(given.csv, rows)
-        print(f"{number}/{len(sample)} {outcome:9} {fault.file}:{fault.line} {fault.kind}: "
-              f"{fault.before} -> {fault.after}", flush=True)  # fmt: skip
-    counts = Counter(row["outcome"] for row in rows)
+            rows[key] = row | {"line": str(known[key].line)}
+    write_rows(given.csv, [*rows.values()])
+    again = [
+        fault
+        for fault in faults
+        if rows.get(fault.key, {"outcome": "killed"})["outcome"] != "killed"
+    ]
+    unknown = [fault for fault in faults if fault.key not in rows]
+    todo = again if given.again else unknown[: max(0, given.count - len(rows))]
+    bench = Bench(given.folder, read_durations(given.junit) if given.junit else {})
+    for number, fault in enumerate(todo, start=1):
+        run, outcome, detected_by = run_fault(bench, fault, tiers=given.tiers)
+        earlier = rows.get(fault.key, {})
+        run |= set(earlier.get("tiers", "").split())
+        tiers = " ".join(tier for tier in TIERS if tier in run)
+        reason = earlier.get("reason", "")
+        values = (fault.file, fault.line, fault.kind, fault.before, fault.after, fault.code,
+                  fault.occurrence, tiers, outcome, detected_by)  # fmt: skip
+        rows[fault.key] = dict(zip(COLUMNS, (*map(str, values), reason), strict=True))
+        write_rows(given.csv, [*rows.values()])
+        print(f"{number}/{len(todo)} {outcome:9} {fault.file}:{fault.line} {fault.kind}: "
+              f"{fault.before} -> {fault.after} {detected_by}", flush=True)  # fmt: skip
+    counts = Counter(row["outcome"] for row in rows.values())
     print(", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items())))
     return 0
 
