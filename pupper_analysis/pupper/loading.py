@@ -25,6 +25,7 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
             return load_files(*models, **options)
         given = {name: value for name, value in options.items() if value not in (None, False)}
         fixed_base = bool(given.pop("fixed_base", False))
+        given.pop("visuals", None)  # MuJoCo reads the meshes of variants without conversion
         if given:
             raise ConfigurationError(next(iter(given)), diagnose("options-of-files-alone"))
         return load_variant(str(models[0]), fixed_base=fixed_base)

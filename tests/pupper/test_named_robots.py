@@ -60,3 +60,9 @@ def test_crosscheck_of_one_file_names_the_missing_argument() -> None:
     done = answer("crosscheck", "robot.urdf")
     assert done.returncode == 2
     assert "Missing argument" in done.stderr
+
+
+def test_variant_accepts_visuals_without_effect() -> None:
+    """A variant has no mesh that must be converted."""
+    for visuals in (True, False):
+        assert pa.load_robot("v3", visuals=visuals).name == "v3"
