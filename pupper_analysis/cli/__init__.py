@@ -157,7 +157,7 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
         where = error.ctx.command_path if error.ctx else command.name
         _print_error(f"{error.format_message()} (see: {where} --help)")
     except (PupperAnalysisError, click.ClickException) as error:
-        _print_error(str(error))
+        _print_error(str(error), *getattr(error, "__notes__", ()))
     except click.Abort as error:
         raise KeyboardInterrupt from error
     except BrokenPipeError:  # a pipe for results has no reader
@@ -198,12 +198,14 @@ def _describe_lack(error: Exception) -> str:
     return ""
 
 
-def _print_error(text: str) -> None:
-    """Print an error on standard error."""
+def _print_error(text: str, *next_commands: str) -> None:
+    """Print an error on standard error, and command lines to run next."""
     from pupper_analysis.present.formats import escape_control
 
     raise_if_ended()  # what went wrong may be what a library made of the signal
     click.echo(f"error: {escape_control(text)}", err=True)
+    for line in filter(None, next_commands):
+        click.echo(f"  next: {escape_control(line)}", err=True)
 
 
 def _disable_color(_context: click.Context, _option: click.Parameter, given: bool) -> None:

@@ -60,7 +60,7 @@ def complete_command(step: NextStep | None) -> str:
         return ""
     if not several:
         robot = robot[: len(taken)]
-    options = _list_common_options(order, values, target, step.words)
+    options = _list_common_options(order, values, target, (*step.words, *step.omitted))
     split = next(
         (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)
     )
@@ -94,7 +94,7 @@ def _list_common_options(
         order: Typed parameters.
         values: {name of a parameter: typed value}.
         target: Next command.
-        own: Words of the next step. Options among them are omitted.
+        own: Words and omitted options of the next step. Options among them are not yielded.
     """
     known = {(one.name, *one.opts) for one in target.params if isinstance(one, click.Option)}
     for option in dict.fromkeys(order):

@@ -24,7 +24,7 @@ from pupper_analysis.base.units import UNIT_FACTORS, Position
 
 if TYPE_CHECKING:
     from pupper_analysis.base.results import Result
-    from pupper_analysis.present.document import Block, Report
+    from pupper_analysis.present.document import Block, NextStep, Report
     from pupper_analysis.present.html.write import ReportInput
     from pupper_analysis.robot.robot import Robot
 if TYPE_CHECKING:
@@ -100,6 +100,11 @@ TYPED_WORDS: Final = "pupper_analysis.typed_words"
 """Key of ``click.Context.meta`` with the words that follow the name of the command."""
 
 
+_FIXED_BASE_CODE = "base-is-fixed"
+"""Code of the error of a command about stands for a robot with a fixed base. The command line of
+`hold` for this robot is added to the error as a note."""
+
+
 class Command(click.Command):
     """Command that checks, before running, that all results may and can be written.
 
@@ -142,7 +147,15 @@ class Command(click.Command):
         _check_outputs(self, context)
         import_without_opengl()
         context.with_resource(no_mujoco_log())
-        return super().invoke(context)
+        try:
+            return super().invoke(context)
+        except ConfigurationError as error:
+            if getattr(error.problem, "code", "") == _FIXED_BASE_CODE:
+                from pupper_analysis.cli.next_step import complete_command
+                from pupper_analysis.present.document import NextStep
+
+                error.add_note(complete_command(NextStep("hold")))
+            raise
 
 
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
@@ -519,6 +532,7 @@ def show_results(
     robots: Iterable[Robot] = (),
     overview: Iterable[Block] = (),
     everything: bool = False,
+    next_step: NextStep | None = None,
 ) -> None:
     """Print results for a terminal, or as Markdown.
 
@@ -528,22 +542,29 @@ def show_results(
         robots: Robots of the results; Markdown includes the notes of the robots.
         overview: Blocks that compare the results.
         everything: True to print all tables and notes.
+        next_step: Command to run next. Default: the next step of the only result.
     """
     from pupper_analysis.present.documents.registry import build_report
 
     markdown = style == "markdown"
-    show_report(
-        build_report(results, robots if markdown else (), overview), style, everything=everything
-    )
+    report = build_report(results, robots if markdown else (), overview)
+    show_report(report, style, everything=everything, next_step=next_step)
 
 
-def show_report(report: Report, style: str = "text", *, everything: bool = False) -> None:
+def show_report(
+    report: Report,
+    style: str = "text",
+    *,
+    everything: bool = False,
+    next_step: NextStep | None = None,
+) -> None:
     """Print a report for a terminal, or as Markdown with the version of this package.
 
     Args:
         report: Report.
         style: ``text`` or ``markdown``.
         everything: True to print all tables and notes. Ignored for Markdown.
+        next_step: Command to run next. Default: the next step of the only document.
     """
     if style == "markdown":
         from pupper_analysis.base.provenance import collect_provenance
@@ -555,12 +576,13 @@ def show_report(report: Report, style: str = "text", *, everything: bool = False
         from pupper_analysis.cli.next_step import complete_command
         from pupper_analysis.present.terminal import make_console, print_report
 
-        steps = [document.next_step for document in report.documents]
+        if next_step is None and len(report.documents) == 1:
+            next_step = report.documents[0].next_step
         print_report(
             make_console(),
             report,
             everything=everything,
-            next_command=complete_command(steps[0]) if len(steps) == 1 else "",
+            next_command=complete_command(next_step),
         )
 
 

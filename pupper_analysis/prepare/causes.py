@@ -267,7 +267,7 @@ def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
         yield CauseCandidate("gravity", (f"({stated}) m/s^2",), upright)
 
 
-_STIFFNESS_FACTOR = 4.0
+STIFFNESS_FACTOR = 4.0
 """Factor by which servos are made stiffer to test whether their stiffness is too low. Chosen."""
 
 
@@ -280,8 +280,8 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
     if soft.size:
         gain, bias = model.actuator_gainprm[soft, 0], model.actuator_biasprm[soft]
         stiffer = _make_switch(
-            ("actuator_gainprm", (soft, 0), _STIFFNESS_FACTOR * gain),
-            ("actuator_biasprm", soft, _STIFFNESS_FACTOR * bias),
+            ("actuator_gainprm", (soft, 0), STIFFNESS_FACTOR * gain),
+            ("actuator_biasprm", soft, STIFFNESS_FACTOR * bias),
         )
         yield CauseCandidate("soft-servos", _name_actuators(model, soft), stiffer)
 

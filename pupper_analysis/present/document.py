@@ -445,11 +445,13 @@ class NextStep:
         words: Further arguments and options, such as ``("--kp", "10")``.
         robot_typed: True if the next command gets the typed robot; False if ``words`` contain its
             files.
+        omitted: Typed options that the next command does not get, such as ``"--command"``.
     """
 
     command: str
     words: tuple[str, ...] = ()
     robot_typed: bool = True
+    omitted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -90,17 +90,20 @@ def print_report(
         out: Console.
         report: Report.
         everything: Also print the blocks that the short view omits.
-        next_command: Command line to run after a report with one document; empty for none.
+        next_command: Command line to run after the report; empty for none.
     """
     several = bool(report.overview) and not everything
+    single = len(report.documents) == 1
     for document in report.documents:
         if several:
             print_summary(out, document)
         else:
-            shown = next_command if len(report.documents) == 1 else ""
+            shown = next_command if single else ""
             print_document(out, document, everything=everything, next_command=shown)
     for block in report.overview:
         _print_block(out, block, everything=everything)
+    if next_command and (several or not single):
+        _print_next_command(out, next_command)
     if several and any(document.blocks for document in report.documents):
         _print_line(out, Text("every table: -v", "dim"))
 
@@ -118,7 +121,7 @@ def print_document(
     """
     print_head(out, document, everything=everything)
     if next_command:
-        _print_line(out, Text(f"  next: {_escape_line(next_command)}"), wrap=False)
+        _print_next_command(out, next_command)
     place = 0
     for block in document.blocks:
         place += isinstance(block, FileFinding)
@@ -132,9 +135,16 @@ def print_document(
         _print_left_out(out, document)
 
 
-def print_summary(out: Console, document: Document) -> None:
-    """Print a document's verdict and key figures, and the number of notes."""
+def _print_next_command(out: Console, command: str) -> None:
+    """Print a command line to run next. The line is not wrapped, so it can be copied."""
+    _print_line(out, Text(f"  next: {_escape_line(command)}"), wrap=False)
+
+
+def print_summary(out: Console, document: Document, *, next_command: str = "") -> None:
+    """Print a document's verdict and key figures, the next command, and the number of notes."""
     print_head(out, document)
+    if next_command:
+        _print_next_command(out, next_command)
     _print_note_count(out, document)
 
 

@@ -343,7 +343,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
             collapses=fed is Ending.COLLAPSES,
             disagrees=fed is Ending.DISAGREES,
             fails=fed is Ending.FAILS,
-            failures=verdict.failures,
+            failures=join_ground_touches(verdict.failures),
         )
         yield Clause(False, message)
     else:
@@ -363,8 +363,31 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
             fed is Ending.HOLDS, diagnose("servos-given", **_describe_gains(verdict.servos))
         )
     if fed is Ending.HOLDS and alone is not None and alone is not Ending.HOLDS:
-        collapses, failures = alone is Ending.COLLAPSES, verdict.failures_alone
+        collapses = alone is Ending.COLLAPSES
+        failures = join_ground_touches(verdict.failures_alone)
         yield Clause(False, diagnose("fails-alone", collapses=collapses, failures=failures))
+
+
+_TOUCH_CODE = "body-touches-ground"
+"""Code of the failure that a body other than a foot touches the ground."""
+
+
+def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """Replace the failures of bodies that touch the ground by one failure, with the first time."""
+    failures = tuple(failures)
+    touches = [failure for failure in failures if failure.code == _TOUCH_CODE]
+    names = [failure.subject.name for failure in touches if failure.subject is not None]
+    if len(names) < 2:
+        return failures
+    times = [time for failure in touches if isinstance(time := failure.values["time"], Quantity)]
+    joined = diagnose(
+        "bodies-touch-ground",
+        names=names,
+        time=min(times, key=lambda time: time.value, default=None),
+    )
+    place = failures.index(touches[0])
+    others = [failure for failure in failures if failure.code != _TOUCH_CODE]
+    return (*others[:place], joined, *others[place:])
 
 
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:

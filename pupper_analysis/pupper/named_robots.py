@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
     VARIANTS,
+    VariantSpec,
     find_model_folder,
     get_variant_spec,
 )
@@ -21,13 +22,13 @@ def is_variant(word: object) -> bool:
 
 
 @contextmanager
-def variant_model_files(name: str) -> Iterator[tuple[Path, Path]]:
+def variant_model_files(name: str | VariantSpec) -> Iterator[tuple[Path, Path]]:
     """Yield the URDF and the MJCF of a variant.
 
     A base model has permanent files. The files of a scaled variant are written to a temporary
     folder, which is removed at the end.
     """
-    spec = get_variant_spec(name)
+    spec = get_variant_spec(name) if isinstance(name, str) else name
     if spec.leg_scale == spec.torso_mass_scale == 1.0:
         base = BASE_MODELS[spec.base]
         yield find_model_folder("urdf") / base.urdf, find_model_folder("mjcf") / base.mjcf

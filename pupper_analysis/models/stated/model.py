@@ -193,6 +193,14 @@ class RobotModel:
         return sum(body.mass for body in self.links.values())
 
     @cached_property
+    def floating(self) -> bool:
+        """Whether the base is free, or is freed on loading: base with two moving limbs or more."""
+        if any(joint.kind == FREE for joint in self.joints.values()):
+            return True
+        group = self.fixed_group(self.base)
+        return sum(child.moving for link in group for child in self.children(link.name)) > 1
+
+    @cached_property
     def _children_by_name(self) -> dict[str, list[Link]]:
         children: dict[str, list[Link]] = {name: [] for name in self.links}
         for body in self.links.values():

@@ -97,11 +97,10 @@ def command(
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
     2 bad input (an unknown name, an invalid scale, a stance out of reach).
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.cli.next_step import print_next_step
     from pupper_analysis.present.terminal import make_console, print_table
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, get_variant_spec
-    from pupper_analysis.tools.analyze.document import analysis_document, comparison_table
+    from pupper_analysis.tools.analyze.document import comparison_table
 
     if no_figures:
         refuse_idle("--no-figures", "output")
@@ -127,9 +126,8 @@ def command(
     shared.write_json(json_path, {"variants": dict(named), "comparison": rows})
     shared.write_page(report_path, [*analyses, table], robots)
     good = sum(analysis.verified for analysis in analyses)
-    click.echo(f"{good} of {len(analyses)} verified", err=not shown)
-    if shown and len(analyses) == 1:
-        print_next_step(analysis_document(analyses[0]).next_step)
+    if len(analyses) > 1:
+        click.echo(f"{good} of {len(analyses)} verified", err=not shown)
     if shown and not everything:
         click.echo("every table: -v; every number: --json FILE; a page to share: --report FILE")
     if write_folder is not None:
@@ -144,6 +142,7 @@ def _analyze_all(
     meant: list[VariantSpec | RobotFiles], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyse robots, and print each result after the analysis."""
+    from pupper_analysis.cli.next_step import complete_command
     from pupper_analysis.present.terminal import make_console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand
     from pupper_analysis.tools.analyze.analysis import analyze_variant
@@ -159,7 +158,9 @@ def _analyze_all(
         if shown and everything:
             print_document(out, analysis_document(analyses[-1]), everything=True)
         elif shown:
-            print_summary(out, analysis_document(analyses[-1]))
+            document = analysis_document(analyses[-1])
+            step = document.next_step if len(robots) == 1 else None
+            print_summary(out, document, next_command=complete_command(step))
     return analyses, robots
 
 

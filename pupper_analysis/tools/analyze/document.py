@@ -40,7 +40,11 @@ from pupper_analysis.present.documents.standing import (
     stand_table,
     task_text,
 )
-from pupper_analysis.present.verdict import qualify_verdict_word, split_verdict_lines
+from pupper_analysis.present.verdict import (
+    join_ground_touches,
+    qualify_verdict_word,
+    split_verdict_lines,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Ending
 from pupper_analysis.simulation.verify import StandVerification
@@ -104,9 +108,8 @@ def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[
 
 def _make_verdict_word(analysis: Analysis) -> doc.Text:
     """Return the word of the verdict."""
-    if not analysis.verified:
-        return text("FAILED")
-    return qualify_verdict_word("VERIFIED", analysis.verdict.converted)
+    key = _get_verdict_key(analysis.verified, analysis.sagging.passed)
+    return qualify_verdict_word(key, analysis.verdict.converted)
 
 
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
@@ -148,7 +151,8 @@ def _format_height(run: StandVerification) -> doc.Words:
 def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
     """State the failures of the simulation without feed-forward, if there are any."""
     if not without.passed:
-        why = join_words(map(doc.diagnostic_text, without.failures), "semicolon")
+        failures = join_ground_touches(without.failures)
+        why = join_words(map(doc.diagnostic_text, failures), "semicolon")
         yield text("does-not-stand-without-feed-forward", why=why).with_mark("warn")
 
 
@@ -449,11 +453,11 @@ def compare_with_base(
     )
 
 
-def _get_verdict_key(row: ComparisonRow) -> str:
-    """Return the catalogue key of a row's verdict."""
-    if not row.verified:
+def _get_verdict_key(verified: bool, stands_without: bool) -> str:
+    """Return the catalogue key of a verdict, which states a robot that needs feed-forward."""
+    if not verified:
         return "FAILED"
-    return "VERIFIED" if row.stands_without else "VERIFIED with feed-forward"
+    return "VERIFIED" if stands_without else "VERIFIED with feed-forward"
 
 
 def _compute_ratio(length: float | None, reference: float | None) -> float | None:
@@ -479,9 +483,9 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
             for _, _, field, form, scale in columns
         ]
         stands = text("stands") if row.stands_without else text("FAILS").with_mark("bad")
-        verdict = qualify_verdict_word(_get_verdict_key(row), row.converted).with_mark(
-            "good" if row.verified else "bad"
-        )
+        verdict = qualify_verdict_word(
+            _get_verdict_key(row.verified, row.stands_without), row.converted
+        ).with_mark("good" if row.verified else "bad")
         cells.append((Name(row.name), verdict, stands, *numbers))
     return Table(
         text("comparison-ratios-to-the-unscaled"),

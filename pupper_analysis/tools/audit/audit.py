@@ -116,6 +116,7 @@ def _run_rules(
         rules_run=tuple(run),
         disabled=unwanted,
         notes=robot.notes,
+        floating=robot.floating,
     )
 
 

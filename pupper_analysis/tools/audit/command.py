@@ -65,6 +65,7 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.base.diagnostics import Severity
     from pupper_analysis.present import formats
+    from pupper_analysis.present.document import NextStep
     from pupper_analysis.pupper.named_robots import is_variant, variant_model_files
     from pupper_analysis.tools.audit import document as audit_report
     from pupper_analysis.tools.audit.audit import audit_model
@@ -82,7 +83,8 @@ def command(
         ]
         if style in ("text", "markdown"):
             shown = [("", result) for result in results]
-            shared.show_results(shown, style, everything=everything)
+            step = NextStep("crosscheck") if len(results) > 1 else None  # files of a variant
+            shared.show_results(shown, style, everything=everything, next_step=step)
         else:
             found = [
                 annotation

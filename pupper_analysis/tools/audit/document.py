@@ -58,7 +58,9 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
     """Return the command that simulates a file without errors; None for other formats."""
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
-    return doc.NextStep("stand") if audit.passed and simulated else None
+    if not audit.passed or not simulated:
+        return None
+    return doc.NextStep("stand" if audit.floating else "hold")
 
 
 def _pluralise_severity(severity: str, count: int) -> str:

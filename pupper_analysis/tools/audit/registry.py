@@ -148,6 +148,7 @@ class Audit(Tabular):
         rules_run: Ids of the rules that were run.
         disabled: Ids of the rules that the caller disabled.
         notes: Content that was left out.
+        floating: True if the base is free, or is freed on loading because it has two limbs or more.
     """
 
     file: str
@@ -158,6 +159,7 @@ class Audit(Tabular):
     rules_run: tuple[str, ...]
     disabled: tuple[str, ...]
     notes: tuple[Diagnostic, ...]
+    floating: bool
 
     def _columns(self) -> dict[str, list[object]]:
         names = ("rule", "severity", "file", "line", "element", "message")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from pupper_analysis.tools.audit.document import (
     get_rule_text,
 )
 from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
-from pupper_analysis.tools.check.remarks import Remark, count_findings
+from pupper_analysis.tools.check.remarks import REFUSED_KIND, Remark, count_findings
 
 
 @build_document.register(RepositoryCheck)
@@ -58,8 +59,42 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
         tuple(blocks),
         passed=check.passed,
         verdict=text("passed") if check.passed else text("FAILED"),
-        findings=(summarise_check(check),),
+        findings=(summarise_check(check), _describe_first_cause(check)),
+        next_step=_select_next_step(check),
     )
+
+
+def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
+    """Return the first failing finding with its place, or the numbers of pairs and files."""
+    if check.failures:
+        first = check.remarks[0]
+        place = doc.Name(relative_to_root(first.place or first.file))
+        return text("first-to-fix", place=place, finding=_describe_remark(first))
+    files = {file for pair in check.pairs for file in pair.files}
+    return text("checked-pairs-and-files", pairs=len(check.pairs), files=len(files))
+
+
+def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
+    """Return the command that details the first failing finding, or simulates the first pair."""
+    if check.stale and not check.updated and not check.failures:
+        return doc.NextStep("check", ("--update-baseline",))
+    folder = Path(check.config).parent
+    if not check.failures:
+        pair = next((pair for pair in check.pairs if len(pair.files) == 2), None)
+        return None if pair is None else _run_on_files("stand", folder, pair.files)
+    first = check.remarks[0]
+    if first.kind == REFUSED_KIND or _is_audit_rule(first):
+        return _run_on_files("audit", folder, (first.file,))
+    if first.check == "crosscheck":
+        files = next(pair.files for pair in check.pairs if pair.name == first.pair)
+        return _run_on_files("crosscheck", folder, files)
+    return None
+
+
+def _run_on_files(command: str, folder: Path, files: Iterable[str]) -> doc.NextStep:
+    """Return a command for files whose paths are relative to the folder of the configuration."""
+    paths = (os.path.relpath(folder / file) for file in files)
+    return doc.NextStep(command, tuple(paths), robot_typed=False)
 
 
 def group_findings(remarks: Iterable[Remark]) -> list[list[Remark]]:

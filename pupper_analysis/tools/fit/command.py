@@ -15,6 +15,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
+from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.cli.robots import (
     FILE_OPTIONS,
     VARIANT_OPTIONS,
@@ -27,6 +28,7 @@ from pupper_analysis.cli.robots import (
 )
 from pupper_analysis.cli.stance_options import GAIN_OPTIONS, parse_gain
 from pupper_analysis.prepare.convert.files import RobotFiles
+from pupper_analysis.present.document import NextStep
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
@@ -262,12 +264,46 @@ def command(
             )
     if style == "text":
         print_notes(robot, everything=everything)
-    shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
+    shared.show_results(
+        [(robot.name, result)],
+        style,
+        robots=[robot],
+        everything=everything,
+        next_step=_select_next_step(result, output),
+    )
     shared.write_page(report_path, result, [robot])
     if output is not None and isinstance(result, Fit):
-        _write_models(robot, meant, result, output, anyway=anyway)
+        models = _write_models(robot, meant, result, output, anyway=anyway)
+        if models and style == "text":
+            print_next_step(NextStep("stand", models, robot_typed=False))
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
+
+
+_MEASURING_OPTIONS = ("--plan", "--record", "--bridge", "--prior", "--added", "--added-at")
+"""Options of plans and recordings that the following mode of the command refuses."""
+
+
+def _select_next_step(result: Fit | StandPlan | Recording, output: Path | None) -> NextStep | None:
+    """Return the next command: plan, recording, fit, written files, in this order.
+
+    After a fit with an output folder, the next command depends on the written files: None.
+    """
+    from pupper_analysis.tools.fit.record.recorder import Recording
+    from pupper_analysis.tools.fit.stands.plan import StandPlan
+
+    if isinstance(result, StandPlan):
+        if output is None:
+            return NextStep("fit", ("-o", "plan.csv"))
+        words = ("--record", str(output), "--bridge", "typed", "-o", "stands.csv")
+        return NextStep("fit", words, omitted=_MEASURING_OPTIONS)
+    if isinstance(result, Recording):
+        if result.missing_stands and (result.recorded_stands or not result.existing_stands):
+            return NextStep("fit", ("-o", result.file))
+        return NextStep("fit", ("--stands", result.file), omitted=_MEASURING_OPTIONS)
+    if not result.explained:
+        return NextStep("fit", ("-v",))
+    return NextStep("fit", ("-o", "fitted")) if output is None else None
 
 
 def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -> Recording:
@@ -284,8 +320,11 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
 
 def _write_models(
     robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path, *, anyway: bool
-) -> None:
-    """Write the corrected models. An unexplained fit is only written with ``--anyway``."""
+) -> tuple[str, ...]:
+    """Write the corrected models, and return their paths.
+
+    An unexplained fit is only written with ``--anyway``; otherwise there are no paths.
+    """
     from pupper_analysis.tools.fit.write import write_fit
 
     posterior = found.posterior
@@ -294,7 +333,7 @@ def _write_models(
         click.echo(f"note: {diagnose('fit-written-anyway', times=found.noise_inflation)}", err=True)
     elif not found.explained:
         click.echo(str(diagnose("fit-not-written", folder=str(folder))), err=True)
-        return
+        return ()
     with TemporaryDirectory() as temporary:
         files = None
         if not isinstance(meant, RobotFiles):  # a derived variant has no files of its own
@@ -308,3 +347,5 @@ def _write_models(
         more = f" (and {num_similar} more of this kind)" if num_similar else ""
         click.echo(f"note: {note}{more}", err=True)
     shared.confirm_written(folder)
+    models = written.models
+    return tuple(str(folder / path) for path in (models.urdf, models.mjcf) if path is not None)

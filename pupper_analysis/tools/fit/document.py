@@ -18,14 +18,19 @@ from pupper_analysis.tools.fit.stands.plan import StandPlan
 
 
 def describe_fit(
-    fit: Fit, title: doc.Words, messages: Iterable[doc.Words], extra_blocks: Iterable[doc.Block]
+    fit: Fit,
+    title: doc.Words,
+    answer: Iterable[doc.Words],
+    details: Iterable[doc.Words],
+    extra_blocks: Iterable[doc.Block],
 ) -> doc.Document:
     """Create the document of a fit.
 
     Args:
         fit: Fit.
         title: Title.
-        messages: Summary of the measurements and of the agreement with the measurements.
+        answer: Key figures of the fit.
+        details: Further statements about the measurements and the agreement with them.
         extra_blocks: Plots of the residuals.
     """
     robot_estimates = [
@@ -49,7 +54,13 @@ def describe_fit(
             True,
         ),
     ]
-    held = text("held-by-prior", partly=str(len(partly)), count=str(len(by_prior)))
+    counts = text(
+        "parameters-determined",
+        count=len(by_data),
+        parameters=len(robot_estimates),
+        partly=len(partly),
+        prior=len(by_prior),
+    )
     return doc.Document(
         title,
         doc.Name(fit.name),
@@ -60,9 +71,31 @@ def describe_fit(
         passed=fit.explained,
         verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
         failures=tuple(doc.diagnostic_text(failure) for failure in fit.failures),
-        findings=(*messages, *([held] if partly or by_prior else [])),
+        findings=(*answer, *_describe_largest_change(by_data), counts),
+        details=tuple(details),
+        brief=True,
         notes=tuple(doc.diagnostic_text(note) for note in fit.diagnostics),
     )
+
+
+def _describe_largest_change(estimates: Sequence[Estimate]) -> Iterator[doc.Words]:
+    """Yield the estimate farthest from the value of the file, in its standard deviations."""
+    changes = [
+        (abs(estimate.mean - estimate.stated) / estimate.std, estimate)
+        for estimate in estimates
+        if estimate.std > 0
+    ]
+    if changes:
+        _, estimate = max(changes, key=lambda change: change[0])
+        scale, unit = READ_IN.get(estimate.unit, (1.0, estimate.unit))
+        yield text(
+            "largest-change",
+            name=doc.Name(estimate.name),
+            mean=f"{scale * estimate.mean:.4g}",
+            half=f"{scale * (estimate.high - estimate.mean):.2g}",
+            unit="" if unit == "1" else unit,
+            stated=f"{scale * estimate.stated:.4g}",
+        )
 
 
 def _estimate_table(
@@ -103,12 +136,13 @@ def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
 
     `build_document` calls this function for the result of the fit.
     """
-    findings = (
-        *_describe_errors(fit),
+    error, repeatability = _describe_errors(fit)
+    details = (
+        repeatability,
         text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
         *([text("kp-over-mass", **_format_estimate(ratio))] if (ratio := fit.kp_over_mass) else []),
     )
-    return describe_fit(fit, text("fit-of-motions"), findings, [_joint_error_plot(fit)])
+    return describe_fit(fit, text("fit-of-motions"), [error], details, [_joint_error_plot(fit)])
 
 
 def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
@@ -144,11 +178,10 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
 
     `build_document` calls this function for the result of the fit.
     """
-    findings = (
+    answer = (_describe_total_mass(fit.total_mass), *_describe_kp_factor(fit))
+    details = (
         text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
-        _describe_total_mass(fit.total_mass),
         _describe_com(fit.com),
-        *_describe_kp_factor(fit),
         *(
             text(
                 "worst-residual",
@@ -161,7 +194,7 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
         ),
         *([text("kp-over-mass", **_format_estimate(ratio))] if (ratio := fit.kp_over_mass) else []),
     )
-    return describe_fit(fit, text("fit-of-stands"), findings, [_stand_residual_plot(fit)])
+    return describe_fit(fit, text("fit-of-stands"), answer, details, [_stand_residual_plot(fit)])
 
 
 def _format_estimate(estimate: Estimate) -> dict[str, str]:
@@ -194,7 +227,8 @@ def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
             yield text("kp-factor-by-a-known-mass", **values)
         elif fit.weight is None:
             yield text("kp-factor", **values)
-            yield text("what-would-tell")
+            if fit.total_mass.determined is Determined.DATA:
+                yield text("what-would-tell")  # otherwise stated beside the total mass
         else:
             yield text("kp-factor-weighed", **values, weight=f"{fit.weight:.4g}")
 
@@ -230,8 +264,9 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
                 parameters=str(len(plan.expected)),
             ),
             *_describe_known_mass(plan),
-            text("how-to-take-stands"),
         ),
+        details=(text("how-to-take-stands"),),
+        brief=True,
     )
 
 
@@ -284,12 +319,14 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
     }
     values = {name: str(count) for name, count in counts.items()}
     message = "stands-taken" if recording.missing_stands else "all-stands-taken"
+    summary = text(message, file=doc.Name(recording.file), **values)
+    reasons = tuple(doc.diagnostic_text(finding) for finding in recording.findings)
     return doc.Document(
         text("recording-of-stands"),
         doc.Name(recording.name),
         (),
         passed=recording.complete,
         verdict=text("recording-complete") if recording.complete else text("recording-incomplete"),
-        failures=tuple(doc.diagnostic_text(finding) for finding in recording.findings),
-        findings=(text(message, file=doc.Name(recording.file), **values),),
+        failures=(summary, *reasons) if recording.missing_stands else reasons,
+        findings=() if recording.missing_stands else (summary,),
     )

@@ -155,8 +155,10 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
         the command ends with status 1.
 
     Raises:
+        ConfigurationError: If the base is fixed.
         DisplayError: If no window can be opened.
     """
+    robot.check_floating()
     if not headless:
         display.show_window(robot.mj_model, make_home_data(robot))
     result = simulate_drop(robot)

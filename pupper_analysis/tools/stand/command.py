@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import fields, replace
 from pathlib import Path
 
 import click
 
 from pupper_analysis.base import kinds
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import RobotOptions, robot_argument
@@ -123,14 +122,21 @@ def _explain_preparation(
     from pupper_analysis.prepare.convert.load import read_pair
     from pupper_analysis.prepare.passes import LoadRequest, parse_feet
     from pupper_analysis.present.document import Report
+    from pupper_analysis.pupper.named_robots import variant_model_files
     from pupper_analysis.tools.stand.document import preparation_document
     from pupper_analysis.tools.stand.stance import explain_loading
 
-    files = request.which.select_robot(words)
-    if not isinstance(files, RobotFiles):
-        raise ConfigurationError("ROBOT", diagnose("file-of-a-robot-needed"))
-    options = files.options
-    with shared.show_progress("preparing the robot: feet, start pose, servos"), silence_mujoco():
+    selected = request.which.select_robot(words) or "v3"
+    with ExitStack() as resources:
+        if isinstance(selected, RobotFiles):
+            models, options = selected.models, selected.options
+        else:
+            variant = resources.enter_context(variant_model_files(selected))
+            models, options = tuple(map(str, variant)), {}
+        resources.enter_context(
+            shared.show_progress("preparing the robot: feet, start pose, servos")
+        )
+        resources.enter_context(silence_mujoco())
         load_request = LoadRequest(
             feet=parse_feet(options["feet"]) if "feet" in options else None,
             fixed_base=False,
@@ -139,7 +145,7 @@ def _explain_preparation(
             as_is=request.as_is,
         )
         pair = read_pair(
-            *files.models,
+            *models,
             take=options.get("take"),
             body=options.get("body"),
             packages=options.get("packages"),

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
+from pupper_analysis.prepare.causes import STIFFNESS_FACTOR
+from pupper_analysis.prepare.passes import PassRun
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
 from pupper_analysis.present.documents.loads import load_blocks, view_block
@@ -39,15 +41,29 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
         "robot-free" if loading.floating else "robot-held",
         mass=f"{loading.mass:.3f}",
         joints=len(loading.joints),
-        feet=len(loading.feet),
+        feet=", ".join(loading.feet),
     )
-    ready = () if loading.passes else (text("files-are-ready"),)
+    changing = [run for run in loading.passes if run.done]
+    idle = [run for run in loading.passes if not run.done]
+    changes = text(
+        "passes-that-changed",
+        count=len(changing),
+        passes=len(loading.passes),
+        names=", ".join(run.name for run in changing),
+    )
+    tables = [
+        *([_make_pass_table(text("passes-run"), changing)] if changing else []),
+        *([_make_pass_table(text("passes-idle"), idle, detail=True)] if idle else []),
+    ]
     shown = {note for run in loading.passes for note in run.done}
     return doc.Document(
         text("loading-title"),
         doc.Name(loading.name),
-        (_make_pass_table(loading),) if loading.passes else (),
-        findings=(robot, *ready),
+        tuple(tables),
+        passed=True,
+        verdict=text("READY"),
+        findings=(robot, changes if loading.passes else text("files-are-ready")),
+        next_step=NextStep("stand" if loading.floating else "hold", omitted=("--explain",)),
         notes=tuple(
             map(
                 doc.diagnostic_text,
@@ -57,10 +73,12 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
     )
 
 
-def _make_pass_table(loading: Preparation) -> doc.Table:
+def _make_pass_table(
+    title: doc.Words, passes: Iterable[PassRun], *, detail: bool = False
+) -> doc.Table:
     """Create the table of passes, a row per change that a pass made."""
     rows: list[tuple[doc.Cell, ...]] = []
-    for run in loading.passes:
+    for run in passes:
         done = tuple(map(doc.diagnostic_text, run.done)) or (text("nothing-to-do"),)
         rows += [(doc.Name(run.name), word(run.does), done[0])]
         rows += [(doc.Name(""), doc.Name(""), change) for change in done[1:]]
@@ -68,7 +86,7 @@ def _make_pass_table(loading: Preparation) -> doc.Table:
         doc.Column(text(key), left=True)
         for key in ("pass-of-loading", "what-it-does", "what-it-did")
     )
-    return doc.Table(text("passes-run"), columns, tuple(rows))
+    return doc.Table(title, columns, tuple(rows), detail=detail)
 
 
 MAX_BALANCE_RESIDUAL = 1e-4
@@ -146,9 +164,21 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = NextStep("crosscheck")
     if step.command == "crosscheck" and verdict.converted:
         step = NextStep("audit")
+    own = verdict.own
+    soft = own is not None and any(cause.code == "soft-servos" for cause in own.causes)
+    if verdict.code is VerdictCode.OWN_DRIVES_FAIL and soft:
+        step = _stiffen_servos(stance.verification)
     if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
         step = NextStep("payload")
     return step
+
+
+def _stiffen_servos(run: StandVerification) -> NextStep:
+    """Return the command with the stiffer servos on which the file stands, if all are equal."""
+    if np.ptp(run.kp) or np.ptp(run.kd):
+        return NextStep("stand", ("--minimum-stiffness",))
+    kp, kd = (f"{STIFFNESS_FACTOR * values[0]:g}" for values in (run.kp, run.kd))
+    return NextStep("stand", ("--kp", kp, "--kd", kd))
 
 
 def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
@@ -189,7 +219,7 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
             kp=f"{stance.minimum_stiffness:.2f}",
         )
     settled = stance.settled
-    if stance.unsettled is not None:
+    if stance.unsettled is not None and not _is_failure_without_feedforward_stated(stance):
         yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
     elif settled is not None and not _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)
@@ -202,7 +232,12 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
     """Return True if the predicted equilibrium is no warning, or repeats that of the verdict."""
     lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
-    return lasting or stance.verdict.commands_alone not in (None, Ending.HOLDS)
+    return lasting or _is_failure_without_feedforward_stated(stance)
+
+
+def _is_failure_without_feedforward_stated(stance: Stance) -> bool:
+    """Return True if the verdict states that the simulation without feed-forward fails."""
+    return stance.verdict.commands_alone not in (None, Ending.HOLDS)
 
 
 def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
@@ -231,4 +266,6 @@ def _list_details(stance: Stance) -> Iterable[doc.Words]:
     settled = stance.settled
     if settled is not None and _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)
+    if stance.unsettled is not None and _is_failure_without_feedforward_stated(stance):
+        yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
     yield ground_text(stance.stand.depths.values())

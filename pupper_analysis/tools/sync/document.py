@@ -56,8 +56,17 @@ def sync_document(
             text("difference-note", difference=doc.Name(name), note=doc.diagnostic_text(note))
             for name, note in sync.notes.items()
         ),
-        next_step=doc.NextStep("crosscheck") if sync.edits or sync.agree else None,
+        next_step=_select_next_step(sync, chosen=chosen, dry_run=dry_run),
     )
+
+
+def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
+    """Return the command that shows what a choice would write, or that compares written files."""
+    if not chosen and not sync.agree:
+        return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))
+    if dry_run and sync.edits:
+        return doc.NextStep("sync", omitted=("--dry-run",))
+    return doc.NextStep("crosscheck")
 
 
 def _list_failures(sync: Sync) -> Iterable[doc.Words]:

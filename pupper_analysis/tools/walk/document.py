@@ -30,6 +30,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         robot: Robot of the result, for the 3-D view and notes; None if not available.
     """
     fallen = [gait for gait in walk.gaits if gait.fall is not None]
+    speed, torque, *details = _list_figures(walk)
     word = "walk-follows" if walk.passed else "walk-falls" if fallen else "walk-does-not-follow"
     return doc.Document(
         text("walk-title"),
@@ -45,9 +46,24 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         failures=tuple(
             doc.diagnostic_text(gait.fall) for gait in fallen[:1] if gait.fall is not None
         ),
-        findings=(*_list_findings(walk), *map(doc.diagnostic_text, walk.remarks)),
+        findings=(
+            speed,
+            torque,
+            *_list_warnings(walk),
+            *map(doc.diagnostic_text, walk.remarks),
+        ),
+        details=tuple(details),
+        brief=True,
         notes=robot_notes(robot),
+        next_step=_select_next_step(walk),
     )
+
+
+def _select_next_step(walk: Walk) -> doc.NextStep:
+    """Return the command that tests changes of the robot, or other interpretations."""
+    if walk.passed:
+        return doc.NextStep("walk", ("--vary", "mass,kp,delay"))
+    return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds"))
 
 
 _MAX_SHOWN_CONFIGURATIONS = 75
@@ -68,16 +84,16 @@ def _make_view(walk: Walk, robot: Robot | None) -> doc.View:
     return doc.View(text("walk-view"), scene, text("walk-view-note"))
 
 
-def _list_findings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the findings: speed, torque, power, contacts, and the number of runs that track."""
+def _list_figures(walk: Walk) -> Iterable[doc.Words]:
+    """Yield the key figures: speed, torque, power, and contacts of the feet."""
     first, gaits = walk.gaits[0], walk.gaits
     yield text(
         "walk-speed-line",
-        forward=f"{first.velocity[0]:.2f}",
+        forward=f"{first.velocity[0]:z.2f}",
         asked=f"{first.command[0]:g}",
-        left=f"{first.velocity[1]:.2f}",
+        left=f"{first.velocity[1]:z.2f}",
         asked_left=f"{first.command[1]:g}",
-        turning=f"{first.turning:.2f}",
+        turning=f"{first.turning:z.2f}",
         asked_turning=f"{first.command[2]:g}",
     )
     rms = _max_over_runs(walk, "torque_rms")
@@ -88,6 +104,7 @@ def _list_findings(walk: Walk) -> Iterable[doc.Words]:
         joint=doc.Name(walk.joints[hardest]),
         rms=f"{rms[hardest]:.2f}",
         peak=f"{_max_over_runs(walk, 'torque_peak')[hardest]:.2f}",
+        limit=f"{walk.limits[hardest]:.3g}" if np.isfinite(walk.limits[hardest]) else "",
         share=f"{100 * _max_over_runs(walk, 'at_limit')[hardest]:.1f}",
     )
     yield text(
@@ -98,6 +115,11 @@ def _list_findings(walk: Walk) -> Iterable[doc.Words]:
     )
     duty = ", ".join(f"{foot} {100 * share:.0f} %" for foot, share in first.duty.items())
     yield text("walk-duty", feet=doc.Name(duty))
+
+
+def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
+    """Yield the number of runs that track, and the bodies other than feet that touched ground."""
+    gaits = walk.gaits
     if len(gaits) > 1:
         yield text(
             "walk-against",
@@ -254,7 +276,18 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
             *map(doc.diagnostic_text, result.remarks),
         ),
         notes=robot_notes(robot),
+        next_step=_select_step_after_intervals(result, outside=bool(outside)),
     )
+
+
+def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> doc.NextStep:
+    """Return the command for an untracked command, for fitted intervals, or for more runs."""
+    omitted = ("--vary", "--fit")
+    if not result.seeds:
+        return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds", *omitted))
+    if outside or not result.passed:
+        return doc.NextStep("walk", ("--seeds", "20"), omitted=omitted)
+    return doc.NextStep("push")
 
 
 def _list_absolute_limits(result: TrackedIntervals) -> Iterable[doc.Words]:
@@ -366,6 +399,7 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
         failures=() if result.passed else (line,),
         findings=(*((line,) if result.passed else ()), text("walk-orders-not")),
         notes=robot_notes(robot),
+        next_step=doc.NextStep("walk", omitted=("--orders",)),
     )
 
 
