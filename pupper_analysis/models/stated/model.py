@@ -193,7 +193,7 @@ class RobotModel:
         return sum(body.mass for body in self.links.values())
 
     @cached_property
-    def floating(self) -> bool:
+    def has_free_base(self) -> bool:
         """Whether the base is free, or is freed on loading: base with two moving limbs or more."""
         if any(joint.kind == FREE for joint in self.joints.values()):
             return True

@@ -116,7 +116,7 @@ def _run_rules(
         rules_run=tuple(run),
         disabled=unwanted,
         notes=robot.notes,
-        floating=robot.floating,
+        floating=robot.has_free_base,
     )
 
 

@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -389,6 +390,11 @@ class UsdModel(RobotModel):
     floating: bool
     mount: Pose
     gravity: Array | None
+
+    @cached_property
+    def has_free_base(self) -> bool:
+        """Whether the base can move."""
+        return self.floating
 
     def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
         """Return the kind of a joint's number, since names differ between schemas."""
