@@ -157,10 +157,10 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     sizes = {"plane": 6, "bar": 7, "slope": 1, **dict.fromkeys(KINDS, 1)}
     if surface == "weld" and numbers == [""]:
         numbers, valid_words = [], ("place", "offset")
-    elif sizes.get(kind) != len(numbers):
+    elif sizes.get(kind) != len(numbers) or not first:
         form = (
             "[wall|table|ceiling]:LENGTH, slope:ANGLE, plane:X,Y,Z,NX,NY,NZ, bar:X,Y,Z,DX,DY,DZ,R,"
-            " weld"
+            " weld; for example wall:0.4m"
         )
         raise ConfigurationError(option, diagnose("not-of-the-form", given=given, form=form))
     unit = "length"

@@ -195,7 +195,7 @@ class RobotModel:
     @cached_property
     def has_free_base(self) -> bool:
         """Whether the base is free, or is freed on loading: base with two moving limbs or more."""
-        if any(joint.kind == FREE for joint in self.joints.values()):
+        if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
             return True
         group = self.fixed_group(self.base)
         return sum(child.moving for link in group for child in self.children(link.name)) > 1

@@ -66,6 +66,8 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
     runs = (analysis.verification, analysis.sagging)
     first, more = split_verdict_lines(analysis.verdict)
     load, height, *others = _make_key_figures(analysis)
+    failures = _list_failures(analysis)
+    warnings = tuple(_select_warnings(analysis, first))
     blocks: list[doc.Block] = [
         view_block(robot, analysis.stand, analysis.statics, list_motions(runs)),
         *_make_structure_blocks(analysis, robot),
@@ -89,13 +91,57 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         tuple(blocks),
         passed=analysis.verified,
         verdict=_make_verdict_word(analysis),
-        failures=tuple(map(doc.diagnostic_text, analysis.failures)),
-        findings=(load, *_select_warnings(analysis, first), height),
-        details=(*others, *more),
+        failures=failures[:_MAX_SHOWN_FAILURES],
+        findings=(load, *(() if failures else warnings), height),
+        details=(
+            *others,
+            *failures[_MAX_SHOWN_FAILURES:],
+            *(warnings if failures else ()),
+            *more,
+        ),
         brief=True,
         notes=tuple(map(doc.diagnostic_text, analysis.notes)),
-        next_step=doc.NextStep("payload" if analysis.verified else "stand"),
+        next_step=_select_next_step(analysis),
     )
+
+
+_MAX_SHOWN_FAILURES = 2
+"""Largest number of failures in the short answer. Chosen."""
+
+_CAUSE_CODE = "files-of-two-robots"
+"""Code of the failure that names two robots as the cause of the other failures."""
+
+_CROSS_CHECK_CODE = "models-deviate"
+"""Code of the failure of a quantity in the cross-check."""
+
+
+def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
+    """List the failures, causes first; all quantities of the cross-check are one failure."""
+    order = sorted(analysis.failures, key=lambda failure: failure.code != _CAUSE_CODE)
+    others = [failure for failure in order if failure.code != _CROSS_CHECK_CODE]
+    check = analysis.check
+    failed = sum(not quantity.passed for quantity in check.quantities)
+    if not failed:
+        return tuple(map(doc.diagnostic_text, others))
+    worst = max(check.quantities, key=lambda quantity: quantity.relative)
+    line = text(
+        "quantities-deviate",
+        count=failed,
+        quantities=len(check.quantities),
+        relative=f"{worst.relative:.1e}",
+        quantity=word(worst.name),
+    )
+    causes = [failure for failure in others if failure.code == _CAUSE_CODE]
+    effects = [failure for failure in others if failure.code != _CAUSE_CODE]
+    return (*map(doc.diagnostic_text, causes), line, *map(doc.diagnostic_text, effects))
+
+
+def _select_next_step(analysis: Analysis) -> doc.NextStep:
+    """Return the command that shows the cause of a failure, or the largest payload."""
+    if analysis.verified:
+        return doc.NextStep("payload")
+    differs = not all(quantity.passed for quantity in analysis.check.quantities)
+    return doc.NextStep("crosscheck" if differs else "stand")
 
 
 def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[doc.Words]:

@@ -42,9 +42,11 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
         blocks = (*(block for block in loaded.blocks if isinstance(block, doc.Table)), *blocks)
         # Both documents describe the same stance: omit repeated lines.
         shown = (*stand_document.findings, *stand_document.details)
-        messages += tuple(line for line in loaded.findings if line not in shown)
-        details += tuple(line for line in loaded.details if line not in shown)
-        failures += loaded.failures
+        *_, limiting = loaded.findings
+        messages += (limiting,)
+        further = (*loaded.findings[:-1], *loaded.details)
+        details += tuple(line for line in further if line not in shown)
+        failures += tuple(line for line in loaded.failures if line not in failures)
         verdict = verdict if loaded.passed else loaded.verdict
     return replace(
         stand_document,
@@ -62,11 +64,14 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
 def _make_next_step(study: BestStudy) -> doc.NextStep:
     """Return the command that moves from the initial stance to the best one.
 
-    If the stance fails, or its task specifies absolute foot positions or a position of the CoM, the
-    command that computes the range of the initial stance is returned instead.
+    If the stance fails, the command that states the cause is returned instead. If the task of the
+    stance specifies absolute foot positions or a position of the CoM, the command that computes the
+    range of the initial stance is returned.
     """
     task = study.best.stand.task
-    if not study.passed or task.feet or task.com != "centre" or task.height is None:
+    if not study.passed:
+        return doc.NextStep("stand")
+    if task.feet or task.com != "centre" or task.height is None:
         return doc.NextStep("workspace")
     words = ["--com", "centre", "--height", _format_lengths(task.height)]
     if task.offset is not None:

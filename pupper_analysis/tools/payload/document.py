@@ -75,19 +75,19 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
 
 def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
     """Return the verdict, with the kind of torque limits: peak, continuous or both."""
-    if math.isnan(limit.mass):
-        key = "UNKNOWN"
-    elif not limit.passed:
-        key = "FAILS"
-    elif not limit.continuous:
-        key = "carries-for-moments"
-    elif (count := len(limit.joint_torques) - len(limit.continuous)) > 0:
-        return text("carries-in-part", count=count)
-    else:
-        key = "carries-lastingly"
-    word_text = qualify_verdict_word(key, limit.verdict.converted)
-    alone = limit.verdict.commands_alone in (None, Ending.HOLDS)
-    return word_text if alone or not limit.passed else text("carries-compensated", word=word_text)
+    if math.isnan(limit.mass) or not limit.passed:
+        key = "UNKNOWN" if math.isnan(limit.mass) else "FAILS"
+        return qualify_verdict_word(key, limit.verdict.converted)
+    count = len(limit.joint_torques) - len(limit.continuous) if limit.continuous else 0
+    return text(
+        "carries-with-limits",
+        compensated=limit.verdict.commands_alone not in (None, Ending.HOLDS),
+        continuous=bool(limit.continuous) and not count,
+        peak=not limit.continuous,
+        part=bool(count),
+        count=count,
+        converted=bool(limit.verdict.converted),
+    )
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
