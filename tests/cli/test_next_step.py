@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -13,6 +14,9 @@ from pupper_analysis import cli
 from pupper_analysis.cli.next_step import complete_command
 from pupper_analysis.cli.shared import TYPED_WORDS
 from pupper_analysis.present.document import NextStep
+from pupper_analysis.tools.audit.audit import audit_model
+from pupper_analysis.tools.audit.document import audit_document
+from tests.support.commands import run_command
 from tests.support.repository import ROOT
 
 
@@ -62,6 +66,8 @@ def complete(typed: str, step: NextStep | None) -> str:
         ("stand v3", NextStep("no-such-command"), ""),
         ("contract a.xml policy.json", NextStep("audit"), ""),
         ("stand v3", None, ""),
+        ("walk v3 --policy p.json --command 0.5,0,0", NextStep("walk", ("--orders",),
+         omitted=("--command",)), "walk v3 --policy p.json --orders"),
     ],
 )  # fmt: skip
 def test_next_command_has_the_typed_robot_and_common_options(
@@ -85,3 +91,40 @@ def test_next_steps_in_the_tools_name_commands_with_such_options() -> None:
         options = {name for option in command.params for name in option.opts}
         typed = set(re.findall(r"\"(--[\w-]+)\"", match[2] or ""))
         assert typed <= options, (path, match[0])
+
+
+_LIMB = """<body name="{name}" pos="{x} 0 0"><joint name="j{name}" axis="0 1 0"/>
+<inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body>"""
+
+
+@pytest.mark.parametrize(("count", "command"), [(1, "hold"), (2, "stand")])
+def test_audit_of_a_fixed_base_names_hold_unless_loading_frees_it(
+    tmp_path: Path, count: int, command: str
+) -> None:
+    """Reference: loading frees a base with two limbs or more (`prepare.base.free_base`)."""
+    limbs = "".join(_LIMB.format(name=f"limb{index}", x=index) for index in range(count))
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="base"><inertial pos="0 0 0" mass="2" '
+        f'diaginertia="0.01 0.01 0.01"/>{limbs}</body></worldbody></mujoco>'
+    )
+    audit = audit_model(path)
+    assert audit.floating is (count > 1)
+    step = audit_document(replace(audit, passed=True)).next_step
+    assert step is not None
+    assert step.command == command
+
+
+def test_refusal_of_a_fixed_base_prints_hold_with_the_typed_robot(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: the options that `stand` and `hold` have in common."""
+    limb = _LIMB.format(name="limb", x=0)
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="base"><inertial pos="0 0 0" mass="2" '
+        f'diaginertia="0.01 0.01 0.01"/>{limb}</body></worldbody></mujoco>'
+    )
+    status, _, err = run_command(capfd, "stand", str(path), "--payload", "1kg", "--height", "1m")
+    assert status == 2
+    assert err.splitlines()[-1] == f"  next: pupper-analysis hold {path} --payload 1kg"

@@ -91,7 +91,6 @@ def test_stand_of_one_file_converts_the_other_in_memory(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["stand", "--explain", "v3"], "give a robot of your own"),
         (["analyze", "a.urdf", "--write", "out"], "it writes variants"),
         (["stand", "nowhere.urdf"], "nowhere.urdf: there is no such file"),
         (["payload", "a.xml", "--map", "noequals"], "NAME=VALUE"),

@@ -10,9 +10,14 @@ from typing import Any
 
 import pytest
 
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.present.verdict import format_verdict, get_verdict_key, verdict_word
+from pupper_analysis.present.verdict import (
+    format_verdict,
+    get_verdict_key,
+    join_ground_touches,
+    verdict_word,
+)
 from pupper_analysis.robot.as_published import (
     Cause,
     JointOff,
@@ -258,3 +263,16 @@ def test_expected_verdict_without_simulation_never_passes(
     assert verdict.seconds == 0
     assert verdict.overloaded_motors == (("knee",) if max(shares) > 1 else ())
     assert verdict.doubling_time == (doubling if known and doubling else math.inf)
+
+
+def test_bodies_that_touch_the_ground_are_one_failure_with_the_first_time() -> None:
+    """Reference: the two failures of which the joined failure consists."""
+    fall = diagnose("base-sags", height=Quantity(0.1, "m"))
+    touches = [
+        diagnose("body-touches-ground", subject=("body", name), time=Quantity(time, "s"))
+        for name, time in (("shank", 2.5), ("thigh", 1.25))
+    ]
+    joined = join_ground_touches((*touches, fall))
+    assert str(joined[0]) == "shank, thigh touch the ground, the first at 1.25 s"
+    assert joined[1:] == (fall,)
+    assert join_ground_touches((touches[0], fall)) == (touches[0], fall)

@@ -1,4 +1,4 @@
-"""Figure of the largest pushes of robots: impulse over direction, seen from above."""
+"""Figure of the largest pushes of robots: impulse over direction."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pupper_analysis.tools.push.recovery import PushRecovery
 
 
 def push_figure(results: Mapping[str, PushRecovery], path: str | Path) -> None:
-    """Draw the largest push of each robot over the direction, with forward upwards.
+    """Draw the largest push of each robot over the direction: 0 is forward, 90 deg left.
 
     The tipping estimate of the first robot is drawn as well, if finite.
 

@@ -231,7 +231,7 @@ def test_severities_that_fail(folder: Path) -> None:
     change(folder / "pupper-analysis.toml", "start-outside-limits", "gravity-unusual")
     result = run(folder)
     assert result.returncode == 0
-    assert "2 below the threshold" in result.stdout
+    assert "2 less severe than fail-on" in result.stdout
     assert "start-outside-limits" not in result.stdout
     shown = run(folder, "--all").stdout
     assert "note audit start-outside-limits" in shown

@@ -148,3 +148,17 @@ def test_explanation_equals_the_loaded_robot(tmp_path: Path) -> None:
     assert explained.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
     _, runs = prepare_robot(*files, LoadRequest())
     assert [one.name for one in explained.passes] == [one.name for one in runs]
+
+
+@pytest.mark.slow
+def test_explain_of_a_variant_names_the_next_command_and_hides_idle_passes(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Reference: mass and feet of v3, and the passes with changes in `explain_loading`."""
+    status, out, err = run_command(capfd, "stand", "v3", "--explain")
+    assert status == 0, err
+    verdict, changes, step, *_ = out.splitlines()
+    assert verdict.startswith("READY pupper_v3: 3.170 kg, free base, 12 joints, feet leg_front_r_3")
+    assert "preparation passes changed or completed the files" in changes
+    assert step == "  next: pupper-analysis stand v3"
+    assert "nothing to do" not in out
