@@ -164,7 +164,7 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = NextStep("crosscheck")
     if step.command == "crosscheck" and verdict.converted:
         step = NextStep("audit")
-    own = verdict.own
+    own = verdict.keyframe_run
     soft = own is not None and any(cause.code == "soft-servos" for cause in own.causes)
     if verdict.code is VerdictCode.OWN_DRIVES_FAIL and soft:
         step = _stiffen_servos(stance.verification)
