@@ -275,7 +275,8 @@ def command(
     if output is not None and isinstance(result, Fit):
         models = _write_models(robot, meant, result, output, anyway=anyway)
         if models and style == "text":
-            print_next_step(NextStep("stand", models, robot_typed=False))
+            command_name = "stand" if robot.floating else "hold"
+            print_next_step(NextStep(command_name, models, robot_typed=False))
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
 

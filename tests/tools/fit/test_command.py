@@ -33,10 +33,11 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     )
     write(path, swing.time, swing.position, swing.command)
     given = ("fit", *map(str, files), "--log", str(path), "--prior", "mass=0", "--prior", "com=0")
-    messages = ("-o", str(tmp_path / "fitted"), "--json", str(found))
+    messages = ("-v", "-o", str(tmp_path / "fitted"), "--json", str(found))
     status, out, err = run_command(capfd, *given, *messages)
     assert status == 0, err
     assert "friction turn" in out
+    assert out.splitlines()[-2].startswith("  next: pupper-analysis hold ")  # its base is fixed
     estimates = {one["name"]: one for one in json.loads(found.read_text())["estimates"]}
     assert estimates["kp turn"]["mean"] == pytest.approx(TRUE["kp"], rel=0.05)
     assert 'kp="5"' not in (tmp_path / "fitted" / "bar.xml").read_text()
