@@ -34,6 +34,21 @@ _SARIF_LEVELS = {"error": "error", "warning": "warning", "notice": "note"}
 
 
 @dataclass(frozen=True)
+class Fix:
+    """Change of a file that removes a finding.
+
+    Attributes:
+        description: New values and the reason, in a single sentence.
+        file: File to be changed.
+        splices: Start byte, number of bytes and new text of each changed part.
+    """
+
+    description: str
+    file: str
+    splices: tuple[tuple[int, int, str], ...]
+
+
+@dataclass(frozen=True)
 class Annotation:
     """Remark on a place in a file.
 
@@ -47,6 +62,7 @@ class Annotation:
         about: Short description of the rule; ``kind`` is used if empty.
         known: True if a baseline contains the annotation; None without a baseline.
         diagnostic: The finding as code and values; None if there is no such form.
+        fixes: Changes that remove the finding: one if unique, else several candidates.
     """
 
     level: str
@@ -57,6 +73,7 @@ class Annotation:
     about: str = ""
     known: bool | None = None
     diagnostic: Diagnostic | None = None
+    fixes: tuple[Fix, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -137,7 +154,23 @@ def _make_results(
             entry["baselineState"] = "unchanged" if annotation.known else "new"
         if annotation.diagnostic is not None:
             entry["properties"] = get_code_and_values(annotation.diagnostic)
+        if annotation.fixes:
+            entry["fixes"] = [_make_fix(fix) for fix in annotation.fixes]
         yield entry
+
+
+def _make_fix(fix: Fix) -> dict[str, Any]:
+    """Create a SARIF fix. Source: SARIF 2.1.0, 3.55."""
+    replacements = [
+        {
+            "deletedRegion": {"byteOffset": start, "byteLength": count},
+            "insertedContent": {"text": text},
+        }
+        for start, count, text in fix.splices
+    ]
+    location = _make_location(relative_to_checkout(fix.file), None)["artifactLocation"]
+    change = {"artifactLocation": location, "replacements": replacements}
+    return {"description": {"text": fix.description}, "artifactChanges": [change]}
 
 
 def get_code_and_values(diagnostic: Diagnostic) -> dict[str, Any]:

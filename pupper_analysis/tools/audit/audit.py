@@ -28,7 +28,9 @@ from pupper_analysis.tools.audit.registry import (
     Audit,
     Finding,
     Rule,
+    ValueRepair,
 )
+from pupper_analysis.tools.audit.repairs import find_repairs
 
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
@@ -94,7 +96,11 @@ def _run_rules(
             for checks_by_rule in (CHECKS, theirs)
             if rule.id in checks_by_rule
         ]
-        findings += [_make_finding(file, rule, found) for check in checks for found in check(robot)]
+        findings += [
+            _make_finding(file, rule, found, find_repairs(robot, rule.id, found))
+            for check in checks
+            for found in check(robot)
+        ]
     findings.sort(
         key=lambda finding: (
             finding.severity.rank,
@@ -124,7 +130,9 @@ def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:
     return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 
-def _make_finding(file: ModelFile, rule: Rule, found: CheckFinding) -> Finding:
+def _make_finding(
+    file: ModelFile, rule: Rule, found: CheckFinding, repairs: tuple[ValueRepair, ...]
+) -> Finding:
     """Add place, severity and texts of the rule to the result of a check."""
     place = found.place
     if place is None and found.name:
@@ -150,4 +158,5 @@ def _make_finding(file: ModelFile, rule: Rule, found: CheckFinding) -> Finding:
         why=rule.why,
         todo=rule.todo,
         diagnostic=message,
+        repairs=repairs,
     )

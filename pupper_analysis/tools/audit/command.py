@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +14,9 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
+
+if TYPE_CHECKING:
+    from pupper_analysis.tools.audit.registry import Audit
 
 
 @shared.command("audit")
@@ -31,6 +37,12 @@ from pupper_analysis.cli.modes import refuse_unused
     show_default=True,
     help="Lowest severity that makes the exit status 1; info is the same as note.",
 )
+@click.option(
+    "--fix",
+    is_flag=True,
+    help="Print a patch with all findings that have a single repair, and write it if confirmed.",
+)
+@click.option("--yes", "confirmed", is_flag=True, help="Write the patch of --fix unasked.")
 @shared.verbose_option
 @shared.json_option
 @shared.report_option
@@ -41,6 +53,8 @@ def command(
     disabled: tuple[str, ...],
     list_rules: bool,
     fail_on: str,
+    fix: bool,
+    confirmed: bool,
     everything: bool,
     json_path: Path | None,
     report_path: Path | None,
@@ -57,6 +71,7 @@ def command(
       pupper-analysis audit robot.urdf
       pupper-analysis audit scene.xml --disable armature-zero --fail-on warning
       pupper-analysis audit robot.usda
+      pupper-analysis audit robot.urdf --fix         a patch, then the question
       pupper-analysis audit v3                       both files of a variant
       pupper-analysis audit --list-rules
       xacro robot.urdf.xacro | pupper-analysis audit -
@@ -74,9 +89,13 @@ def command(
         refuse_unused("--list-rules", {"--list-rules": {"list_rules"}})
         _print_rules()
         return
+    if confirmed and not fix:
+        raise ConfigurationError("--yes", diagnose("yes-without-fix"))
     if file is None:
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
     folders = shared.parse_packages(packages)
+    if fix and (is_variant(str(file)) or not file.is_file()):
+        raise ConfigurationError("--fix", diagnose("nothing-to-fix", file=str(file)))
     with variant_model_files(str(file)) if is_variant(str(file)) else nullcontext((file,)) as files:
         results = [
             audit_model(model_file, packages=folders, disabled=disabled) for model_file in files
@@ -92,6 +111,8 @@ def command(
                 for annotation in audit_report.make_audit_annotations(result)
             ]
             click.echo(formats.write_annotations(style, found))
+        if fix and _fix_files(results, confirmed=confirmed):
+            results = [audit_model(file, packages=folders, disabled=disabled)]
         least = Severity(fail_on).rank
         passed = all(
             finding.severity.rank > least for result in results for finding in result.findings
@@ -110,3 +131,29 @@ def _print_rules() -> None:
     from pupper_analysis.tools.audit.document import make_rules_table
 
     print_table(make_console(), make_rules_table())
+
+
+def _fix_files(audits: Sequence[Audit], *, confirmed: bool) -> bool:
+    """Print the patch of all findings with a single repair; return True if the files are written.
+
+    Without a terminal, and without ``--yes``, nothing is written. The patch is on standard output,
+    questions and remarks are on standard error.
+    """
+    from pupper_analysis.present.document import text
+    from pupper_analysis.tools.audit.fix import apply_repairs, make_patch, write_documents
+
+    documents, count = apply_repairs(audits)
+    for document in documents:
+        click.echo(make_patch(document), nl=False)
+    if not documents:
+        click.echo(str(text("no-unique-repair").en), err=True)
+        return False
+    may_ask = sys.stdin.isatty()
+    if not confirmed and not (
+        may_ask and click.confirm(text("write-repairs", count=count).en, err=True)
+    ):
+        click.echo(text("repairs-not-written", count=count).en, err=True)
+        return False
+    write_documents(documents)
+    click.echo(text("repairs-written", count=count).en, err=True)
+    return True

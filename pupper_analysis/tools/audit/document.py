@@ -11,7 +11,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.present.formats import Annotation
+from pupper_analysis.present.formats import Annotation, Fix
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import (
     RULES,
@@ -20,7 +20,8 @@ from pupper_analysis.tools.audit.audit import (
     Rule,
     Severity,
 )
-from pupper_analysis.tools.audit.registry import MODEL_FORMATS
+from pupper_analysis.tools.audit.fix import locate_repair
+from pupper_analysis.tools.audit.registry import MODEL_FORMATS, ValueRepair
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
 """Emphasis of each severity in a document."""
@@ -96,6 +97,7 @@ def _describe_group(
     if others:
         names = join_words(format_element(finding.diagnostic) for finding in others)
         said = text("finding-likewise-names", finding=said, names=names)
+    advice = (*_describe_repairs(first), *advice)
     path = first.place.path
     quote = doc.Name(quote_line(path, audit.file))
     tag = text(
@@ -106,6 +108,28 @@ def _describe_group(
     return doc.FileFinding(
         said, (doc.FilePlace(doc.Name(str(first.place)), quote, path),), advice, tag
     )
+
+
+def _describe_repairs(finding: Finding) -> Iterable[doc.Words]:
+    """Describe the repair of a finding, or the candidates."""
+    candidates = [
+        (_format_change(repair), doc.diagnostic_text(repair.reason)) for repair in finding.repairs
+    ]
+    if len(candidates) == 1:
+        ((change, reason),) = candidates
+        yield text("repair-unique", change=change, reason=reason)
+    elif candidates:
+        changes = join_words(
+            text("repair-candidate", change=change, reason=reason) for change, reason in candidates
+        )
+        yield text("repair-candidates", changes=changes)
+
+
+def _format_change(repair: ValueRepair) -> doc.Name:
+    """Format old and new values: ``link 'FL_calf': mass value 0.05 -> 0.06``."""
+    changes = ", ".join(f"{word} {repair.old[word]} -> {new}" for word, new in repair.new.items())
+    part = f"{repair.child.rpartition('/')[2]} " if repair.child else ""
+    return doc.Name(f"{repair.tag} {repair.name!r}: {part}{changes}")
 
 
 def get_rule_text(rule: str, what: str) -> doc.Text:
@@ -151,6 +175,13 @@ def make_rules_table() -> doc.Table:
 
 # Annotations for machines.
 
+
+def make_fix(repair: ValueRepair) -> Fix:
+    """Return a repair as byte ranges of the file with their new text."""
+    splices = locate_repair(repair)
+    return Fix(f"{_format_change(repair).text} ({repair.reason})", repair.file, splices)
+
+
 ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
 """Level of an annotation for each severity."""
 
@@ -166,6 +197,7 @@ def make_audit_annotations(audit: Audit) -> list[Annotation]:
             rule=f"audit/{finding.rule}",
             about=RULES[finding.rule].title,
             diagnostic=finding.diagnostic,
+            fixes=tuple(map(make_fix, finding.repairs)),
         )
         for finding in audit.findings
     ]

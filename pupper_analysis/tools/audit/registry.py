@@ -93,6 +93,29 @@ def rule(check: Check) -> Check:
     return check
 
 
+@dataclass(frozen=True)
+class ValueRepair(Result):
+    """New values of attributes of an element.
+
+    Attributes:
+        file: File to be changed.
+        tag: Tag of the named element, for example ``link``.
+        name: Name of the element.
+        child: Path from the named element to the changed element; "" for the named element.
+        old: {attribute: text in the file}.
+        new: {attribute: new text}.
+        reason: Source of the new values.
+    """
+
+    file: str
+    tag: str
+    name: str
+    child: str
+    old: Mapping[str, str]
+    new: Mapping[str, str]
+    reason: Diagnostic
+
+
 @dataclass(frozen=True, eq=False)
 class Finding(Result):
     """Error in a file.
@@ -103,6 +126,7 @@ class Finding(Result):
         file: File that contains the error, possibly an included file.
         line: Line from 1; None if the finding has no line.
         prim: Path of the prim in a USD; None in other files.
+        repairs: New values that would pass: one if unique, else several candidates, or none.
         element: Kind and name of the element, for example ``link 'FL_calf'``.
         why: Reason for the rule.
         todo: Recommended repair.
@@ -118,6 +142,7 @@ class Finding(Result):
     todo: str
     diagnostic: Diagnostic
     prim: str | None = None
+    repairs: tuple[ValueRepair, ...] = ()
 
     _reported = ("message",)
 

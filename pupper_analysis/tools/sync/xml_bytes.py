@@ -112,7 +112,7 @@ class XmlDocument:
         """Return the bytes of the file with all changes of the elements applied."""
         splices: list[tuple[int, int, bytes]] = []
         for element in self.elements:
-            splices += _splice_attributes(self.data, element)
+            splices += splice_attributes(self.data, element)
             new = [child for child in element.children if child.start < 0 and child.is_changed()]
             if new:
                 splices += _splice_children(self.data, element, new)
@@ -163,8 +163,11 @@ def _find_value_spans(data: bytes, element: Element) -> dict[str, tuple[int, int
     return spans
 
 
-def _splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the splices of changed attributes; new attributes follow the last attribute."""
+def splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, bytes]]:
+    """Yield the splices of changed attributes: start, end and new bytes.
+
+    New attributes follow the last attribute.
+    """
     if not element.changes:
         return
     spans = _find_value_spans(data, element)

@@ -1,0 +1,104 @@
+"""Write the repairs of an audit into the files: a patch, and the changed bytes."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+from pupper_analysis.base.files import Writing, write_all
+from pupper_analysis.base.kinds import EDITED_KIND
+from pupper_analysis.tools.audit.registry import Audit, ValueRepair
+from pupper_analysis.tools.sync.models import refuse_uncommitted
+from pupper_analysis.tools.sync.xml_bytes import (
+    Element,
+    XmlDocument,
+    read_document,
+    splice_attributes,
+)
+
+
+def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
+    """Change the files of audits in memory, by the findings that have a single repair.
+
+    Args:
+        audits: Results of audits.
+
+    Returns:
+        Changed files, and the number of repairs. The files on disk are unchanged.
+    """
+    documents: dict[str, XmlDocument] = {}
+    count = 0
+    for repair in list_unique_repairs(audits):
+        document = documents.setdefault(repair.file, read_document(Path(repair.file)))
+        element = _find_element(document, repair)
+        if element is None or any(element.get(word) != text for word, text in repair.old.items()):
+            continue  # another repair has changed the element, or it is not unique
+        for word, text in repair.new.items():
+            element.set(word, text)
+        count += 1
+    return [d for d in documents.values() if d.root.is_changed()], count
+
+
+def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
+    """Return the repairs of the findings that have exactly one repair, without repetitions."""
+    found = [
+        finding.repairs[0]
+        for audit in audits
+        for finding in audit.findings
+        if len(finding.repairs) == 1
+    ]
+    return [repair for index, repair in enumerate(found) if repair not in found[:index]]
+
+
+def _find_element(document: XmlDocument, repair: ValueRepair) -> Element | None:
+    """Return the element of a repair; None if the name is not unique."""
+    named = [
+        element
+        for element in document.elements
+        if element.tag == repair.tag and element.get("name") == repair.name
+    ]
+    found = [element for element in named if _descend(element, repair.child) is not None]
+    return _descend(found[0], repair.child) if len(found) == 1 else None
+
+
+def _descend(element: Element, path: str) -> Element | None:
+    """Return the element at a path of tags below an element."""
+    current: Element | None = element
+    for tag in path.split("/") if path else ():
+        current = None if current is None else current.find(tag)
+    return current
+
+
+def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
+    """Return start byte, number of bytes and new text of each value that a repair replaces."""
+    document = read_document(Path(repair.file))
+    element = _find_element(document, repair)
+    if element is None:
+        return ()
+    for word, text in repair.new.items():
+        element.set(word, text)
+    splices = splice_attributes(document.data, element)
+    return tuple((start, end - start, text.decode()) for start, end, text in splices)
+
+
+def make_patch(document: XmlDocument) -> str:
+    """Return the changes of a file as a unified diff."""
+    before, after = (
+        data.decode("utf-8", "replace").splitlines(keepends=True)
+        for data in (document.data, document.render())
+    )
+    name = str(document.path)
+    return "".join(difflib.unified_diff(before, after, f"a/{name}", f"b/{name}", n=0))
+
+
+def write_documents(documents: Iterable[XmlDocument]) -> None:
+    """Write changed files; all other bytes than the changed values are kept.
+
+    Raises:
+        OutputError: If a file cannot be written, or has uncommitted changes in a git repository.
+    """
+    changed = list(documents)
+    for document in changed:
+        refuse_uncommitted(document.path)
+    write_all([Writing(d.path, d.render(), EDITED_KIND, before=d.data) for d in changed])
