@@ -8,10 +8,14 @@ callers use plumbing commands, which apply no filters, with the options and the 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import OutputError
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.models.xml import LFS_POINTER
 
 SAFE_OPTIONS = ("-c", "core.fsmonitor=false", "-c", f"core.hooksPath={os.devnull}")
@@ -84,3 +88,31 @@ def run_git(command: list[str], folder: Path | None = None) -> subprocess.Comple
         capture_output=True,
         check=False,
     )
+
+
+def refuse_uncommitted(path: Path) -> None:
+    """Refuse a file of a git repository with uncommitted changes.
+
+    Untracked files are accepted, and files that differ in line ends only.
+
+    Raises:
+        OutputError: If the file has uncommitted changes.
+    """
+    path = path.resolve()
+    if shutil.which("git") is None or not any(
+        (folder / ".git").exists() for folder in path.parents
+    ):
+        return
+    folder_of_file = path.parent
+    if not _query_git(folder_of_file, "ls-files", "-z", "--", f":(literal){path.name}"):
+        return
+    committed = _query_git(folder_of_file, "cat-file", "blob", f"HEAD:./{path.name}")
+    content = read_input(path, MAX_TEXT_BYTES)
+    if committed is None or content.replace(b"\r\n", b"\n") != committed.replace(b"\r\n", b"\n"):
+        raise OutputError(path, diagnose("uncommitted-changes"))
+
+
+def _query_git(folder: Path, *arguments: str) -> bytes | None:
+    """Return the output of git; None if git fails."""
+    completed = run_git(["git", *SAFE_OPTIONS, *arguments], folder)
+    return completed.stdout if completed.returncode == 0 else None

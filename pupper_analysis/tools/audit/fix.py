@@ -8,14 +8,14 @@ from pathlib import Path
 
 from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.kinds import EDITED_KIND
-from pupper_analysis.tools.audit.registry import Audit, ValueRepair
-from pupper_analysis.tools.sync.models import refuse_uncommitted
-from pupper_analysis.tools.sync.xml_bytes import (
+from pupper_analysis.models.git import refuse_uncommitted
+from pupper_analysis.models.xml_bytes import (
     Element,
     XmlDocument,
     read_document,
     splice_attributes,
 )
+from pupper_analysis.tools.audit.registry import Audit, ValueRepair
 
 
 def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.published import existing_file
+from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.tools.sync.digits import format_numbers
-from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 Array = NDArray[np.float64]
 

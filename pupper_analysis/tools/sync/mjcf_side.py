@@ -27,6 +27,7 @@ from pupper_analysis.models.efforts import (
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
 from pupper_analysis.models.xml import parse_numbers
+from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.tools.sync.digits import (
     NUMBER_RTOL,
@@ -34,7 +35,6 @@ from pupper_analysis.tools.sync.digits import (
 )
 from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
-from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
 

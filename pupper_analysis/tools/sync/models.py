@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,13 +16,13 @@ from typing import Final
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.files import Writing, remove_stale_files, resolve_target, write_all
-from pupper_analysis.base.inputs import MAX_FILE_BYTES, MAX_TEXT_BYTES, read_input
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED_KIND
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.git import SAFE_OPTIONS, run_git
+from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import SERVO_GAIN_KINDS, Difference
@@ -232,34 +231,6 @@ def _write_files(
     writings = [Writing(d.path, d.render(), EDITED_KIND, before=d.data) for d in changed]
     backup_paths = write_all(writings, backup=backup)
     return tuple(str(d.path) for d in changed), tuple(map(str, backup_paths))
-
-
-def refuse_uncommitted(path: Path) -> None:
-    """Refuse a file of a git repository with uncommitted changes.
-
-    Untracked files are accepted, and files that differ in line ends only.
-
-    Raises:
-        OutputError: If the file has uncommitted changes.
-    """
-    path = path.resolve()
-    if shutil.which("git") is None or not any(
-        (folder / ".git").exists() for folder in path.parents
-    ):
-        return
-    folder_of_file = path.parent
-    if not _query_git(folder_of_file, "ls-files", "-z", "--", f":(literal){path.name}"):
-        return
-    committed = _query_git(folder_of_file, "cat-file", "blob", f"HEAD:./{path.name}")
-    content = read_input(path, MAX_TEXT_BYTES)
-    if committed is None or content.replace(b"\r\n", b"\n") != committed.replace(b"\r\n", b"\n"):
-        raise OutputError(path, diagnose("uncommitted-changes"))
-
-
-def _query_git(folder: Path, *arguments: str) -> bytes | None:
-    """Return the output of git; None if git fails."""
-    completed = run_git(["git", *SAFE_OPTIONS, *arguments], folder)
-    return completed.stdout if completed.returncode == 0 else None
 
 
 def _list_unmended(

@@ -31,6 +31,7 @@ from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text
+from pupper_analysis.models.xml_bytes import XmlDocument, read_document
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -50,7 +51,6 @@ from pupper_analysis.tools.sync.plan import (
     write_temporary_files,
 )
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
-from pupper_analysis.tools.sync.xml_bytes import XmlDocument, read_document
 
 Array = NDArray[np.float64]
 

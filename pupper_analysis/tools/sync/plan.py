@@ -19,6 +19,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.robot.build import find_placeholder_efforts
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, LIMIT_KINDS
@@ -28,7 +29,6 @@ from pupper_analysis.tools.sync.frames import Key, MatchedRobots, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
-from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 _SHARED_JOINT_KINDS = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
 """Kinds of joint numbers that both formats contain."""

@@ -16,9 +16,9 @@ from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES, UNSTATE
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
 from pupper_analysis.models.xml import write_numbers
+from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.tools.sync.digits import format_numbers
 from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
-from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
 

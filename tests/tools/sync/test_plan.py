@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.sync.models import refuse_uncommitted
+from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from tests.support.hidden_files import leave_hidden_file
 from tests.support.robots import (
