@@ -41,9 +41,9 @@ def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
     return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
 
-def limit_cell(limit: float) -> doc.Cell:
+def limit_cell(limit: float, form: str = "g") -> doc.Cell:
     """Create a cell with a torque limit; a word if no file states a limit."""
-    return doc.number_cell(limit, "g") if math.isfinite(limit) else text("limit-unknown")
+    return doc.number_cell(limit, form) if math.isfinite(limit) else text("limit-unknown")
 
 
 def mass_text(mass: float) -> doc.Words:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
+from pupper_analysis.present.documents.loads import limit_cell
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.documents import unexpected_document
@@ -215,7 +216,7 @@ def walking_document(
         ),
         tuple(
             (doc.Name(name), doc.number_cell(rms[index], ".2f"),
-             doc.number_cell(peak[index], ".2f"), doc.number_cell(limits[index], ".2f"))
+             doc.number_cell(peak[index], ".2f"), limit_cell(float(limits[index]), ".2f"))
             for index, name in enumerate(stage.robot.joint_names)
         ),
     )  # fmt: skip

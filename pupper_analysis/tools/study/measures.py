@@ -32,7 +32,7 @@ from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffne
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
-from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.statics.equilibrium import GravityCompensation, utilise
 
 MetricValue = float | bool
 """Value of a metric."""
@@ -142,8 +142,8 @@ class Design:
         return interval.high - interval.low
 
     def utilisation_at_rest(self) -> float:
-        """Return the largest torque / effort limit of the joints at `rest`."""
-        return float(np.max(np.abs(self.rest.joint_torques) / self.robot.effort_limits))
+        """Return the largest torque / effort limit of the joints at `rest`; NaN if not known."""
+        return _find_peak(utilise(self.robot, self.rest.joint_torques))
 
 
 @dataclass(frozen=True)

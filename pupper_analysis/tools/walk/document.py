@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
+from pupper_analysis.present.documents.loads import limit_cell
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
 from pupper_analysis.robot.robot import Robot
@@ -31,7 +32,12 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
     """
     fallen = [gait for gait in walk.gaits if gait.fall is not None]
     speed, torque, *details = _list_figures(walk)
-    word = "walk-follows" if walk.passed else "walk-falls" if fallen else "walk-does-not-follow"
+    if fallen:
+        word = "walk-falls"
+    elif not all(gait.tracks for gait in walk.gaits):
+        word = "walk-does-not-follow"
+    else:
+        word = "walk-follows" if walk.passed else "UNKNOWN"
     return doc.Document(
         text("walk-title"),
         text("walk-of", robot=doc.Name(walk.name), policy=doc.Name(walk.policy)),
@@ -50,6 +56,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             speed,
             torque,
             *_list_warnings(walk),
+            *_list_limit_warnings(walk),
             *map(doc.diagnostic_text, walk.remarks),
         ),
         details=tuple(details),
@@ -61,7 +68,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
 
 def _select_next_step(walk: Walk) -> doc.NextStep:
     """Return the command that tests changes of the robot, or other interpretations."""
-    if walk.passed:
+    if all(gait.tracks for gait in walk.gaits):
         return doc.NextStep("walk", ("--vary", "mass,kp,delay"))
     return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds"))
 
@@ -96,17 +103,7 @@ def _list_figures(walk: Walk) -> Iterable[doc.Words]:
         turning=f"{first.turning:z.2f}",
         asked_turning=f"{first.command[2]:g}",
     )
-    rms = _max_over_runs(walk, "torque_rms")
-    share = np.where(np.isfinite(walk.limits), rms / walk.limits, rms / rms.max(initial=1e-9))
-    hardest = int(np.argmax(share))
-    yield text(
-        "walk-torque-line",
-        joint=doc.Name(walk.joints[hardest]),
-        rms=f"{rms[hardest]:.2f}",
-        peak=f"{_max_over_runs(walk, 'torque_peak')[hardest]:.2f}",
-        limit=f"{walk.limits[hardest]:.3g}" if np.isfinite(walk.limits[hardest]) else "",
-        share=f"{100 * _max_over_runs(walk, 'at_limit')[hardest]:.1f}",
-    )
+    yield _describe_largest_torque(walk)
     yield text(
         "walk-power-line",
         power=f"{first.power:.1f}",
@@ -131,6 +128,42 @@ def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
         yield text("walk-touching", bodies=doc.Name(", ".join(touching)))
 
 
+def _describe_largest_torque(walk: Walk) -> doc.Words:
+    """Describe the motor with the largest torque, relative to the limit if that is known."""
+    rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
+    limited = np.isfinite(walk.limits) & (walk.limits > 0)
+    limits = np.where(limited, walk.limits, rms.max(initial=_MIN_TORQUE))
+    hardest = int(np.argmax(rms / limits))
+    return text(
+        "walk-torque-line",
+        joint=doc.Name(walk.joints[hardest]),
+        rms=f"{rms[hardest]:.2f}",
+        peak=f"{peak[hardest]:.2f}",
+        limit=f"{walk.limits[hardest]:.3g}" if np.isfinite(walk.limits[hardest]) else "",
+        share=f"{100 * _max_over_runs(walk, 'at_limit')[hardest]:.1f}",
+    )
+
+
+def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
+    """Yield the motors without torque, and the motors whose limit no file states."""
+    peak = _max_over_runs(walk, "torque_peak")
+    null = [joint for joint, limit in zip(walk.joints, walk.limits, strict=True) if limit <= 0]
+    if null:
+        yield text("walk-without-torque", joints=doc.Name(", ".join(null)))
+    unknown = np.flatnonzero(np.isinf(walk.limits) & (peak > 0))
+    if unknown.size:
+        yield text(
+            "walk-limits-unknown",
+            count=len(unknown),
+            peak=f"{peak[unknown].max():.2f}",
+            joint=doc.Name(walk.joints[unknown[np.argmax(peak[unknown])]]),
+        )
+
+
+_MIN_TORQUE = 1e-9
+"""Smallest divisor [N m], so that a run without torques divides by no zero. Chosen, not tuned."""
+
+
 def _max_over_runs(walk: Walk, name: str) -> Array:
     """Return the largest value of all runs, per motor."""
     worst: Array = np.max([getattr(gait, name) for gait in walk.gaits], axis=0)
@@ -150,8 +183,12 @@ def _make_motor_table(walk: Walk) -> doc.Table:
             doc.number_cell(rms[index], ".2f"),
             doc.number_cell(peak[index], ".2f"),
             doc.number_cell(None if static is None else static[index], ".2f"),
-            doc.number_cell(walk.limits[index], ".2f"),
-            doc.number_cell(100 * share[index], ".1f", "warn" if share[index] > 0 else ""),
+            limit_cell(float(walk.limits[index]), ".2f"),
+            doc.number_cell(
+                100 * share[index] if np.isfinite(share[index]) else None,
+                ".1f",
+                "warn" if share[index] > 0 else "",
+            ),
             doc.number_cell(speed[index], ".1f"),
         )
         for index, joint in enumerate(walk.joints)
@@ -256,8 +293,10 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
         word = "walk-does-not-follow"
     elif outside:
         word = "walk-outside"
+    elif len(result.seeds) < result.requested_seeds:
+        word = "walk-follows-in-part"
     else:
-        word = "walk-follows" if result.passed else "walk-follows-in-part"
+        word = "walk-follows" if result.passed else "UNKNOWN"
     names = [_name_quantity(interval.quantity) for interval in outside]
     reasons = [text("walk-outside-of", names=join_words(names))] if outside else []
     if len(result.seeds) < result.requested_seeds:

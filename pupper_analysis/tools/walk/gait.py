@@ -8,7 +8,7 @@ stated, and the torque limits of the model. Means exclude the warm-up.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
-from pupper_analysis.prepare.judge import list_file_remarks
+from pupper_analysis.prepare.judge import describe_given_masses, list_file_remarks
 from pupper_analysis.robot.contact import bodies_on_ground
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
@@ -80,7 +80,8 @@ class Gait(Result):
         tracks: True if the robot does not fall and tracks the command.
         torque_rms: Root mean square of each motor's torque, shape (nu,).
         torque_peak: Largest magnitude of each motor's torque, shape (nu,).
-        at_limit: Fraction of the time in which each motor is saturated, shape (nu,).
+        at_limit: Fraction of the time in which each motor is saturated, shape (nu,); NaN for a
+            motor whose torque limit no file states.
         speed_peak: Largest speed of each joint, shape (nu,).
         power: Mean of the positive mechanical power of all motors, without recuperation.
         transport: Cost of transport: power / (weight x speed); None below 0.05 m/s.
@@ -158,8 +159,19 @@ class Walk(Result):
 
     @property
     def passed(self) -> bool:
-        """True if all runs track the command."""
-        return all(gait.tracks for gait in self.gaits)
+        """True if all runs track the command, and the files state the masses of all links."""
+        return all(gait.tracks for gait in self.gaits) and not has_unknown_masses(self.remarks)
+
+
+def list_walk_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Return the errors and assumptions about a robot's files, unknown link masses first."""
+    masses = describe_given_masses(robot)
+    return (*(() if masses is None else (masses,)), *list_file_remarks(robot))
+
+
+def has_unknown_masses(remarks: Iterable[Diagnostic]) -> bool:
+    """Return True if a remark names links whose mass the files do not state."""
+    return any(remark.code == "link-masses-unknown" for remark in remarks)
 
 
 def check_command(command: ArrayLike) -> Array:
@@ -248,7 +260,7 @@ def simulate_walk(
         timestep=stage.timestep,
         rate=1.0 / (stage.substeps * stage.timestep),
         warm_up=warm_up,
-        remarks=list_file_remarks(robot),
+        remarks=list_walk_remarks(robot),
     )
 
 
@@ -360,6 +372,7 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
     rates = run.states[first:-1, 1 + stage.model.nq + convention.qvel_index[6:]]
     rates = np.nan_to_num(rates, nan=0.0)
     limits = robot.effort_limits
+    saturated = np.abs(torques) >= LIMIT_FRACTION * limits
     tracking = evaluate_tracking(stage, run, warm_up)
     power = float(np.maximum(torques * rates, 0.0).sum(axis=1).mean())
     speed = float(np.linalg.norm(tracking.velocity))
@@ -392,7 +405,7 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
         tracks=tracking.tracks,
         torque_rms=_root_mean_square(torques),
         torque_peak=np.abs(torques).max(axis=0),
-        at_limit=np.asarray(np.mean(np.abs(torques) >= LIMIT_FRACTION * limits, axis=0)),
+        at_limit=np.where(np.isfinite(limits), saturated.mean(axis=0), np.nan),
         speed_peak=np.abs(rates).max(axis=0),
         power=power,
         transport=power / (weight * speed) if speed > SPEED_ATOL else None,

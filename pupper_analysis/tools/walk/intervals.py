@@ -24,9 +24,14 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.results import Result
-from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.walk.gait import check_command, check_runs, evaluate_tracking
+from pupper_analysis.tools.walk.gait import (
+    check_command,
+    check_runs,
+    evaluate_tracking,
+    has_unknown_masses,
+    list_walk_remarks,
+)
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Case, Stage, prepare_stage, simulate_cases
 
@@ -224,10 +229,13 @@ class TrackedIntervals(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the unchanged robot tracks with all seeds within all measured intervals."""
-        return len(self.seeds) == self.requested_seeds and all(
-            interval.inside is not False for interval in self.intervals
-        )
+        """True if the unchanged robot tracks with all seeds within all measured intervals.
+
+        False if the files do not state the masses of all links.
+        """
+        tracked = len(self.seeds) == self.requested_seeds
+        inside = all(interval.inside is not False for interval in self.intervals)
+        return tracked and inside and not has_unknown_masses(self.remarks)
 
 
 def make_changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
@@ -365,7 +373,7 @@ def tracked_intervals(
         intervals=tuple(intervals),
         rollouts=count,
         seconds=float(seconds),
-        remarks=list_file_remarks(robot),
+        remarks=list_walk_remarks(robot),
     )
 
 

@@ -30,6 +30,7 @@ from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import peak_utilisation, utilise
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands
 from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
@@ -243,13 +244,13 @@ def _make_candidate(
 ) -> _Candidate:
     """Create a candidate whose servos hold the sagged joint positions of a stand."""
     torque, position = sagged.joint_torques, sagged.qpos[7:]
-    utilisation = float((np.abs(torque) / robot.effort_limits).max())
+    utilisation = peak_utilisation(utilise(robot, torque))
     command = (position + compute_command_lead(torque, kp)).tolist()
     planned = PlannedStand(
         name="",
         swing=tuple(stand.task.swing),
         command=dict(zip(robot.joint_names, command, strict=True)),
-        utilisation=utilisation if np.isfinite(robot.effort_limits).any() else None,
+        utilisation=None if math.isnan(utilisation) else utilisation,
         heading=heading,
         added=added,
     )
