@@ -375,10 +375,11 @@ _SAMPLE_TIME = 0.02
 """Time between the states whose contacts ``record_contacts`` evaluates [s]. Chosen, not tuned."""
 
 
-LIGHT_FOOT_LOAD = 1e-3
+LIGHT_FOOT_LOAD = 5e-3
 """Predicted load of a foot, relative to the robot's weight, below which the foot may leave the
 ground for a moment without a failure. Measured: minimum tangential forces leave two of four feet on
-unequal slopes with 5e-5 to 6e-4 of the weight, 4 to 20 mN, which each nudge exceeds."""
+unequal slopes with 5e-5 to 1.05e-3 of the weight, and a nudge lifts these feet. The value is 0.02
+(``trial._MIN_LOAD_RATIO``) of the mean load of four feet."""
 
 MIN_PUSH_RATIO = 1e-3
 """Smallest normal force between two bodies, relative to the robot's weight, that is reported as a
