@@ -7,6 +7,7 @@ from the prediction.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -69,8 +70,8 @@ def judge_simulation(
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
-        trial: Result of nudges from all sides. If None, a stand near a limit in ``statics`` is
-            nudged here.
+        trial: Result of nudges from all sides. If None, a stand near a limit in ``statics``, or one
+            that fails without feed-forward, is nudged here.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
@@ -87,7 +88,10 @@ def judge_simulation(
     if not (loaded.floating or stand.stance_feet):
         keyframe_run = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
     if statics is not None and fed.passed:
-        fed = _fail_if_upset(robot, stand, fed, statics, trial, kp, kd)
+        fragile = alone is not None and not alone.passed
+        fed = _fail_if_upset(robot, stand, fed, statics, trial, kp, kd, fragile=fragile)
+    if (slippery := describe_frictionless_feet(robot, stand.stance_feet)) is not None:
+        fed = replace(fed, passed=False, stays=False, failures=(slippery, *fed.failures))
     published = compare_as_published(robot, stand, servos, kp, kd)
     null, unknown, masses = describe_null_efforts(robot), None, describe_given_masses(loaded)
     if null is not None and (not fed.passed or statics is None or null_bears(robot, statics)):
@@ -133,6 +137,18 @@ def judge_simulation(
     )
 
 
+def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic | None:
+    """Describe the contact points of a stand if none has friction: each push then moves the robot.
+
+    None if a contact point has friction, or if a weld holds the robot.
+    """
+    if not feet or robot.welds or robot.bolted:
+        return None
+    if any(robot.contacts[foot].sliding_friction > 0 for foot in feet):
+        return None
+    return diagnose("feet-without-friction", feet=feet)
+
+
 def _list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
     """Return the motors beyond the limits, without motors whose limit is zero."""
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
@@ -166,14 +182,19 @@ def _fail_if_upset(
     trial: NudgeTrial | None,
     kp: ArrayLike | None,
     kd: ArrayLike | None,
+    *,
+    fragile: bool,
 ) -> Outcome:
     """Return the simulation result; failed if a nudge from any side upsets the stand.
 
-    Without a trial, the nudges are simulated if the stand is near a limit.
+    Without a trial, the nudges are simulated if the stand is near a limit, or ``fragile``: if the
+    stand fails without feed-forward. Contacts of such a stand may rest, and chatter after a nudge.
     """
     if trial is None:
+        if statics.com_margin is None or robot.bolted:  # a base that no nudge moves
+            return fed
         held = solve_stand_as_simulated(robot, stand)
-        if not is_near_limit(robot, held, statics):
+        if not (fragile or is_near_limit(robot, held, statics)):
             return fed
         trial = simulate_nudges(robot, held, kp=kp, kd=kd)
     if trial.failure is None:

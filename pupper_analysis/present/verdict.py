@@ -82,7 +82,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     messages = (
         *(Clause(False, remark) for remark in deciding),
         *(run_clauses if fails else ()),
-        *_make_replaced_clauses(verdict.servos.replaced),
+        *make_replaced_clauses(verdict.servos.replaced),
         *_make_simulation_clauses(verdict),
         *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
         *_make_creep_clauses(verdict),
@@ -319,7 +319,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
         yield Clause(False, cause_text(cause))
 
 
-def _make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
+def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
     """State which servos of the file were replaced, because the servos cannot hold a position."""
     if replaced:
         joints = [servo.joint for servo in replaced]

@@ -225,8 +225,9 @@ class Nudge(Result):
         speed: Largest initial velocity of a coordinate (m/s, rad/s).
         time: Simulated time of the nudge (s).
         duration: Simulated time after the nudge (s).
-        motion: Largest speed in the second third of that time, without creep (m/s, rad/s).
-        left: Largest speed in the last third of that time, without creep (m/s, rad/s).
+        motion: Largest speed in the second third of that time, without creep (m/s, rad/s). Of a
+            free base, the change of the mean velocity by the nudge counts, too.
+        left: Largest such speed in the last third of that time (m/s, rad/s).
         moved: Largest displacement of a joint in the last third, from the position before the
             nudge, beyond the creep (rad, m).
         farthest: Largest displacement of a joint at any time after the nudge, beyond the creep
@@ -278,21 +279,26 @@ def measure_response(
 ) -> Nudge:
     """Measure the response to a nudge.
 
-    Feet creep on MuJoCo's friction at a speed that hardly changes. Speeds are therefore deviations
-    from a straight line in time.
+    Feet creep on MuJoCo's friction at a speed that hardly changes, before the nudge and after.
+    Speeds are therefore deviations from a straight line in time. The mean velocity of a free base
+    is compared with that before the nudge: without friction, the base keeps the velocity of the
+    nudge.
 
     Args:
         model: MuJoCo model.
         before: State before the nudge, shape (size,).
         states: States after the nudge, shape (n, size).
         creep: States before the nudge, shape (m, size), from which creep rates of the joints are
-            measured; displacements are reduced by the creep. None: no creep.
+            measured; displacements are reduced by the creep. None: no creep, and mean velocities
+            of the base are not compared.
     """
     third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
-    motion, left = (
-        _detrended_amplitude(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows
-    )
+    velocities = slice(1 + model.nq, 1 + model.nq + model.nv)
+    motion, left = (_detrended_amplitude(rows[:, velocities]) for rows in windows)
+    if creep is not None:
+        drifts = (_measure_base_drift(model, rows, creep) for rows in windows)
+        motion, left = (max(pair) for pair in zip((motion, left), drifts, strict=True))
     is_finite = not monitor.has_diverged(states, timestep)
     joints = np.asarray(scalar_joints(model))
     columns = 1 + model.jnt_qposadr[joints]
@@ -324,6 +330,20 @@ def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str
         return 0.0, "rad"
     joint = int(np.argmax(distances.max(axis=0)))  # NaN counts as largest
     return float(distances[:, joint].max()), str(units[joint])
+
+
+def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> float:
+    """Return the largest change of a mean velocity of the free bodies [m/s, rad/s]; 0 without any.
+
+    Args:
+        model: MuJoCo model.
+        states: States after the nudge, shape (n, size).
+        creep: States before the nudge, shape (m, size).
+    """
+    free = model.dof_jntid[:, None] == np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    columns = 1 + model.nq + np.flatnonzero(free.any(axis=1))
+    change = states[:, columns].mean(axis=0) - creep[:, columns].mean(axis=0)
+    return float(np.abs(change).max(initial=0.0))
 
 
 def _detrended_amplitude(velocities: Array) -> float:

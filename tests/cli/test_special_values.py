@@ -11,6 +11,7 @@ import csv
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import pytest
@@ -18,6 +19,7 @@ import pytest
 from tests.support.commands import run_command
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
+from tests.tools.walk import made
 
 TABLE = ROOT / "docs" / "data" / "special-values.csv"
 
@@ -56,6 +58,12 @@ velocity_limits: [5.0, 5.0]
 kp: [100.0, 100.0]
 """
 
+STUDY = """robot = "{file}"
+measure = ["peak_utilisation", "rest_utilisation", "verified"]
+[vary]
+payload = { values = [0.0] }
+"""
+
 OPTIONS = {
     "live": ("--drop", "--headless"),
     "path": ("--seconds", "1", "--height", "30cm"),
@@ -64,7 +72,7 @@ OPTIONS = {
     "hold": ("--joints", "shoulder=0.3"),
 }
 COMPARING = {"crosscheck", "convert", "sync", "diff"}
-SLOW = {"stand", "payload", "push", "best", "live", "path"}
+SLOW = {"stand", "payload", "push", "best", "live", "path", "study", "walk"}
 
 
 def rows() -> list[object]:
@@ -87,6 +95,15 @@ def edited(folder: Path, name: str, edit: str) -> Path:
     if name == "quad.urdf":
         text = quadruped(folder).urdf.read_text()
         text = re.sub(r'(<link name="\w+_calf">.*?)</link>', rf"\1{FOOT}</link>", text)
+    elif name == "quad.xml":
+        text = quadruped(folder, actuators="position", floor=True).mjcf.read_text()
+        commands = " ".join(["0 0.6 -1.2"] * 4)
+        for old, new in (
+            ("<worldbody>", '<option integrator="implicitfast"/><worldbody>'),
+            ('kv="5"', 'kv="5" forcerange="-30 30"'),
+            ('"/></keyframe>', f'" ctrl="{commands}"/></keyframe>'),
+        ):
+            text = text.replace(old, new)
     else:
         text = ARM_URDF if name.endswith("urdf") else ARM_MJCF
     for change in filter(None, edit.split("; ")):
@@ -125,6 +142,14 @@ def typed(folder: Path, row: dict[str, str]) -> list[str]:
             return [str(path), str(deployment), "--no-stand"]
         case "best":
             return [*OPTIONS["best"], str(path)]
+        case "study":
+            study = folder / "study.toml"
+            study.write_text(STUDY.replace("{file}", name))
+            return [str(study), "-o", str(folder / "designs"), "--workers", "1"]
+        case "walk":
+            pose = {"default_joint_pos": [0.0, 0.6, -1.2] * 4, "kp": 150.0, "kd": 5.0}
+            policy = made.still(folder / "still.json", action_scale=0.1, **pose)
+            return [str(path), "--policy", str(policy), "--command", "0,0,0", "--seconds", "3"]
     return [str(path), *OPTIONS.get(command, ())]
 
 
@@ -138,17 +163,23 @@ def test_a_command_answers_as_the_table_states(
     status, out, err = run_command(capfd, command, *typed(tmp_path, row), *asked)
     assert status == int(row["exit status"]), out + err
     assert "unexpected" not in err
+    lines = [line for line in out.splitlines() if not line.startswith(("note: ", "… "))]
+    answer_text = "\n".join(lines)
     word = row["verdict"].split(":")[0].split(";")[0]
-    if word in ("HOLDS", "FAILS", "UNKNOWN"):
-        assert out.startswith(word), out
+    if word in ("HOLDS", "FAILS", "FAILED", "UNKNOWN", "WALKS", "FALLS"):
+        assert answer_text.startswith(word), out
     if word in ("AGREE", "DISAGREE", "DIFFER", "SAME", "DIFFERENT", "TRACKED"):
-        assert out.startswith(word + " "), out
+        assert answer_text.startswith(word + " "), out
+    if "no friction" in row["verdict"] and command != "study":
+        assert "have no friction on the ground" in out + err
     if ": " in row["verdict"] and word == "DISAGREE":
         assert row["verdict"].partition(": ")[2] in out
     assert ("motors without torque" in out) is ("without torque" in row["verdict"])
-    if command not in COMPARING:  # in these, a deviation relative to zero is infinite
+    if command not in (*COMPARING, "study"):  # in these, a ratio to zero is infinite
         for word in ("any mass", "any force", "inf "):
             assert word not in out
+    if command in ("study", "walk") and status < 2:
+        check_metrics(row["verdict"], json.loads(output.read_text()))
     if row["code in JSON"]:
         result = json.loads(output.read_text())
         answer = result.get("payload", result) if command == "hold" else result
@@ -156,6 +187,17 @@ def test_a_command_answers_as_the_table_states(
         assert answer["code"] == row["code in JSON"]
         number = {"hold": "mass", "payload": "mass", "push": "impulse"}[command]
         assert (answer[number] is None) is (row["code in JSON"] == "unknown")
+
+
+def check_metrics(verdict: str, result: dict[str, Any]) -> None:
+    """Compare the JSON of `study` and `walk` with a row: an unknown limit gives no share of it."""
+    if "verified" in result:
+        assert result["verified"] == [float(verdict.split(";")[0].removeprefix("verified "))]
+        for name in ("peak_utilisation", "rest_utilisation"):
+            assert (name not in result) is (f"no {name}" in verdict), name
+    else:
+        at_limit = result["gaits"][0]["at_limit"]
+        assert at_limit == [None] * 12 if "unknown" in verdict else None not in at_limit
 
 
 def test_an_arm_with_forces_clamped_to_zero_falls_in_mujoco() -> None:

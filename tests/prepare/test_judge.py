@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import describe_given_masses, list_file_remarks
 from pupper_analysis.present.verdict import format_verdict
+from pupper_analysis.robot.tool import with_payload
+from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from tests.prepare.test_imported import four_legs, verdict_of
-from tests.support import arm, features
-from tests.support.legged import edited_by, quadruped
+from tests.support import arm, features, random_legged, slips
+from tests.support.legged import edited_by, quadruped, rewritten
 
 Slip = Callable[[str], str]
 
@@ -134,3 +140,50 @@ def test_impossible_values_stand_in_the_verdict(tmp_path: Path, slip: Slip, mess
     (found,) = (one for one in pa.audit_model(urdf).findings if one.severity == "error")
     assert found.rule in ("value-impossible", "effort-negative")
     assert f"audit lists them): {message}" in format_verdict(verdict_of(pa.load_robot(urdf)))
+
+
+def test_a_robot_without_friction_fails_and_slides_in_mujoco(tmp_path: Path) -> None:
+    """In bare MuJoCo a nudge of 0.05 m/s moves the robot on at 0.04 m/s or more after 10 s."""
+    pair = slips.standing(tmp_path)
+    rewritten(pair.mjcf, ('<geom type="plane"', '<geom condim="1" priority="1" type="plane"'))
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, round(2.0 / model.opt.timestep))
+    data.qvel[0] += 0.05
+    mujoco.mj_step(model, data, round(10.0 / model.opt.timestep))
+    assert data.qvel[0] > 0.01
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot))
+    assert not verdict.passed
+    codes = [failure.code for failure in verdict.failures]
+    assert codes[:2] == ["feet-without-friction", "nudge-does-not-decay"]
+
+
+@pytest.mark.slow
+def test_a_stand_that_needs_feedforward_is_nudged_from_all_sides(tmp_path: Path) -> None:
+    """The contacts of this random robot with twice its mass rest, and chatter after a nudge.
+
+    In bare MuJoCo with the commands of the stand, a vertical nudge of 0.01 m/s ends in a walk of
+    half a metre and more.
+    """
+    drawn = replace(
+        random_legged.drawn(690000), base="free", keyframe=True, floor=True, motors="position"
+    )
+    pair = random_legged.written(drawn, tmp_path)
+    moving = [link for link in drawn.links if link.where != "urdf" and link.effort]
+    commands = " ".join(f"{drawn.gear * link.home:.9g}" for link in moving)
+    rewritten(pair.mjcf, ('"/></keyframe>', f'" ctrl="{commands}"/></keyframe>'))
+    loaded = with_payload(pa.load_robot(pair.urdf, pair.mjcf), 65.053)
+    stand = pa.solve_stand(loaded)
+    held = make_stand_start(loaded, solve_stand_as_simulated(loaded, stand))
+    model, data = held.drive.model, mujoco.MjData(held.drive.model)
+    mujoco.mj_setState(model, data, held.start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    data.ctrl[:] = held.ctrl
+    start = data.qpos[:2].copy()
+    data.qvel[2] = -0.01
+    mujoco.mj_step(model, data, round(20.0 / model.opt.timestep))
+    assert math.dist(data.qpos[:2], start) > 0.1
+    verdict = pa.judge_stand(loaded, stand)
+    assert not verdict.passed
+    assert [failure.code for failure in verdict.failures] == ["upset-by-nudge"]

@@ -305,3 +305,24 @@ def test_mode_shakes_if_it_oscillates_faster_than_it_grows(
     mode = Mode(0.01, frequency, -0.1, time_constant, 0.7 * time_constant, ("knee",))
     assert mode.shakes == shakes
     assert mode.grows_within(12.0) == (shakes or time_constant < 1)
+
+
+@pytest.mark.parametrize(("condim", "decays"), [(1, False), (3, True)])
+def test_a_nudge_of_a_base_without_friction_does_not_decay(condim: int, decays: bool) -> None:
+    """Without friction, no force acts along the ground: the speed after a nudge is kept."""
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><geom type="plane" size="0 0 1" condim="{condim}" priority="1"/>
+        <body pos="0 0 0.1"><freejoint/><geom type="box" size="0.2 0.2 0.1" mass="1"/></body>
+        </worldbody></mujoco>"""
+    )
+    resting = simulate_commands(
+        model, full_state(model, mujoco.MjData(model)), np.zeros((1000, 0))
+    )[-500:]
+    before = resting[-1]
+    start = before.copy()
+    start[1 + model.nq] += 1e-3
+    states = simulate_commands(model, start, np.zeros((2000, 0)))
+    found = measure_response(model, before, states, resting)
+    assert found.decayed is decays
+    if not decays:
+        assert found.left == pytest.approx(1e-3, rel=0.01)

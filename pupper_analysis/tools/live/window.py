@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.cli.next_step import print_next_step
-from pupper_analysis.prepare.judge import describe_given_masses
+from pupper_analysis.models.transmission import MadeServo
+from pupper_analysis.prepare.judge import describe_frictionless_feet, describe_given_masses
+from pupper_analysis.prepare.self_check import explain_own_run
 from pupper_analysis.present import display
 from pupper_analysis.present.document import NextStep
+from pupper_analysis.present.verdict import make_keyframe_run_clauses, make_replaced_clauses
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import was_reset_by_mujoco
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.robot.servos import find_servos_used, model_with_servos
 from pupper_analysis.simulation.monitor import ContactSampler, StandCheck, StandReference
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
@@ -151,7 +154,8 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
         headless: Open no window.
 
     Returns:
-        Whether the stand is stable, and no link has a mass that the file does not state; otherwise
+        Whether the stand is stable, no link has a mass that the file does not state, and the file
+        contradicts the result neither by its servos nor by its run from the keyframe; otherwise
         the command ends with status 1.
 
     Raises:
@@ -166,8 +170,29 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
     masses = describe_given_masses(robot)
     if masses is not None:
         print(f"UNKNOWN: {masses}")
+    contradictions = list_contradictions(robot)
+    for message in contradictions:
+        print(f"but {message}")
     print_next_step(NextStep("stand"))
-    return result.stable and masses is None
+    return result.stable and masses is None and not contradictions
+
+
+def list_contradictions(robot: Robot) -> tuple[str, ...]:
+    """Return what contradicts a drop of the prepared robot.
+
+    These are bad servos of the file, a failing run of the file, and feet without friction.
+    """
+    replaced: tuple[MadeServo, ...] = ()
+    with contextlib.suppress(ModelError):  # torque motors have no servo
+        replaced = find_servos_used(robot).replaced
+    own = explain_own_run(robot)
+    clauses = (
+        *make_keyframe_run_clauses(own if own is not None and own.fails else None),
+        *make_replaced_clauses(replaced),
+    )
+    slippery = describe_frictionless_feet(robot, robot.contact_points) if robot.floating else None
+    messages = tuple(str(clause) for clause in clauses if not clause.good)
+    return messages if slippery is None else (*messages, str(slippery))
 
 
 def format_drop(result: Drop) -> str:
