@@ -259,8 +259,8 @@ def verify_stand(
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    simulated = stand if stand.own_robot is robot else stand.with_robot(robot)
-    robot = check_stand(robot, stand, duration)
+    given, robot = robot, check_stand(robot, stand, duration)
+    simulated = stand if stand.own_robot is given else stand.with_robot(given)
     nudge_duration = _nudge_duration(duration, nudged)
     held = make_stand_start(
         robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
