@@ -226,7 +226,7 @@ class Nudge(Result):
         time: Simulated time of the nudge (s).
         duration: Simulated time after the nudge (s).
         motion: Largest speed in the second third of that time, without creep (m/s, rad/s). Of a
-            free base, the change of the mean velocity by the nudge counts, too.
+            free base, the increase of the mean speed by the nudge counts, too.
         left: Largest such speed in the last third of that time (m/s, rad/s).
         moved: Largest displacement of a joint in the last third, from the position before the
             nudge, beyond the creep (rad, m).
@@ -280,17 +280,16 @@ def measure_response(
     """Measure the response to a nudge.
 
     Feet creep on MuJoCo's friction at a speed that hardly changes, before the nudge and after.
-    Speeds are therefore deviations from a straight line in time. The mean velocity of a free base
-    is compared with that before the nudge: without friction, the base keeps the velocity of the
-    nudge.
+    Speeds are therefore deviations from a straight line in time. The mean speed of a free base is
+    compared with that before the nudge: without friction, the base keeps the velocity of the nudge.
 
     Args:
         model: MuJoCo model.
         before: State before the nudge, shape (size,).
         states: States after the nudge, shape (n, size).
         creep: States before the nudge, shape (m, size), from which creep rates of the joints are
-            measured; displacements are reduced by the creep. None: no creep, and mean velocities
-            of the base are not compared.
+            measured; displacements are reduced by the creep. None: no creep, and mean speeds of
+            the base are not compared.
     """
     third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
@@ -333,7 +332,9 @@ def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str
 
 
 def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> float:
-    """Return the largest change of a mean velocity of the free bodies [m/s, rad/s]; 0 without any.
+    """Return the largest increase of a mean speed of the free bodies [m/s, rad/s]; 0 without any.
+
+    A robot that still settles slows down; only faster motion than before the nudge counts.
 
     Args:
         model: MuJoCo model.
@@ -342,8 +343,8 @@ def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> f
     """
     free = model.dof_jntid[:, None] == np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     columns = 1 + model.nq + np.flatnonzero(free.any(axis=1))
-    change = states[:, columns].mean(axis=0) - creep[:, columns].mean(axis=0)
-    return float(np.abs(change).max(initial=0.0))
+    after, before = (np.abs(rows[:, columns].mean(axis=0)) for rows in (states, creep))
+    return float((after - before).max(initial=0.0))
 
 
 def _detrended_amplitude(velocities: Array) -> float:
