@@ -125,7 +125,8 @@ def make_plots_figure(
     ]
     across, several = PAGE_WIDTH / columns, bool(names or len(plots) > 1)
     # A legend has a line for every two of its entries, which may be long.
-    room = 0.35 + len(rows) * (0.15 * several + 0.06 * max(map(len, legends)))
+    legend_lines = -(-max(map(len, legends)) // 2)
+    room = 0.35 + len(rows) * (0.15 * several + 0.17 * legend_lines)
     figure = make_page_figure(
         get_english(title or plots[0].title),
         across * sum(heights) + room,
