@@ -1,0 +1,94 @@
+"""Command ``pupper-analysis gains``: find the gains with which a robot stands stably."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.robots import robot_argument
+from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
+
+
+@shared.command("gains")
+@robot_argument
+@click.option(
+    "--rate",
+    type=float,
+    metavar="HZ",
+    help="Control rate (Hz); e.g. 500. Default: one command per time step of the model.",
+)
+@click.option(
+    "--delay",
+    type=shared.QuantityType("time"),
+    default=0.0,
+    metavar="TIME",
+    help="Time between measurement and effect of a command; e.g. 4ms.",
+)
+@click.option(
+    "--error",
+    type=shared.QuantityType("angle"),
+    metavar="ANGLE",
+    help="Position error for which the motors must have torque; e.g. 10deg.",
+)
+@click.option(
+    "--encoder-bits",
+    type=int,
+    metavar="N",
+    help="Resolution of the joint encoders, 2^N counts per turn; e.g. 14.",
+)
+@robot_and_task
+@shared.figure_option
+@shared.json_option
+@shared.report_option
+def command(
+    request: RobotAndTask,
+    words: tuple[str, ...],
+    rate: float | None,
+    delay: float,
+    error: float | None,
+    encoder_bits: int | None,
+    figure: Path | None,
+    json_path: Path | None,
+    report_path: Path | None,
+) -> None:
+    """Find the stiffness kp and damping kd of the servos with which a robot stands stably.
+
+    The servos are an explicit PD controller: it measures angles and velocities once per control
+    period, and its torque acts after the delay. Robot and stance are given as for `stand`. Each
+    bound follows from the modes of the robot on its feet, and is repeated by simulation.
+
+    \b
+    Examples:
+      pupper-analysis gains v3
+      pupper-analysis gains v3 --rate 500 --delay 4ms --encoder-bits 14
+      pupper-analysis gains v3-heavy --kp 8 --kd 0.2 --error 10deg \\
+        --figure gains.png
+
+    Exit status: 0 the present gains are within all bounds, 1 they are not, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.tools.gains.gains import study_gains
+
+    task = request.task()
+    robot = request.robot(words)
+    kp, kd = request.gains(robot)
+    with shared.show_progress("finding the bounds of the gains"):
+        result = study_gains(
+            robot,
+            task,
+            kp=kp,
+            kd=kd,
+            rate=rate,
+            delay=delay,
+            error=error,
+            encoder_bits=encoder_bits,
+        )
+    request.show(result, robot)
+    if figure is not None:
+        from pupper_analysis.tools.gains.figures import gain_figure
+
+        gain_figure(result, figure)
+        shared.confirm_written(figure)
+    shared.write_page(report_path, result, [robot])
+    shared.finish_command(json_path, result, passed=result.passed)

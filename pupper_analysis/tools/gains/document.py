@@ -1,0 +1,232 @@
+"""Document of stable gains: bounds of stiffness and damping, by joint class and as a plot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import NextStep, join_words, text
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.standing import robot_notes, task_text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.gains.gains import GAIN_MARGIN, MAX_NOISE_RATIO, GainBound, GainStudy
+
+
+@build_document.register(GainStudy)
+def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document:
+    """Create the report of a gain study; see ``build_document``."""
+    failures = tuple(_describe_failures(study))
+    return doc.Document(
+        text("gains"),
+        doc.Name(study.name),
+        (_make_class_table(study), _make_bound_table(study), gain_plot(study)),
+        passed=study.passed,
+        verdict=text("gains-stable" if study.passed else "gains-unstable"),
+        failures=failures,
+        findings=(_describe_range(study), _describe_controller(study)),
+        details=(
+            task_text(study.stand.task),
+            text("gains-damping-ratio", ratio=f"{study.damping_ratio:.2f}"),
+        ),
+        brief=True,
+        notes=robot_notes(robot),
+        next_step=_select_next_step(study),
+    )
+
+
+def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
+    """State the mode that grows, and the classes whose gains exceed torque or encoder bounds."""
+    if not study.worst.stable:
+        joints = join_words([doc.Name(name) for name in study.worst.joints])
+        time = f"{1e3 * math.log(2) / study.worst.growth_rate:.3g}"
+        if study.worst.frequency:
+            frequency = f"{study.worst.frequency:.3g}"
+            yield text("gains-oscillate", joints=joints, frequency=frequency, time=time)
+        else:
+            yield text("gains-buckle", joints=joints, time=time)
+    for one in study.exceeded:
+        if one.largest_kp_of_torque is not None and one.kp > one.largest_kp_of_torque:
+            yield text(
+                "gains-above-torque",
+                joints=doc.Name(one.name),
+                kp=f"{one.largest_kp_of_torque:.3g}",
+            )
+        if one.largest_kd_of_encoder is not None and one.kd > one.largest_kd_of_encoder:
+            yield text(
+                "gains-above-noise",
+                joints=doc.Name(one.name),
+                kd=f"{one.largest_kd_of_encoder:.3g}",
+            )
+
+
+def _describe_range(study: GainStudy) -> doc.Words:
+    """State present gains with their bounds: absolute if equal at all joints, else as factors."""
+    largest = study.largest_kd.factor
+    if study.uniform:
+        kp, kd = study.classes[0].kp, study.classes[0].kd
+        least = max(kp * (study.least_kp.factor or 0.0), study.least_kp_alone or 0.0)
+        return text(
+            "gains-range" if largest is not None else "gains-range-open",
+            kp=f"{kp:.3g}",
+            kd=f"{kd:.3g}",
+            least=f"{least:.3g}",
+            most="" if largest is None else f"{largest * kd:.3g}",
+        )
+    return text(
+        "gains-factors" if largest is not None else "gains-factors-open",
+        least=f"{study.least_kp.factor or 0.0:.3g}",
+        most="" if largest is None else f"{largest:.3g}",
+    )
+
+
+def _describe_controller(study: GainStudy) -> doc.Words:
+    """State the controller, and the mode beyond the largest damping."""
+    implicit = study.integrator.startswith("implicit")
+    return text(
+        "gains-controller-implicit" if implicit else "gains-controller",
+        rate=f"{1 / study.period:.4g}",
+        delay=f"{1e3 * study.delay:.3g}",
+        joints=join_words([doc.Name(name) for name in study.largest_kd.joints[:1]])
+        or doc.Name("-"),
+        frequency=f"{study.largest_kd.frequency:.3g}",
+        integrator=doc.Name(study.integrator),
+    )
+
+
+def _select_next_step(study: GainStudy) -> NextStep:
+    """Return the stand with the recommended gains, if these are equal at all joints."""
+    first = study.classes[0]
+    if study.uniform and first.recommended_kp is not None and first.recommended_kd is not None:
+        return NextStep(
+            "stand", ("--kp", f"{first.recommended_kp:.3g}", "--kd", f"{first.recommended_kd:.3g}")
+        )
+    return NextStep("stand")
+
+
+def _make_class_table(study: GainStudy) -> doc.Table:
+    """Create the table of the joint classes."""
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.Name(one.name),
+            doc.number_cell(one.kp, ".4g"),
+            doc.number_cell(one.least_kp, ".3g"),
+            doc.number_cell(one.largest_kp_of_torque, ".3g"),
+            doc.number_cell(one.recommended_kp, ".3g"),
+            doc.number_cell(one.kd, ".4g"),
+            doc.number_cell(one.largest_kd, ".3g"),
+            doc.number_cell(one.largest_kd_alone, ".3g"),
+            doc.number_cell(one.largest_kd_of_encoder, ".3g"),
+            doc.number_cell(one.recommended_kd, ".3g"),
+        )
+        for one in study.classes
+    ]
+    stiffness, damping = "N m/rad", "N m s/rad"
+    return doc.Table(
+        text("gains-by-joint"),
+        (
+            doc.Column(text("gains-joints"), left=True),
+            doc.Column(doc.Name("kp"), stiffness),
+            doc.Column(text("gains-least"), stiffness),
+            doc.Column(text("gains-torque"), stiffness),
+            doc.Column(text("gains-recommended"), stiffness),
+            doc.Column(doc.Name("kd"), damping),
+            doc.Column(text("gains-largest"), damping),
+            doc.Column(text("gains-largest-alone"), damping),
+            doc.Column(text("gains-encoder"), damping),
+            doc.Column(text("gains-recommended"), damping),
+        ),
+        tuple(rows),
+        tuple(_class_notes(study)),
+    )
+
+
+def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
+    """Explain the columns of the table of joint classes."""
+    yield text("gains-note-together")
+    if study.error is not None:
+        yield text("gains-note-torque", error=f"{math.degrees(study.error):.3g}")
+    if study.encoder_bits is not None:
+        yield text(
+            "gains-note-encoder", bits=study.encoder_bits, ratio=f"{100 * MAX_NOISE_RATIO:.0f}"
+        )
+    yield text("gains-note-recommended", margin=f"{GAIN_MARGIN:g}")
+
+
+def _make_bound_table(study: GainStudy) -> doc.Table:
+    """Create the table of the bounds on common factors, with the simulated bounds."""
+    bounds = (
+        ("gains-least-kp", study.least_kp),
+        ("gains-largest-kp", study.largest_kp),
+        ("gains-largest-kd", study.largest_kd),
+    )
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            text(key),
+            doc.number_cell(bound.factor, ".3g"),
+            doc.number_cell(bound.simulated, ".3g"),
+            doc.number_cell(bound.frequency if bound.joints else None, ".3g"),
+            _name_first_joints(bound),
+        )
+        for key, bound in bounds
+    ]
+    notes = [text("gains-note-simulated")]
+    if study.least_kp_alone is not None:
+        notes.append(text("gains-note-alone", kp=f"{study.least_kp_alone:.3g}"))
+    return doc.Table(
+        text("gains-bounds"),
+        (
+            doc.Column(text("gains-bound"), left=True),
+            doc.Column(text("gains-factor"), "1"),
+            doc.Column(text("gains-simulated"), "1"),
+            doc.Column(text("gains-frequency"), "Hz"),
+            doc.Column(text("gains-joints"), left=True),
+        ),
+        tuple(rows),
+        tuple(notes),
+    )
+
+
+def _name_first_joints(bound: GainBound) -> doc.Words:
+    """Return the names of the joints that move most, or a dash."""
+    return (
+        join_words([doc.Name(name) for name in bound.joints[:2]]) if bound.joints else doc.Name("-")
+    )
+
+
+def gain_plot(study: GainStudy) -> doc.LinePlot:
+    """Create the plot of the largest stable damping over the stiffness, with present gains.
+
+    Axes are absolute if all joints have equal gains, otherwise factors on the present gains.
+    """
+    kp, kd = (study.classes[0].kp, study.classes[0].kd) if study.uniform else (1.0, 1.0)
+    known = np.isfinite(study.curve_dampings)
+    series = [
+        doc.Series(
+            text("gains-largest-kd"),
+            kp * study.curve_factors[known],
+            kd * study.curve_dampings[known],
+        ),
+        doc.Series(text("gains-present"), [kp], [kd], points=True, marked_index=0),
+    ]
+    if study.recommended_kp_factor is not None and study.recommended_kd_factor is not None:
+        recommended = kp * study.recommended_kp_factor, kd * study.recommended_kd_factor
+        series.append(
+            doc.Series(
+                text("gains-recommended"),
+                [recommended[0]],
+                [recommended[1]],
+                points=True,
+                marked_index=0,
+            )
+        )
+    units = ("N m/rad", "N m s/rad") if study.uniform else ("1", "1")
+    return doc.LinePlot(
+        text("gains-plot"),
+        doc.Axis(doc.Name("kp"), units[0], ".3g"),
+        doc.Axis(doc.Name("kd"), units[1], ".3g"),
+        series,
+        text("gains-plot-note"),
+    )

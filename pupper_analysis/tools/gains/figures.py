@@ -1,0 +1,22 @@
+"""Figure of stable gains: largest damping over stiffness."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pupper_analysis.present.figures.drawing import write_plots
+from pupper_analysis.tools.gains.document import gain_plot
+from pupper_analysis.tools.gains.gains import GainStudy
+
+
+def gain_figure(study: GainStudy, path: str | Path) -> None:
+    """Draw the largest stable damping over the stiffness, with present and recommended gains.
+
+    Args:
+        study: Stable gains of a robot.
+        path: PNG file that is written.
+
+    Raises:
+        OutputError: If the file cannot be written.
+    """
+    write_plots([gain_plot(study)], path)

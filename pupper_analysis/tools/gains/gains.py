@@ -1,0 +1,562 @@
+"""Bounds of the stiffness and damping of a standing robot's servos.
+
+`study_gains` scales the gains of all joints together, and finds the factors between which the robot
+on its feet is stable under a sampled PD controller with a delay (`ControlledStand`). Each bound of
+the linear model is repeated by bisection in simulations of the unmodified model. Torque limits and
+encoders bound the gains of each joint on their own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, NoStiffnessError
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.alike import sibling_joints
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.stability import HOLD_DURATION
+from pupper_analysis.simulation.rollout import make_stand_start
+from pupper_analysis.stance.sag.steady_state import minimum_stiffness
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.gains.loop import ControlledStand, WorstMode
+
+Array = NDArray[np.float64]
+
+_MAX_POWER = 12
+MAX_FACTOR = 2.0**_MAX_POWER
+"""Largest factor on the gains, and inverse of the smallest, that is tried. Chosen: the tools add
+servos with kp of 5 to 2000 N m/rad."""
+
+_FACTOR_TOLERANCE = 0.005
+"""Relative tolerance of a factor."""
+
+_SIMULATED_TOLERANCE = 0.02
+"""Relative tolerance of a factor that is found by simulation."""
+
+_SIMULATED_RANGE = 2.0
+"""Ratio between the predicted bound and the ends of the bisection in simulation."""
+
+_SHAKE_DURATION = 3.0
+"""Duration of the simulations of a damping [s]. Modes beyond the bound double within 0.1 s."""
+
+GAIN_MARGIN = 2.0
+"""Ratio between a recommended gain and a bound: the usual gain margin of 6 dB (Åström and Murray
+2008, section 9.3)."""
+
+MIN_DAMPING_RATIO = 0.5
+"""Damping ratio of every oscillation that the recommended damping reaches, if it is within the
+margins. An overshoot of 16 %; chosen, not tuned."""
+
+MAX_NOISE_RATIO = 0.1
+"""Largest torque step by one encoder count, relative to the torque limit. Chosen, not tuned."""
+
+MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
+"""Bounds of the resolution of an encoder [bit]."""
+
+_CURVE_RATIO = 2.0**0.5
+"""Ratio of successive stiffnesses of the curve of largest dampings."""
+
+_CURVE_HALF_LENGTH = 6
+"""Number of points of the curve on each side of the present stiffness."""
+
+
+@dataclass(frozen=True)
+class GainBound(Result):
+    """Factor on the gains of all joints at which a standing robot becomes unstable.
+
+    Attributes:
+        factor: Factor on the present gains, in the linear model without dry friction; None if the
+            robot is stable up to ``MAX_FACTOR``, or down to its inverse.
+        simulated: Factor found by simulation of the unmodified model; None if not within a ratio of
+            2 from ``factor``, or without ``factor``.
+        frequency: Frequency of the mode that grows beyond the bound (Hz); 0 without oscillation.
+        joints: Joints that move most in this mode, largest first.
+    """
+
+    factor: float | None = field(metadata={"unit": "1"})
+    simulated: float | None = field(metadata={"unit": "1"})
+    frequency: float = field(metadata={"unit": "Hz"})
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class JointClass(Result):
+    """Joints with equal gains at the same place in similar limbs, and the bounds of their gains.
+
+    Attributes:
+        name: Common part of the joints' names, with * for the rest.
+        joints: Joints.
+        kp: Present stiffness (N m/rad).
+        kd: Present damping (N m s/rad).
+        least_kp: Smallest stable stiffness, if the stiffness of all joints is scaled together
+            (N m/rad); None without a bound.
+        largest_kd: Largest stable damping, if the damping of all joints is scaled together
+            (N m s/rad); None without a bound.
+        largest_kd_alone: Largest stable damping, if only the damping of this class changes
+            (N m s/rad); None without a bound.
+        largest_kp_of_torque: Stiffness with which the requested position error reaches the torque
+            limit (N m/rad); None without an error or a limit.
+        largest_kd_of_encoder: Damping with which one encoder count per control period is
+            ``MAX_NOISE_RATIO`` of the torque limit (N m s/rad); None without encoder or limit.
+        recommended_kp: Recommended stiffness (N m/rad); None without a recommendation.
+        recommended_kd: Recommended damping (N m s/rad); None without a recommendation.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    kp: float = field(metadata={"unit": "N m/rad"})
+    kd: float = field(metadata={"unit": "N m s/rad"})
+    least_kp: float | None = field(metadata={"unit": "N m/rad"})
+    largest_kd: float | None = field(metadata={"unit": "N m s/rad"})
+    largest_kd_alone: float | None = field(metadata={"unit": "N m s/rad"})
+    largest_kp_of_torque: float | None = field(metadata={"unit": "N m/rad"})
+    largest_kd_of_encoder: float | None = field(metadata={"unit": "N m s/rad"})
+    recommended_kp: float | None = field(metadata={"unit": "N m/rad"})
+    recommended_kd: float | None = field(metadata={"unit": "N m s/rad"})
+
+
+@dataclass(frozen=True, eq=False)
+class GainStudy(Result):
+    """Stable gains of a standing robot under a sampled PD controller.
+
+    Attributes:
+        name: Name of the robot.
+        stand: Stand, on MuJoCo's soft ground.
+        integrator: MuJoCo integrator of the model.
+        timestep: Time step of the model (s).
+        period: Control period (s).
+        delay: Delay between measurement and effect of a command (s).
+        error: Position error for which the motors must have torque (rad); None: not requested.
+        encoder_bits: Number of bits of the encoders: 2^bits counts per turn; None: not
+            requested.
+        classes: Joint classes with their bounds.
+        least_kp: Lower bound of the stiffness, with the torques of the stand as feed-forward.
+        largest_kp: Upper bound of the stiffness.
+        largest_kd: Upper bound of the damping.
+        least_kp_alone: Smallest stiffness, equal at all joints, with which the robot stands without
+            feed-forward (N m/rad); None if there is none, or the base is fixed.
+        worst: Mode with the largest growth rate at the present gains.
+        damping_ratio: Smallest damping ratio of an oscillation at the present gains.
+        curve_factors: Factors on the stiffness of the curve, shape (n,).
+        curve_dampings: Largest stable factor on the damping for each, shape (n,); infinite without
+            a bound, not a number if no damping is stable.
+        recommended_kp_factor: Recommended factor on the stiffness; None without a recommendation.
+        recommended_kd_factor: Recommended factor on the damping; None without a recommendation.
+    """
+
+    name: str
+    stand: Stand
+    integrator: str
+    timestep: float = field(metadata={"unit": "s"})
+    period: float = field(metadata={"unit": "s"})
+    delay: float = field(metadata={"unit": "s"})
+    error: float | None = field(metadata={"unit": "rad"})
+    encoder_bits: int | None = field(metadata={"unit": "1"})
+    classes: tuple[JointClass, ...]
+    least_kp: GainBound
+    largest_kp: GainBound
+    largest_kd: GainBound
+    least_kp_alone: float | None = field(metadata={"unit": "N m/rad"})
+    worst: WorstMode
+    damping_ratio: float = field(metadata={"unit": "1"})
+    curve_factors: Array = field(metadata={"unit": "1"})
+    curve_dampings: Array = field(metadata={"unit": "1"})
+    recommended_kp_factor: float | None = field(metadata={"unit": "1"})
+    recommended_kd_factor: float | None = field(metadata={"unit": "1"})
+
+    @property
+    def passed(self) -> bool:
+        """Whether the present gains are stable, and within the bounds of torque and encoder."""
+        return self.worst.stable and not self.exceeded
+
+    @property
+    def uniform(self) -> bool:
+        """Whether all joints have the same stiffness and the same damping."""
+        return len({(one.kp, one.kd) for one in self.classes}) == 1
+
+    @property
+    def exceeded(self) -> tuple[JointClass, ...]:
+        """Joint classes whose present gains exceed a bound of the torque limit or the encoder."""
+        return tuple(
+            one
+            for one in self.classes
+            if one.kp > (one.largest_kp_of_torque or math.inf)
+            or one.kd > (one.largest_kd_of_encoder or math.inf)
+        )
+
+
+@check_arguments
+def study_gains(
+    robot: Robot,
+    stance: StandTask | Stand,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    rate: float | None = None,
+    delay: float = 0.0,
+    error: float | None = None,
+    encoder_bits: int | None = None,
+) -> GainStudy:
+    """Find the gains with which a robot stands stably under a sampled PD controller.
+
+    Args:
+        robot: Robot.
+        stance: Stand task, or a stand that satisfies a task on rigid ground.
+        kp: Present stiffness [N m/rad], scalar or shape (nu,); default: the model's.
+        kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
+        rate: Control rate [Hz]; default: one command per time step of the model.
+        delay: Time between measurement and effect of a command [s].
+        error: Position error [rad, m] for which the motors must have torque.
+        encoder_bits: Resolution of the joint encoders [counts per turn, as a power of two], from
+            which velocities are computed by differences.
+
+    Raises:
+        StanceUnreachableError: If the stance is out of reach.
+        StaticsInfeasibleError: If no contact forces balance the stance.
+        ConfigurationError: If an argument is out of range or invalid for the robot, or no tried
+            gains are stable.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
+    """
+    _check_request(error, encoder_bits)
+    stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
+    robot = stand.check(robot)
+    settled = solve_stand_as_simulated(robot, stand)
+    held = make_stand_start(robot, settled, kp=kp, kd=kd)
+    loop = ControlledStand(held, rate, delay)
+    gains = _Gains(loop, np.array(held.drive.kp), np.array(held.drive.kd))
+    stiffness, damping = gains.find_stable_pair()
+
+    def with_stiffness(factor: float) -> _Pair:
+        """Return the gains with a factor on the stiffness."""
+        return gains.scaled(factor, damping)
+
+    def with_damping(factor: float) -> _Pair:
+        """Return the gains with a factor on the damping."""
+        return gains.scaled(stiffness, factor)
+
+    least, largest = gains.find_stable_factors(with_stiffness, stiffness)
+    least_kp = gains.make_bound(least, with_stiffness, below=True)
+    largest_kp = gains.make_bound(largest, with_stiffness, below=False)
+    _, end = gains.find_stable_factors(with_damping, damping)
+    largest_kd = gains.make_bound(end, with_damping, below=False)
+    alone = None
+    if robot.floating:
+        try:
+            alone = minimum_stiffness(robot, settled)
+        except NoStiffnessError:
+            alone = None
+    recommended = gains.recommend((least, largest), alone)
+    classes = tuple(
+        gains.describe_class(
+            robot,
+            members,
+            least_kp,
+            largest_kd,
+            (stiffness, damping),
+            recommended,
+            error,
+            encoder_bits,
+        )
+        for members in group_joints(robot, gains.kp, gains.kd)
+    )
+    powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
+    curve: Array = _CURVE_RATIO**powers
+    return GainStudy(
+        name=robot.name,
+        stand=settled,
+        integrator=held.drive.integrator,
+        timestep=float(held.drive.model.opt.timestep),
+        period=loop.period,
+        delay=loop.delay,
+        error=error,
+        encoder_bits=encoder_bits,
+        classes=classes,
+        least_kp=least_kp,
+        largest_kp=largest_kp,
+        largest_kd=largest_kd,
+        least_kp_alone=alone,
+        worst=loop.find_worst_mode(gains.kp, gains.kd),
+        damping_ratio=loop.least_damping_ratio(gains.kp, gains.kd),
+        curve_factors=curve,
+        curve_dampings=np.array([gains.largest_damping(factor) for factor in curve.tolist()]),
+        recommended_kp_factor=recommended[0],
+        recommended_kd_factor=recommended[1],
+    )
+
+
+def _check_request(error: float | None, encoder_bits: int | None) -> None:
+    """Raise a ConfigurationError if the position error or the encoder is out of range."""
+    if error is not None and not 0 < error < math.inf:
+        raise ConfigurationError("error", diagnose("error-not-valid", given=error))
+    if encoder_bits is not None and not MIN_ENCODER_BITS <= encoder_bits <= MAX_ENCODER_BITS:
+        raise ConfigurationError(
+            "encoder_bits",
+            diagnose(
+                "encoder-not-valid", given=encoder_bits, low=MIN_ENCODER_BITS, high=MAX_ENCODER_BITS
+            ),
+        )
+
+
+_Pair = tuple[Array, Array]
+
+
+class _Gains:
+    """Search for bounds of the gains of a controlled stand.
+
+    Args:
+        loop: The controlled stand.
+        kp: Present stiffness, shape (nu,) [N m/rad].
+        kd: Present damping, shape (nu,) [N m s/rad].
+    """
+
+    def __init__(self, loop: ControlledStand, kp: Array, kd: Array) -> None:
+        self.loop, self.kp, self.kd = loop, kp, kd
+
+    def scaled(self, stiffness: float, damping: float) -> _Pair:
+        """Return the gains of all joints, multiplied by factors."""
+        return stiffness * self.kp, damping * self.kd
+
+    def find_stable_pair(self) -> tuple[float, float]:
+        """Find stable factors on stiffness and damping near to (1, 1), in powers of two.
+
+        Raises:
+            ConfigurationError: If no tried pair is stable.
+        """
+        powers = range(-_MAX_POWER, _MAX_POWER + 1)
+        pairs = sorted(product(powers, powers), key=lambda pair: abs(pair[0]) + abs(pair[1]))
+        for stiffness, damping in pairs:
+            if self._is_stable(self.scaled(2.0**stiffness, 2.0**damping)):
+                return 2.0**stiffness, 2.0**damping
+        raise ConfigurationError("kp", diagnose("no-stable-gains", most=MAX_FACTOR))
+
+    def find_stable_factors(
+        self, gains: Callable[[float], _Pair], inside: float
+    ) -> tuple[float | None, float | None]:
+        """Find both ends of an interval of stable factors.
+
+        Args:
+            gains: Function that returns kp and kd for a factor.
+            inside: A stable factor.
+
+        Returns:
+            Lower and upper end; None without an end within ``MAX_FACTOR``.
+        """
+        return self._find_end(gains, inside, 0.5), self._find_end(gains, inside, 2.0)
+
+    def _is_stable(self, pair: _Pair) -> bool:
+        return self.loop.is_stable(*pair)
+
+    def _find_end(
+        self, gains: Callable[[float], _Pair], inside: float, ratio: float
+    ) -> float | None:
+        """Step from a stable factor by a ratio until unstable, then bisect; None without an end."""
+        stable = inside
+        while 1 / MAX_FACTOR <= stable * ratio <= MAX_FACTOR:
+            unstable = stable * ratio
+            if not self._is_stable(gains(unstable)):
+                return _bisect_factor(
+                    lambda factor: self._is_stable(gains(factor)),
+                    stable,
+                    unstable,
+                    _FACTOR_TOLERANCE,
+                )
+            stable = unstable
+        return None
+
+    def make_bound(
+        self, factor: float | None, gains: Callable[[float], _Pair], *, below: bool
+    ) -> GainBound:
+        """Describe a bound: the mode beyond it, and the bound in simulation.
+
+        Args:
+            factor: Factor at the bound; None without a bound.
+            gains: Function that returns kp and kd for a factor.
+            below: Whether smaller factors are unstable.
+        """
+        if factor is None:
+            return GainBound(None, None, 0.0, ())
+        beyond = factor * (1 - 0.05 if below else 1 + 0.05)
+        mode = self.loop.find_worst_mode(*gains(beyond))
+        duration = HOLD_DURATION if below else _SHAKE_DURATION
+
+        def stays(tried: float) -> bool:
+            """Return True if the robot stays in a simulation."""
+            return self.loop.stays_in_simulation(*gains(tried), duration=duration, mode=mode)
+
+        ratio = 1 / _SIMULATED_RANGE if below else _SIMULATED_RANGE
+        simulated = None
+        if stays(factor / ratio) and not stays(factor * ratio):
+            simulated = _bisect_factor(stays, factor / ratio, factor * ratio, _SIMULATED_TOLERANCE)
+        return GainBound(factor, simulated, mode.frequency, mode.joints)
+
+    def largest_damping(self, stiffness: float) -> float:
+        """Return the largest stable factor on the damping with a factor on the stiffness.
+
+        Infinite without a bound; not a number if no damping is stable.
+        """
+
+        def with_damping(factor: float) -> _Pair:
+            return self.scaled(stiffness, factor)
+
+        powers = sorted(range(-_MAX_POWER, _MAX_POWER + 1), key=abs)
+        stable = (2.0**power for power in powers if self._is_stable(with_damping(2.0**power)))
+        inside = next(stable, None)
+        if inside is None:
+            return math.nan
+        end = self._find_end(with_damping, inside, 2.0)
+        return math.inf if end is None else end
+
+    def recommend(
+        self, stiffness: tuple[float | None, float | None], alone: float | None
+    ) -> tuple[float | None, float | None]:
+        """Recommend factors with a margin of ``GAIN_MARGIN`` to each stability bound.
+
+        The stiffness is the present one, or the nearest within the margins. The damping is the
+        smallest with which each oscillation has the damping ratio ``MIN_DAMPING_RATIO``; without
+        one, that with the largest damping ratio.
+
+        Args:
+            stiffness: Bounds of the factor on the stiffness.
+            alone: Least stiffness without feed-forward [N m/rad], equal at all joints.
+
+        Returns:
+            Factors on stiffness and damping; (None, None) if the margins leave nothing.
+        """
+        low, high = stiffness
+        if not self.kd.any():
+            return None, None
+        used = self.kp[self.kp > 0]
+        least = max(low or 0.0, (alone or 0.0) / float(used.min(initial=math.inf)))
+        least, most = least * GAIN_MARGIN, (math.inf if high is None else high / GAIN_MARGIN)
+        if least > most:
+            return None, None
+        factor = float(np.clip(1.0, least, most))
+        end = self.largest_damping(factor) / GAIN_MARGIN
+        if math.isnan(end):
+            return None, None
+        tried = [2.0 ** (power / 2) for power in range(-20, 21) if 2.0 ** (power / 2) <= end]
+        ratios = {
+            damping: self.loop.least_damping_ratio(*self.scaled(factor, damping))
+            for damping in tried
+            if self._is_stable(self.scaled(factor, damping))
+        }
+        if not ratios:
+            return None, None
+        enough = [damping for damping, ratio in ratios.items() if ratio >= MIN_DAMPING_RATIO]
+        return factor, enough[0] if enough else max(ratios, key=ratios.__getitem__)
+
+    def describe_class(
+        self,
+        robot: Robot,
+        members: Sequence[int],
+        least_kp: GainBound,
+        largest_kd: GainBound,
+        base: tuple[float, float],
+        recommended: tuple[float | None, float | None],
+        error: float | None,
+        encoder_bits: int | None,
+    ) -> JointClass:
+        """Create the result of a joint class."""
+        kp, kd = float(self.kp[members[0]]), float(self.kd[members[0]])
+        limit = float(robot.effort_limits[list(members)].min())
+        limited = math.isfinite(limit) and limit > 0
+
+        def changed(factor: float) -> _Pair:
+            """Return the gains with a factor on the damping of this class."""
+            stiffness, damping = self.scaled(*base)
+            damping[list(members)] *= factor
+            return stiffness, damping
+
+        alone = self._find_end(changed, 1.0, 2.0) if kd else None
+        count = 2 * math.pi / 2**encoder_bits if encoder_bits is not None else 0.0
+        return JointClass(
+            name=name_joints([robot.joint_names[joint] for joint in members]),
+            joints=tuple(robot.joint_names[joint] for joint in members),
+            kp=kp,
+            kd=kd,
+            least_kp=_scale(kp, least_kp.factor),
+            largest_kd=_scale(kd, largest_kd.factor),
+            largest_kd_alone=_scale(kd * base[1], alone),
+            largest_kp_of_torque=limit / error if limited and error is not None else None,
+            largest_kd_of_encoder=(
+                MAX_NOISE_RATIO * limit * self.loop.period / count if limited and count else None
+            ),
+            recommended_kp=_scale(kp, recommended[0]),
+            recommended_kd=_scale(kd, recommended[1]),
+        )
+
+
+def _scale(gain: float, factor: float | None) -> float | None:
+    """Return a gain times a factor; None without a factor."""
+    return None if factor is None else gain * factor
+
+
+def _bisect_factor(
+    stays: Callable[[float], bool], inside: float, outside: float, tolerance: float
+) -> float:
+    """Bisect the end of an interval of factors on a logarithmic scale; return the inner end."""
+    while abs(math.log(outside / inside)) > tolerance:
+        middle = math.sqrt(inside * outside)
+        inside, outside = (middle, outside) if stays(middle) else (inside, middle)
+    return inside
+
+
+def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
+    """Group the driven joints that have equal gains and limits at the same place in similar limbs.
+
+    Args:
+        robot: Robot.
+        kp: Stiffness, shape (nu,) [N m/rad].
+        kd: Damping, shape (nu,) [N m s/rad].
+
+    Returns:
+        Indices of the joints of each group, groups in the order of their first joint.
+    """
+    siblings, names = sibling_joints(robot), robot.joint_names
+    values = np.stack([kp, kd, robot.effort_limits])
+    groups: list[list[int]] = []
+    for index in np.flatnonzero(robot.mj_convention.actuator_index >= 0).tolist():
+        for group in groups:
+            if names[group[0]] in siblings.get(names[index], ()) and np.array_equal(
+                values[:, group[0]], values[:, index]
+            ):
+                group.append(index)
+                break
+        else:
+            groups.append([index])
+    return groups
+
+
+def name_joints(names: Sequence[str]) -> str:
+    """Return the common beginning and end of names, with * between; the name of a single joint.
+
+    The common parts end at an underscore. Without a common part, the first names are listed.
+    """
+    if len(names) == 1:
+        return names[0]
+    begin = _common_beginning(names)
+    begin = begin[: begin.rfind("_") + 1]
+    end = _common_beginning([name[len(begin) :][::-1] for name in names])
+    end = end[: end.rfind("_") + 1][::-1]
+    if begin or end:
+        return f"{begin}*{end}"
+    return f"{names[0]}, {names[1]}" + (f" +{len(names) - 2}" if len(names) > 2 else "")
+
+
+def _common_beginning(names: Sequence[str]) -> str:
+    """Return the characters with which all names begin."""
+    common = 0
+    while all(len(name) > common and name[common] == names[0][common] for name in names):
+        common += 1
+    return names[0][:common]

@@ -1,0 +1,340 @@
+"""Standing robot under sampled joint PD control with a delay: linear modes, and simulation.
+
+`ControlledStand` replaces the servos of a robot in a stand by torque motors and linearises the
+robot once: with x the deviation of (qpos, qvel, act) and u the motor torques, a time step is
+x' = A x + B u (MuJoCo documentation, ``mjd_transitionFD``). The controller measures joint angles
+q and velocities v once per control period and commands
+
+    u = torque that holds the stand + kp (q of the stand - q) - kd v,
+
+which acts after the delay. `find_worst_mode` returns the mode of the closed loop that grows
+fastest; `stays_in_simulation` simulates the same controller in the unmodified model.
+
+The linear model has no dry friction of joints. While a joint is at rest, this friction holds the
+joint like a large damper, so that each gain appears stable; a moving joint lacks this damping.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.stability import HOLD_DURATION, copy_data, select_most_moving
+from pupper_analysis.simulation.rollout import StandStart
+
+Array = NDArray[np.float64]
+
+MAX_RATE = 100_000.0
+"""Upper bound of the control rate [Hz]. Drives of motors run at 10 to 40 kHz."""
+
+MAX_DELAY = 0.5
+"""Upper bound of the delay [s]. Chosen: legged robots are controlled within 0.1 s."""
+
+MAX_GROWTH_RATE = math.log(2) / HOLD_DURATION
+"""Growth rate [1/s] above which a mode counts as unstable: it doubles within the time for which a
+stand must hold. Slower modes are creep of MuJoCo's friction."""
+
+_MAX_STEPS_PER_PERIOD = 64
+"""Upper bound of the time steps per control period. Finer delays are rounded."""
+
+_DELAY_TOLERANCE = 1e-6
+"""Relative deviation of a delay from a multiple of the time step that counts as rounding."""
+
+_DIFFERENCE_STEP = 1e-6
+"""Step of centred differences [m, rad, N m, and rates]. Measured: modes of v3 are equal to 1e-6
+with 1e-7."""
+
+_SOLVER_TOLERANCE = 1e-14
+"""Solver tolerance during the differences, as in ``robot/stability.py``."""
+
+_NUDGE_ANGLE, _NUDGE_SPEED = 0.02, 0.2
+"""Largest displacement [rad, m] and velocity [rad/s, m/s] of a joint at the start of a simulation.
+Chosen: more than dry friction holds, and less than moves a foot off its place."""
+
+_REST_SPEED = 0.01
+"""Largest joint velocity of a robot at rest [rad/s, m/s]. Chosen: 5 % of ``_NUDGE_SPEED``."""
+
+_COMPARED_SHARE = 0.2
+"""Share of a simulation, before the middle and before the end, in which velocities are compared."""
+
+_MAX_DECAY_RATIO = 0.9
+"""Largest ratio of the velocities at the end and at the middle of an oscillation that decays."""
+
+_MAX_JOINT_SPEED = 100.0
+"""Joint velocity [rad/s, m/s] with which a simulation has failed."""
+
+_MAX_SHIFT_RATIO = 1.1
+"""Ratio between the displacement of a joint in the second half of a simulation and at its middle
+above which the robot leaves the stand. Chosen, not tuned."""
+
+_MIN_SHIFT = 1e-3
+"""Growth of a displacement [rad, m] in the second half that counts as creep. v3's friction
+creeps by 0.01 mrad in 12 s."""
+
+_MAX_SHIFT = 0.1
+"""Displacement of a joint from the stand [rad, m] with which a simulation has failed. Chosen: five
+times ``_NUDGE_ANGLE``."""
+
+
+@dataclass(frozen=True, eq=False)
+class WorstMode(Result):
+    """Mode of a closed loop that grows fastest, or decays slowest.
+
+    Attributes:
+        growth_rate: Growth rate (1/s); negative if the mode decays.
+        frequency: Frequency (Hz); 0 without oscillation.
+        joints: Joints with the largest motion in the mode, largest first.
+    """
+
+    growth_rate: float = field(metadata={"unit": "1/s"})
+    frequency: float = field(metadata={"unit": "Hz"})
+    joints: tuple[str, ...]
+    _direction: Array
+
+    @property
+    def stable(self) -> bool:
+        """Whether the mode grows by less than `MAX_GROWTH_RATE`."""
+        return self.growth_rate <= MAX_GROWTH_RATE
+
+
+class ControlledStand:
+    """Robot in a stand with torque motors and a sampled PD controller.
+
+    Args:
+        held: Initial state of the stand, with servos.
+        rate: Control rate [Hz]; None: one command per time step of the model.
+        delay: Time between measurement and effect of a command [s].
+
+    Attributes:
+        period: Control period [s].
+        timestep: Time step of the model [s]: the file's, or a fraction that divides the period.
+        delay: Delay, rounded to time steps [s].
+
+    Raises:
+        ConfigurationError: If rate or delay is out of range, or the linear model is not finite.
+    """
+
+    def __init__(self, held: StandStart, rate: float | None = None, delay: float = 0.0) -> None:
+        self._held, conv = held, held.robot.mj_convention
+        self._driven = np.flatnonzero(conv.actuator_index >= 0)
+        actuators = conv.actuator_index[self._driven]
+        self.model = copy.copy(held.drive.model)
+        self.period, self.steps, self.delay_steps = _divide_period(
+            float(self.model.opt.timestep), rate, delay
+        )
+        self.timestep = self.period / self.steps
+        self.delay = self.delay_steps * self.timestep
+        _replace_servos(self.model, actuators, held.drive.gear[self._driven])
+        self.model.opt.timestep = self.timestep
+        # With torque motors, integrators differ only in the damping of joints, which Euler and
+        # implicitfast treat alike. MuJoCo cannot differentiate RK4.
+        self.model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
+        self._controls = self.model.actuator_ctrladr[actuators]
+        self._dofs = conv.qvel_index[-held.robot.nu :][self._driven]
+        self._places = conv.qpos_index[-held.robot.nu :][self._driven]
+        self._torques = held.prediction.joint_torques[self._driven]
+        self._start = self._make_start()
+        self._first, self._late, self._prompt = self._linearise()
+
+    def _make_start(self) -> mujoco.MjData:
+        """Return the state of the stand, with the torques that hold it."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_setState(
+            self.model, data, self._held.start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value
+        )
+        data.ctrl[:] = self._held.ctrl
+        data.ctrl[self._controls] = self._torques
+        mujoco.mj_forward(self.model, data)
+        return data
+
+    def _linearise(self) -> tuple[Array, Array, Array]:
+        """Compute a control period of the linear model: x' = F x + L u_late + P u_prompt.
+
+        During the first ``delay_steps % steps`` time steps of a period the previous command,
+        u_late, still acts.
+
+        Returns:
+            F, shape (n, n), L and P, shape (n, number of driven joints).
+        """
+        model = copy.copy(self.model)
+        model.dof_frictionloss[:] = 0.0
+        model.tendon_frictionloss[:] = 0.0
+        model.opt.tolerance = min(float(model.opt.tolerance), _SOLVER_TOLERANCE)
+        model.opt.enableflags &= ~mujoco.mjtEnableBit.mjENBL_SLEEP.value
+        size = 2 * model.nv + model.na
+        state, inputs = np.zeros((size, size)), np.zeros((size, model.nu))
+        mujoco.mjd_transitionFD(
+            model, copy_data(model, self._start), _DIFFERENCE_STEP, True, state, inputs, None, None
+        )
+        effect = inputs[:, self._controls]
+        if not (np.isfinite(state).all() and np.isfinite(effect).all()):
+            raise ConfigurationError(
+                "kp", diagnose("gains-not-finite", robot=self._held.robot.name)
+            )
+        sums, powers = [np.zeros_like(effect)], [np.eye(size)]
+        for _ in range(self.steps):
+            sums.append(sums[-1] + powers[-1] @ effect)
+            powers.append(powers[-1] @ state)
+        late = self.delay_steps % self.steps
+        return powers[-1], powers[self.steps - late] @ sums[late], sums[self.steps - late]
+
+    def find_worst_mode(self, kp: Array, kd: Array) -> WorstMode:
+        """Find the mode of the closed loop with the largest growth rate.
+
+        The state of the closed loop is x with the commands that have not acted yet. Modes of the
+        linear model that no command and no motion changes, such as a translation on frictionless
+        ground, have a growth rate of zero.
+
+        Args:
+            kp: Stiffness of all joints, shape (nu,) [N m/rad].
+            kd: Damping of all joints, shape (nu,) [N m s/rad].
+        """
+        values, vectors = np.linalg.eig(self._closed_loop(kp, kd))
+        size = np.abs(values)
+        worst = int(size.argmax())
+        moves = np.abs(vectors[self._dofs, worst])
+        names = [self._held.robot.joint_names[joint] for joint in self._driven.tolist()]
+        return WorstMode(
+            growth_rate=math.log(max(float(size[worst]), 1e-300)) / self.period,
+            frequency=abs(float(np.angle(values[worst]))) / (2 * math.pi * self.period),
+            joints=select_most_moving(dict(zip(names, moves.tolist(), strict=True))),
+            _direction=self._scale_direction(vectors[: 2 * self.model.nv, worst]),
+        )
+
+    def _scale_direction(self, vector: NDArray[np.complex128]) -> Array:
+        """Return the real part of a mode, shape (2 nv,), with joints that move by the nudge."""
+        nv = self.model.nv
+        scales = np.repeat([_NUDGE_ANGLE, _NUDGE_SPEED], nv)
+        joints = np.concatenate([self._dofs, nv + self._dofs])
+        sizes = np.abs(vector / scales)[joints]
+        largest = joints[int(sizes.argmax())]
+        if not sizes.any():
+            return np.zeros(2 * nv)
+        scaled: Array = np.real(vector / vector[largest]) * float(scales[largest])
+        return scaled
+
+    def is_stable(self, kp: Array, kd: Array) -> bool:
+        """Return True if no mode of the closed loop grows by more than `MAX_GROWTH_RATE`."""
+        values = np.linalg.eigvals(self._closed_loop(kp, kd))
+        return math.log(float(np.abs(values).max())) / self.period <= MAX_GROWTH_RATE
+
+    def least_damping_ratio(self, kp: Array, kd: Array) -> float:
+        """Return the smallest damping ratio of an oscillation; 1 if nothing oscillates."""
+        values = np.linalg.eigvals(self._closed_loop(kp, kd))
+        values = values[(np.abs(values) > _DELAY_TOLERANCE) & (values.imag > _DELAY_TOLERANCE)]
+        exponents = np.log(values)
+        return float(np.min(-exponents.real / np.abs(exponents), initial=1.0))
+
+    def _closed_loop(self, kp: Array, kd: Array) -> Array:
+        """Return the matrix of a control period, with the pending commands as states."""
+        nv, count = self.model.nv, len(self._driven)
+        feedback = np.zeros((count, len(self._first)))
+        rows = np.arange(count)
+        feedback[rows, self._dofs] = -kp[self._driven]
+        feedback[rows, nv + self._dofs] = -kd[self._driven]
+        size, pending = len(self._first), self.delay_steps // self.steps + 1
+        matrix = np.zeros((size + pending * count,) * 2)
+        matrix[:size, :size] = self._first
+        blocks = [
+            slice(size + row * count, size + (row + 1) * count) for row in range(pending)
+        ]  # commands of the previous period, of the period before ...
+        matrix[:size, blocks[-1]] += self._late
+        if pending == 1:
+            matrix[:size, :size] += self._prompt @ feedback
+        else:
+            matrix[:size, blocks[-2]] += self._prompt
+        matrix[blocks[0], :size] = feedback
+        for newer, older in pairwise(blocks):
+            matrix[older, newer] = np.eye(count)
+        return matrix
+
+    def stays_in_simulation(
+        self, kp: Array, kd: Array, *, duration: float, mode: WorstMode
+    ) -> bool:
+        """Simulate the controller in the unmodified model, displaced along a mode.
+
+        Args:
+            kp: Stiffness of all joints, shape (nu,) [N m/rad].
+            kd: Damping of all joints, shape (nu,) [N m s/rad].
+            duration: Duration [s].
+            mode: Mode of this controlled stand.
+
+        Returns:
+            True if the joints come to rest or their oscillation decays, and the robot does not
+            leave the stand in the second half of the simulation.
+        """
+        data = copy_data(self.model, self._start)
+        target, stiff = data.qpos[self._places].copy(), kp[self._driven]
+        damp = kd[self._driven]
+        mujoco.mj_integratePos(self.model, data.qpos, mode._direction[: self.model.nv], 1.0)
+        data.qvel += mode._direction[self.model.nv :]
+        commands = [self._torques] * (self.delay_steps + 1)
+        num_steps = round(duration / self.timestep)
+        shift = half_shift = half_speed = end_speed = 0.0
+        for step in range(num_steps):
+            if step % self.steps == 0:
+                error = target - data.qpos[self._places]
+                commands.append(self._torques + stiff * error - damp * data.qvel[self._dofs])
+            else:
+                commands.append(commands[-1])
+            data.ctrl[self._controls] = commands[-1 - self.delay_steps]
+            mujoco.mj_step(self.model, data)
+            speed = float(np.abs(data.qvel[self._dofs]).max())
+            shift = float(np.abs(data.qpos[self._places] - target).max())
+            if not speed < _MAX_JOINT_SPEED or shift > _MAX_SHIFT:
+                return False
+            if 2 * step < num_steps:
+                half_shift = shift
+            elif shift > half_shift * _MAX_SHIFT_RATIO + _MIN_SHIFT:
+                return False
+            if 0 <= num_steps - 2 * step < 2 * _COMPARED_SHARE * num_steps:
+                half_speed = max(half_speed, speed)
+            elif num_steps - step < _COMPARED_SHARE * num_steps:
+                end_speed = max(end_speed, speed)
+        return end_speed < max(_REST_SPEED, _MAX_DECAY_RATIO * half_speed)
+
+
+def _replace_servos(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array) -> None:
+    """Make actuators torque motors, in place: ctrl is the torque at the joint [N m]."""
+    model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
+    model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_NONE.value
+    model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
+    model.actuator_gainprm[actuators, 0] = 1 / gear
+    model.actuator_biasprm[actuators] = 0.0
+    model.actuator_ctrllimited[model.actuator_ctrladr[actuators]] = 0
+
+
+def _divide_period(timestep: float, rate: float | None, delay: float) -> tuple[float, int, int]:
+    """Divide a control period into time steps such that the delay is a multiple of a time step.
+
+    Args:
+        timestep: Largest time step [s].
+        rate: Control rate [Hz]; None: the rate of ``timestep``.
+        delay: Delay [s].
+
+    Returns:
+        Period [s], time steps per period, and time steps of the delay.
+
+    Raises:
+        ConfigurationError: If rate or delay is out of range.
+    """
+    if rate is not None and not 0 < rate <= MAX_RATE:
+        raise ConfigurationError("rate", diagnose("rate-not-valid", given=rate, most=MAX_RATE))
+    if not 0 <= delay <= MAX_DELAY:
+        raise ConfigurationError("delay", diagnose("delay-not-valid", given=delay, most=MAX_DELAY))
+    period = timestep if rate is None else 1 / rate
+    least = max(1, math.ceil(period / timestep - _DELAY_TOLERANCE))
+    for steps in range(least, max(least, _MAX_STEPS_PER_PERIOD) + 1):
+        number = delay * steps / period
+        if abs(number - round(number)) <= _DELAY_TOLERANCE * max(1.0, number):
+            break
+    return period, steps, round(delay * steps / period)

@@ -1,0 +1,41 @@
+"""Command ``gains``: answer, exit status, figure and JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import answer
+
+
+@pytest.mark.slow
+def test_answer_states_gains_with_both_bounds(tmp_path: Path) -> None:
+    """Reference: largest kd of v3 of 2.6 N m s/rad, least kp of 2.44 N m/rad."""
+    figure, data = tmp_path / "gains.png", tmp_path / "gains.json"
+    result = answer("gains", "v3", "--figure", str(figure), "--json", str(data))
+    assert result.returncode == 0
+    first, second, *_ = result.stdout.splitlines()
+    assert first == ("STABLE v3: kp 5 N m/rad (at least 2.44), kd 0.1 N m s/rad (at most 2.6)")
+    assert "500 Hz" in second
+    assert figure.stat().st_size > 10_000
+    assert json.loads(data.read_text())["largest_kd"]["frequency"] == pytest.approx(250.0)
+
+
+@pytest.mark.slow
+def test_exit_status_is_1_if_gains_are_unstable() -> None:
+    result = answer("gains", "original", "--kp", "60", "--kd", "2")
+    assert result.returncode == 1
+    assert result.stdout.startswith("UNSTABLE original: ")
+    assert "Hz" in result.stdout.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [(("--rate", "0"), "0 Hz"), (("--delay", "9s"), "9 s"), (("--encoder-bits", "2"), "2 bit")],
+)
+def test_invalid_options_end_with_exit_status_2(options: tuple[str, ...], words: str) -> None:
+    result = answer("gains", "original", *options)
+    assert result.returncode == 2
+    assert words in result.stdout + result.stderr

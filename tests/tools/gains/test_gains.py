@@ -1,0 +1,142 @@
+"""Bounds of gains, against bare MuJoCo, closed forms and symmetry."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.tools.gains.gains import (
+    MAX_NOISE_RATIO,
+    GainStudy,
+    group_joints,
+    name_joints,
+    study_gains,
+)
+from tests.support.variants import load, stand_of
+
+
+@cache
+def gains_of(name: str) -> GainStudy:
+    return study_gains(load(name), pa.StandTask(), error=0.2, encoder_bits=14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", pa.VARIANTS)
+def test_bounds_of_variants_equal_the_simulated_bounds(name: str) -> None:
+    """Reference: bisection in simulations of the unmodified model.
+
+    v3-heavy has the largest deviation of the damping: its feet lift at 0.2 rad/s.
+    """
+    study = gains_of(name)
+    for bound, tolerance in ((study.least_kp, 0.06), (study.largest_kd, 0.12)):
+        assert bound.factor is not None
+        assert bound.simulated is not None
+        assert bound.simulated == pytest.approx(bound.factor, rel=tolerance)
+
+
+@pytest.mark.slow
+def test_least_stiffness_without_feedforward_is_that_of_the_steady_state() -> None:
+    """Reference: `minimum_stiffness`, and the loads: without feed-forward the robot sags first."""
+    study = gains_of("v3")
+    assert study.least_kp_alone == pytest.approx(2.44, abs=0.03)
+    assert study.least_kp.factor is not None
+    assert study.least_kp.factor * 5.0 < study.least_kp_alone
+
+
+@pytest.mark.slow
+def test_bounds_of_torque_and_encoder_equal_closed_forms() -> None:
+    """Reference: limit / error, and 10 % of the limit per count of 2 pi / 2^14 in 2 ms."""
+    study = gains_of("v3")
+    for one in study.classes:
+        assert one.largest_kp_of_torque == pytest.approx(3.0 / 0.2)
+        count = 2 * math.pi / 2**14
+        assert one.largest_kd_of_encoder == pytest.approx(MAX_NOISE_RATIO * 3.0 * 0.002 / count)
+
+
+@pytest.mark.slow
+def test_recommended_gains_are_stable_with_their_margins() -> None:
+    """Reference: the bounds, and `verify_stand` with the recommended gains."""
+    study = gains_of("v3-heavy")
+    kp, kd = study.classes[0].recommended_kp, study.classes[0].recommended_kd
+    assert kp is not None
+    assert kd is not None
+    assert study.least_kp_alone is not None
+    assert kp == pytest.approx(2 * study.least_kp_alone)
+    assert kd <= study.classes[0].largest_kd / 2  # type: ignore[operator]
+    robot = load("v3-heavy")
+    assert pa.verify_stand(robot, pa.solve_stand_as_simulated(robot), kp=kp, kd=kd).passed
+
+
+@pytest.mark.slow
+def test_gains_beyond_the_bounds_do_not_pass() -> None:
+    """Reference: the largest damping of v3 of 2.6 N m s/rad at 500 Hz."""
+    robot, stand = load("v3"), stand_of("v3")
+    assert study_gains(robot, stand, kp=5.0, kd=2.4).passed
+    study = study_gains(robot, stand, kp=5.0, kd=2.9)
+    assert not study.passed
+    assert not study.worst.stable
+    assert study.worst.frequency == pytest.approx(250.0)
+    assert study.largest_kd.factor == pytest.approx(2.605 / 2.9, rel=0.02)
+
+
+@pytest.mark.slow
+def test_scaled_start_gains_give_equal_bounds() -> None:
+    """Reference: the bounds [N m s/rad] do not depend on the present gains."""
+    robot, stand = load("original"), stand_of("original")
+    bounds = [
+        study_gains(robot, stand, kp=60.0, kd=kd).classes[0].largest_kd for kd in (0.5, 1.0, 1.4)
+    ]
+    assert bounds == pytest.approx([bounds[0]] * 3, rel=0.01)
+
+
+def test_joints_of_similar_limbs_form_a_class() -> None:
+    """Reference: the three joints of v3's legs, by name."""
+    robot = load("v3")
+    groups = group_joints(robot, np.full(12, 5.0), np.full(12, 0.1))
+    names = [name_joints([robot.joint_names[joint] for joint in group]) for group in groups]
+    assert names == ["leg_*_1", "leg_*_2", "leg_*_3"]
+    assert sorted(joint for group in groups for joint in group) == list(range(12))
+
+
+def test_joints_with_other_gains_form_a_class_of_their_own() -> None:
+    stiffness = np.full(12, 5.0)
+    stiffness[4] = 6.0
+    groups = group_joints(load("v3"), stiffness, np.full(12, 0.1))
+    assert [4] in groups
+    assert len(groups) == 4
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["left_knee"], "left_knee"),
+        (["left_knee", "right_knee"], "*_knee"),
+        (["leg_front_r_1", "leg_back_l_1"], "leg_*_1"),
+        (["FL_hip_joint", "FR_hip_joint"], "*_hip_joint"),
+        (["a", "b", "c"], "a, b +1"),
+    ],
+)
+def test_classes_are_named_by_common_parts(names: list[str], expected: str) -> None:
+    assert name_joints(names) == expected
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"error": 0.0}, "error"),
+        ({"error": math.inf}, "error"),
+        ({"error": -0.1}, "error"),
+        ({"encoder_bits": 3}, "encoder_bits"),
+        ({"encoder_bits": 99}, "encoder_bits"),
+        ({"rate": -1.0}, "rate"),
+        ({"delay": math.nan}, "delay"),
+    ],
+)
+def test_invalid_requests_are_refused(options: dict[str, float], field: str) -> None:
+    with pytest.raises(pa.ConfigurationError) as caught:
+        study_gains(load("original"), stand_of("original"), **options)  # type: ignore[arg-type]
+    assert caught.value.field == field
