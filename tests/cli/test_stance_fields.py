@@ -70,7 +70,7 @@ def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("typed", "message"),
     [
-        ("FL=wall", "is no length"),
+        ("FL=wall", "for example wall:0.4m"),
         ("FL=door:1m", "is not of the form"),
         ("FL=wall:0.4m,mu=-1", "friction: -1.0 is not between 0 and"),
         ("FL=wall:0.4m,mu=slippery", "'slippery' in"),
