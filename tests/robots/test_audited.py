@@ -74,8 +74,8 @@ def test_placeholder_inertias_and_ranges_of_public_robots_are_found(name: str) -
     ("name", "expected"),
     [
         ("go1", set()),
-        ("mini_cheetah", {"mirror-inertia", "mirror-shapes"}),
-        ("spot", {"mirror-limits"}),
+        ("mini_cheetah", {"mirror-inertia", "mirror-shapes", "keyframe-feet-in-air"}),
+        ("spot", {"mirror-limits", "keyframe-torques-are-angles"}),
         ("b2", {"mirror-com", "mirror-shapes"}),
     ],
 )
