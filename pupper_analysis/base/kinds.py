@@ -137,6 +137,9 @@ STAND_TABLE: Final = Kind(
     "table of a stand", match_prefix("joint,position (rad),torque (N m),"), suffixes=(".csv",)
 )
 PLAN_KIND: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
+"""CSV plan of stands to be measured, for ``fit``. A new plan may replace an existing plan without
+measurements. A plan that contains measurements is never replaced."""
+
 RECORD_KIND: Final = Kind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True
 )

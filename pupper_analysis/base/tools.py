@@ -1,4 +1,4 @@
-"""Discovery of tools and formats: our own by folder, tools of other distributions by entry point.
+"""Discovery of tools and formats: our own by folder, other packages' by entry point.
 
 A tool is a package that answers one question. The first line of the package docstring is the
 question, and ``HELP_HEADING`` selects the heading in ``--help``. ``command.py`` contains the
@@ -22,10 +22,10 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 TOOLS_GROUP = "pupper_analysis.tools"
-"""Group of entry points for tools of other distributions: ``name = "its_package"``."""
+"""Group of entry points for tools of other Python packages: ``name = "its_package"``."""
 
 FORMATS_GROUP = "pupper_analysis.formats"
-"""Group of entry points for formats of other distributions: ``name = "its_package"``."""
+"""Group of entry points for formats of other Python packages: ``name = "its_package"``."""
 
 _TOOLS_FOLDER = Path(__file__).parents[1] / "tools"
 
@@ -89,7 +89,7 @@ def own_tools() -> Mapping[str, Tool]:
 
 
 def other_tools() -> Mapping[str, Tool]:
-    """Return {name: tool} of the tools of other distributions, sorted by name.
+    """Return {name: tool} of the tools of other installed Python packages, sorted by name.
 
     Tools with the name of an own tool, and tools without a package folder, are left out.
     """
@@ -112,7 +112,7 @@ def own_packages() -> Mapping[str, Tool]:
 
 
 def other_packages() -> Mapping[str, Tool]:
-    """Return {name: package} of the tools and formats of other distributions."""
+    """Return {name: package} of the tools and formats of other installed packages."""
     return MappingProxyType({**other_tools(), **_find_others(FORMATS_GROUP, "format.toml")})
 
 

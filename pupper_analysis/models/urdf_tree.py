@@ -219,7 +219,12 @@ class UrdfJoint(UrdfElement):
         )
 
     def set_axis(self, axis: Array, digits: int | None = None) -> None:
-        """Add the ``<axis>`` of a joint without an axis."""
+        """Add an ``<axis>`` to a joint that has no ``<axis>``; an existing element is not replaced.
+
+        Args:
+            axis: Axis, shape (3,), in the joint frame.
+            digits: Number of significant digits; None for the shortest exact form.
+        """
         add_element(self.element, "axis", xyz=write_numbers(axis, digits=digits))
 
     def fix(self) -> None:

@@ -130,7 +130,9 @@ the radius, with which the sphere replaces the foot. Chosen, not tuned."""
 
 
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
-    """Compute the sphere that has an ellipsoid's lowest point and the mean radius of curvature.
+    """Compute the sphere that approximates an ellipsoid at its lowest point.
+
+    The sphere touches the ellipsoid there, and has the mean of the two radii of curvature.
 
     With the half axes in S, the support function is h(d) = |S d|, attained at S^2 d / h. The
     principal radii of curvature there are the two non-zero eigenvalues of the second derivative of
@@ -186,8 +188,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
 Array = NDArray[np.float64]
 
 _MAX_SOLE_TILT = math.radians(25.0)
-"""Upper bound of the tilt of a sole in the start pose [rad]. With a larger tilt, the foot
-touches with an edge. Chosen, not tuned."""
+"""Upper bound of the tilt of a sole in the start pose [rad]. A foot with a larger tilt
+touches the ground with an edge. Chosen, not tuned."""
 
 _MIN_SOLE_LENGTH = 0.015
 """Lower bound of the length of a flat part [m] that counts as a sole. Chosen, not tuned: the facets

@@ -84,7 +84,7 @@ class LoadRequest:
         keyframe: Keyframe of the MJCF to start from; None: the first in which the robot stands.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are not replaced by balls.
-        visuals: False to keep the tetrahedra that represent deferred visual meshes.
+        visuals: False to keep the tetrahedra that represent visual meshes before their conversion.
     """
 
     feet: Mapping[str, tuple[str, str]] | None = None
@@ -593,9 +593,9 @@ def _rest_at_start(draft: Draft) -> PassOutput:
     Term("builds the robot with all that is seen of it"), _applies_always, deferred=True
 )
 def _build_whole(draft: Draft) -> PassOutput:
-    """Build the robot again with visual geoms if previously dropped; convert deferred meshes.
+    """Build the robot again with visual geoms if previously dropped; convert visual meshes.
 
-    Without a request for visual meshes, deferred meshes are not converted.
+    Without a request for visual meshes (`LoadRequest.visuals`), meshes are not converted.
     """
     robot = draft.robot
     insert_visuals = draft.mjcf.deferred_visuals if draft.request.visuals else None
@@ -625,7 +625,8 @@ _IMMEDIATE_PASSES = tuple(step for step in PREPARATION_PASSES if not step.deferr
 """Passes that are applied when a robot is loaded: models, feet and start pose."""
 
 _DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
-"""Passes that are applied when a robot is first simulated or drawn: servos and visual meshes."""
+"""Passes that run when a robot is first simulated or drawn: servos, rest pose and visual meshes.
+"""
 
 
 def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
@@ -669,13 +670,13 @@ def make_robot(
     visuals: bool = True,
     finish: Callable[[Robot], Robot] | None = None,
 ) -> Robot:
-    """Prepare a robot from two files as read, in memory; defer servos and visual meshes.
+    """Prepare a robot from two files as read, in memory; postpone servos and visual meshes.
 
-    The options are those of `load_robot`, which reads the files. The deferred passes are applied
-    when the robot is first simulated, drawn, pickled or copied (see `defer_stages`); immediately if
-    servos may change the order of the joints. With a fixed base only the visual meshes are then
-    deferred, because servos of a fixed base take no simulation. The function ``finish``, if any, is
-    applied to the robot after all passes.
+    The options are those of `load_robot`, which reads the files. Servo tuning, rest pose and visual
+    meshes run when the robot is first simulated, drawn, pickled or copied (see `defer_stages`). If
+    servos may change the order of the joints, these steps run immediately. With a fixed base, only
+    the visual meshes are then postponed, because servos of a fixed base take no simulation. The
+    function ``finish``, if any, is applied to the robot after all steps.
 
     Raises:
         ConfigurationError: See `parse_feet`.
@@ -687,7 +688,11 @@ def make_robot(
     draft = _begin_preparation(urdf, mjcf, request)
 
     def complete(*, visuals: bool = visuals) -> Robot:
-        """Apply the deferred passes."""
+        """Run the remaining preparation steps (servos, rest pose, visual meshes); return the robot.
+
+        Args:
+            visuals: True to convert the visual meshes. Default: the option of `make_robot`.
+        """
         robot, _ = _complete_preparation(replace(draft, request=replace(request, visuals=visuals)))
         return robot if finish is None else finish(robot)
 
@@ -729,14 +734,18 @@ def prepare_robot(
 
 
 def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> Draft:
-    """Return the draft after the passes that are applied when a robot is loaded."""
+    """Return the draft after the passes that run when a robot is loaded: all but the deferred."""
     check_simulable(mjcf)
     return _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
 
 
 @silence_mujoco()
 def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
-    """Apply the deferred passes; return the robot with all notes, and the passes that were run."""
+    """Run the passes with `Pass.deferred`: servos, rest pose, visual meshes.
+
+    Returns:
+        Robot with all notes, and all passes that were run on the draft.
+    """
     draft = _run_passes(_DEFERRED_PASSES, draft)
     # The reason for a fixed base is the last note.
     runs = sorted(draft.runs, key=lambda run: run.name == _HOLD_BASE)

@@ -103,7 +103,8 @@ class PublishedModel:
 
 
 _STEPPING_ATTRIBUTES = ("timestep", "integrator")
-"""Attributes of an MJCF's ``<option>`` on which the added servos depend."""
+"""Attributes of an MJCF's ``<option>`` on which the gains of added servos depend. If a file
+with few servos lacks such an attribute, its simulation uses the value of the prepared robot."""
 
 
 _NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)

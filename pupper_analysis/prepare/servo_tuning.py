@@ -43,12 +43,12 @@ _MAX_FIXED_BASE_FREQUENCY = 0.5
 because the poses are unknown."""
 
 _MIN_LEVER_FRACTION = 0.02
-"""Lower bound of the design torque, as weight times this fraction of the base height: straight
-legs hold almost no torque. Chosen, not tuned."""
+"""Lower bound of the design torque of added servos [N m]: weight * base height * this fraction. The
+bound is needed because straight legs need almost no torque. Chosen, not tuned."""
 
 _DAMPING_TIME = 0.05
-"""Ratio kd / kp of added servos of a standing robot [s], within the 0.02 to 0.1 s of controllers of
-public robots. Chosen, not tuned."""
+"""Usual ratio kd / kp [s] of the servos that the preparation adds to a standing robot. Controllers
+of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned."""
 
 _MIN_TORQUE_FRACTION = 0.02
 """Lower bound of a joint's design torque, from which its stiffness is derived, relative to the

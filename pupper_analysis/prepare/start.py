@@ -253,10 +253,11 @@ def solve_nominal_stand(robot: Robot) -> Stand | None:
 
 
 def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
-    """Search a stand in the middle of the heights that the legs can reach.
+    """Search for a stand at the middle of the base heights that the legs can reach.
 
-    The horizontal foot positions are taken from a pose; or else beside the hips; or else
-    positions at which bent legs have level soles.
+    Three choices of the horizontal foot positions are tried until a stand is found: the positions
+    in the given poses; positions near the hips (`_spread_feet`); positions at which the soles of
+    bent legs are level (`_find_level_soles`).
 
     Args:
         robot: Robot with feet.

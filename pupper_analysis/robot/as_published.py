@@ -130,8 +130,10 @@ class Cause:
 
 
 PREPARATION_CODES = {"shapes-beside-feet", "balls", "other-drive"}
-"""Codes of causes that are changes on loading. If the published robot stands, such a deviation is
-reported, but does not fail the verdict."""
+"""Values of `Cause.code` for changes that this package makes when a robot is loaded: the simulation
+of the published file deviates because the file lacks these changes. If the published robot does not
+collapse and all causes have these codes, the deviation is reported, but does not fail the verdict.
+"""
 
 
 MAX_OWN_TILT = math.radians(10.0)
@@ -277,6 +279,10 @@ class Published:
 
     @property
     def worst(self) -> PublishedRun | None:
-        """Deviating run, preferably a collapsing run, then a run with feed-forward; or None."""
+        """Worst simulation that deviates from the prediction; None if no simulation deviates.
+
+        A simulation in which the robot collapses is worst. Among equal simulations, those with
+        feed-forward precede those with position commands only.
+        """
         deviating = (run for run in self.runs if run.differs)
         return max(deviating, key=lambda run: (run.collapses, run.feedforward), default=None)

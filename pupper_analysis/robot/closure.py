@@ -149,12 +149,19 @@ class Closure:
         return -self._make_softness(qpos).opened(forces)
 
     def push(self, qpos: Array) -> Array:
-        """Return the matrix P, shape (nu, nu), that splits a static load x of the joints.
+        """Return the matrix P: the closed loops carry the part P x of a static joint load x.
 
-        The loop constraints carry P x, and the motors carry x - P x.
+        The motors carry the rest, x - P x, which is zero at the dependent joints (``following``),
+        because these joints have no motor. P x depends only on the load of the dependent joints.
 
         Args:
             qpos: Configuration, shape (nq,).
+
+        Returns:
+            P, shape (nu, nu), for a load x of shape (nu,) [N m, N].
+
+        Raises:
+            ConfigurationError: If the configuration is singular.
         """
         matrix = np.zeros((len(self._joint_names), len(self._joint_names)))
         matrix[:, self.following] = self.rows(qpos).T @ self._force_distribution(qpos)
@@ -287,7 +294,14 @@ class Closure:
         return float(np.abs(combinations @ error).max(initial=0.0))
 
     def check(self, qpos: Array, load: Array) -> None:
-        """Raise an error unless the loops are closed, up to static deflections.
+        """Raise an error unless the loops are closed, up to their deflection under a static load.
+
+        The opening of each constraint may be ``MAX_OPENING`` plus ``_MAX_COMPLIANCE_FACTOR`` times
+        the deflection of the constraint under its force, at the largest compliance.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+            load: Static load of motors and constraints, shape (nu,) [N m, N].
 
         Raises:
             ConfigurationError: If a loop is open, or the configuration is singular.

@@ -311,9 +311,9 @@ class Configuration(Pictured):
         return np.array(positions, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
-        """Return {contact point: Jacobian (3, nv) of the centre} in world axes.
+        """Return {contact point: Jacobian (3, nv) of its sphere centre} in world axes.
 
-        J qvel is the velocity of the centre in the world [m/s].
+        J qvel is the velocity of the sphere centre in the world [m/s].
         """
         return {foot: self._jacobian(frame)[:3] for foot, frame in self._structure.feet.items()}
 
@@ -412,10 +412,10 @@ class Configuration(Pictured):
         return self._structure.inertia(pin.crba(self._structure.loaded(), self._data, self._q))
 
     def bias_forces(self) -> Array:
-        """Return the bias h (nv,): Coriolis, centrifugal and gravity forces.
+        """Return the bias h (nv,) [N, N m]: Coriolis, centrifugal and gravity forces.
 
-        M qacc + h = tau + J^T f. Passive joint forces are not part of h. As
-        ``pin.nonLinearEffects``.
+        M qacc + h = tau + J^T f. Passive joint forces are not part of h. h is the result of
+        ``pin.nonLinearEffects`` in public coordinates.
         """
         forces = pin.nonLinearEffects(self._model, self._data, self._q, self._v)
         return self._structure.dual(forces)
@@ -446,10 +446,15 @@ class Configuration(Pictured):
         return self.gravity() - self.passive() if self.robot.acts_at_rest else self.gravity()
 
     def by_motors(self, forces: Array) -> Array:
-        """Return the part of generalised forces, (nv,) or (nv, n), that motors must exert.
+        """Return the generalised forces that the motors exert to balance given static loads.
 
-        Loops and couplings transfer forces to other joints (``pupper_analysis.robot.closure``);
-        otherwise the result equals ``forces``. The first nv - nu rows (the base) are unchanged.
+        Constraint forces of loops and couplings transfer the load of dependent joints, which have
+        no motor, to the motors of other joints (`Closure.push`). The rows of dependent joints
+        become zero. Without loops and couplings the result equals ``forces``. The first nv - nu
+        rows (the base) are unchanged.
+
+        Args:
+            forces: Generalised loads, shape (nv,) or (nv, n) [N, N m].
         """
         closure = self.robot.closure
         if closure is None:

@@ -221,11 +221,18 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
 def foot_geoms(
     description: Description, model: mujoco.MjModel, places: Mapping[str, tuple[int, Array]]
 ) -> dict[str, tuple[int, float]]:
-    """Return {contact point: (id of the geom, radius [m])}.
+    """Return the geom of each contact point: {contact point: (geom id, radius [m])}.
+
+    The geom is the entry in ``description.foot_geoms``. Without an entry, the geom is the collision
+    sphere of the body whose centre is the contact point (`foot_geom`).
+
+    Args:
+        description: Description of the robot.
+        model: MuJoCo model of the robot.
+        places: {contact point: (body id in ``model``, position (3,) [m] in the body frame)}.
 
     Raises:
-        ModelError: If a contact point has neither a stated geom nor a collision sphere whose centre
-            it is.
+        ModelError: If a contact point has no entry and no such sphere.
     """
     geoms: dict[str, tuple[int, float]] = {}
     for foot, (body, position) in places.items():

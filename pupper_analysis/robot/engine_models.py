@@ -179,10 +179,12 @@ class EngineModels:
         return self.velocity_map(qpos) @ check_vector("forces", forces, self.nv)
 
     def forces_to_mujoco(self, qpos: ArrayLike, tau: ArrayLike) -> Array:
-        """Convert Pinocchio's tau (pin_model.nv,) to generalised forces (nv,), dual to qvel.
+        """Convert Pinocchio's generalised forces to public coordinates: the order and axes of qvel.
+
+        The result has shape (nv,) [N, N m]. Both force vectors have the same power.
 
         Args:
-            qpos: Configuration (nq,), in public coordinates.
+            qpos: Configuration, shape (nq,): the public coordinates of the base, then the joints.
             tau: Pinocchio's generalised forces (pin_model.nv,) [N, N m].
 
         Raises:

@@ -157,6 +157,11 @@ def _solve_opening(solimp: tuple[float, ...], force: float) -> float:
 
 
 def _compliance_factor(solimp: tuple[float, ...], opened: float) -> float:
-    """Return (1 - d) / d^2 at an opening, the factor of the compliance that depends on d."""
+    """Return (1 - d) / d^2, to which the compliance of a soft constraint at rest is proportional.
+
+    Args:
+        solimp: Parameters from ``clip_solimp``, which determine the impedance d at the opening.
+        opened: Opening (violation) of the constraint [m, rad].
+    """
     d, _ = solimp_impedance(solimp, opened)
     return (1 - d) / d**2

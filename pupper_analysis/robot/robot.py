@@ -222,10 +222,11 @@ def _make_none() -> None:
 
 
 _DEFERRED_STAGES = "_deferred_stages"
-"""Instance attribute with the function that runs the deferred stages; see `defer_stages`."""
+"""Name of the instance attribute that holds a function: it runs the preparation steps that a robot
+postpones to its first use (servo tuning, rest pose, visual meshes); see `defer_stages`."""
 
 _stages_lock = Lock()
-"""Guards the replacement of the deferred fields of a robot."""
+"""Guards the replacement of the fields that the postponed preparation steps compute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +299,7 @@ class Robot(EngineModels):
     if not TYPE_CHECKING:  # mypy would accept any attribute name
 
         def __getattr__(self, name: str) -> Any:
-            """Run the deferred stages if a field of the completed robot is read."""
+            """Run the postponed preparation steps if a field that needs the steps is read."""
             if name in _FIELD_NAMES:
                 self.complete_stages()
             if name in vars(self):
@@ -306,13 +307,15 @@ class Robot(EngineModels):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def complete_stages(self) -> None:
-        """Run the stages of the preparation that are still deferred; see `defer_stages`.
+        """Run the preparation steps that are postponed to the first use of the robot.
 
-        Threads that read a deferred field at the same time each run the stages, and the result of
-        the first is used: waiting for another thread could block both.
+        The steps are servo tuning, rest pose and visual meshes; see `defer_stages`. The method has
+        no effect if the steps have been run. If several threads need the steps at the same time,
+        each thread runs the steps, and the first result is used: waiting for another thread could
+        block both.
 
         Raises:
-            ModelError: If MuJoCo refuses the robot with the additions of these stages.
+            ModelError: If MuJoCo refuses the robot with the additions of these steps.
         """
         complete = vars(self).get(_DEFERRED_STAGES)
         if complete is None:
@@ -718,18 +721,19 @@ _EARLY_FIELDS = (
 
 
 def defer_stages(robot: Robot, complete: Callable[[], Robot]) -> Robot:
-    """Return a robot whose remaining stages of preparation run when they are first needed.
+    """Return a robot whose remaining preparation steps run at the first use of their results.
 
-    Fields in `_EARLY_FIELDS` are those of ``robot``. All other fields are those of the completed
-    robot: the first access to such a field, pickling, and copying run ``complete`` once.
+    The steps are servo tuning, rest pose and visual meshes. Fields in `_EARLY_FIELDS` are copied
+    from ``robot``. All other fields are copied from the completed robot: the first access to such a
+    field, pickling, and copying run ``complete`` once.
 
     Args:
-        robot: Robot before the deferred stages.
-        complete: Function that returns the robot after the deferred stages.
+        robot: Robot before the remaining steps.
+        complete: Function that runs the remaining steps, and returns the completed robot.
     """
     deferred = object.__new__(Robot)
     vars(deferred).update({name: vars(robot)[name] for name in _EARLY_FIELDS})
-    # A copy, because the caller may change the model before the deferred stages use the original.
+    # A copy, because the caller may change the model before the remaining steps use the original.
     vars(deferred)["pin_model"] = robot.pin_model.copy()
     vars(deferred)[_DEFERRED_STAGES] = complete
     return deferred

@@ -118,7 +118,10 @@ class Structure:
         return Workspace(data, self._spare_data)
 
     def loaded(self) -> pin.Model:
-        """Return the model with the current armature of the robot, which may have been modified."""
+        """Update the armature of ``model`` from the robot's Pinocchio model, and return ``model``.
+
+        The armature of the robot's Pinocchio model may have been changed since construction.
+        """
         self.model.armature = self._original_model.armature.take(self._original_order)
         return self.model
 

@@ -161,14 +161,14 @@ def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened:
 def _add_ground(
     robot: Robot, spec: mujoco.MjSpec, ground: Ground, places: Mapping[str, Array]
 ) -> None:
-    """Tilt the floor, and add the steps and planes of feet to a spec, in place.
+    """Tilt the floor, and add a step below each foot on its own level or plane, in place.
 
     Args:
         robot: Robot.
         spec: MJCF of the robot, which is changed.
         ground: Ground.
-        places: {contact point: centre of the sphere on rigid ground, shape (3,) [m]}, for the
-            steps.
+        places: {contact point: centre (3,) [m] of its sphere on rigid ground, in the world frame},
+            from which the steps are computed.
     """
     floor = find_floor(spec) or SpecTree(spec).add_floor()
     rotate_floor(floor, quaternion_from_rotation(ground.rotation()))
@@ -214,7 +214,11 @@ def _add_ground(
 
 
 def _set_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority: int) -> None:
-    """Make the contacts of a geom use given parameters for any other geom; margins still add."""
+    """Set the contact parameters of a geom, in place.
+
+    In a contact with a geom of lower priority, MuJoCo then uses these parameters instead of
+    combining both geoms. Margins of both geoms still add.
+    """
     geom.priority, geom.condim = priority, parameters.condim
     geom.friction = np.take(parameters.friction, (0, 2, 3))
     geom.solref, geom.solimp = parameters.solref, parameters.solimp

@@ -144,7 +144,7 @@ def _split_tables(path: Path) -> Mapping[str, str]:
 
 @cache
 def _load_other_tables() -> Mapping[str, str]:
-    """Return {code: text of the table} of tools and formats of other distributions."""
+    """Return {code: text of the table} of tools and formats of other installed packages."""
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     tables = [_split_tables(path) for path in paths if path.is_file()]
     return MappingProxyType({code: text for table in tables for code, text in table.items()})
@@ -152,7 +152,16 @@ def _load_other_tables() -> Mapping[str, str]:
 
 @cache
 def _load_other_entries(file: str) -> Mapping[str, str]:
-    """Return {key: entry as TOML} of tools and formats of other distributions."""
+    """Return the one-line entries that tools and formats of other installed packages add.
+
+    The entries are read from the ``words.toml`` files of these Python packages.
+
+    Args:
+        file: Catalogue file with the same kind of entries; a key of `_TABLES_BY_FILE`.
+
+    Returns:
+        {key: TOML text ``entry = ...``}.
+    """
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     texts = [_split_tables(path).get(_TABLES_BY_FILE[file], "") for path in paths if path.is_file()]
     return MappingProxyType(

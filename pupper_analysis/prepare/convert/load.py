@@ -55,11 +55,12 @@ class ModelPair:
 
     @staticmethod
     def of(file: UrdfFile | MjcfFile, *, defer_visuals: bool = False) -> ModelPair:
-        """Make the other model of a file, in memory.
+        """Convert a URDF to an MJCF, or an MJCF to a URDF, in memory; return both.
 
         Args:
             file: URDF or MJCF.
-            defer_visuals: True to convert the visual meshes of a URDF later, in the preparation.
+            defer_visuals: True to convert the visual meshes of a URDF later, when the robot is
+                first used; see `make_robot`.
 
         Raises:
             ModelError: If the other format cannot represent the robot, for example because no

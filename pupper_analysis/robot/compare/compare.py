@@ -101,18 +101,23 @@ class _PlacedShape:
 def compare_collisions(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, moved: Collection[str]
 ) -> tuple[list[Difference], list[Diagnostic]]:
-    """Compare the collision shapes of feet at the initial pose of the MJCF.
+    """Compare the height of the lowest collision shape of each foot, in a URDF and an MJCF.
+
+    The robot is in the initial pose of the MJCF. Feet are the limb ends that are about as low as
+    the lowest limb end; a robot with a fixed base has no feet here. A difference is reported if the
+    lowest points differ by more than ``CONTACT_HEIGHT_ATOL``, or if only one file has a shape.
 
     Args:
-        matched: Matched files.
+        matched: Matched joints, links and bodies of both files.
         urdf: The URDF.
         mjcf: The MJCF.
-        moved: Joints (or the base) with different placements in the files. Shapes on such joints
-            are not compared.
+        moved: Joints (or the base) that the two files place differently. Shapes that move with such
+            a joint are not compared.
 
     Returns:
-        Differences of feet, and a note if the shapes were not compared because the files differ in
-        base frame or joint zeros. Both are empty if a file has no collision shapes.
+        Differences of feet, and notes. If the files have different base frames or joint zeros,
+        nothing is compared, and a note reports this. Both are empty if a file has no collision
+        shapes.
     """
     conventions = matched.conventions
     urdf_model, mjcf_model = read_urdf_model(urdf), read_mjcf_model(mjcf)

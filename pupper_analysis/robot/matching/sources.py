@@ -103,7 +103,12 @@ class UrdfSources:
         return [masses[0], *((name, mass) for name, mass in masses[1:] if mass)]
 
     def weight(self, kind: str, name: str) -> Place:
-        """Return the location of mass, CoM or inertia of a link."""
+        """Return the file and line of the mass, CoM or inertia of a link in the URDF.
+
+        Args:
+            kind: ``"mass"``, ``"com"`` or ``"inertia"``.
+            name: Name of the link.
+        """
         return self.file.place("link", name, _URDF_CHILD_PATHS[kind])
 
 
@@ -174,7 +179,12 @@ class MjcfSources:
         return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
 
     def weight(self, kind: str, name: str) -> Place:
-        """Return the location of mass, CoM and inertia of a body: the <inertial>."""
+        """Return the file and line of a body's ``<inertial>`` in the MJCF, for any kind of value.
+
+        Args:
+            kind: ``"mass"``, ``"com"`` or ``"inertia"``; ignored.
+            name: Name of the body.
+        """
         del kind
         return self.file.place("body", name, "inertial")
 
