@@ -198,9 +198,15 @@ def evaluate_plane_height(points: Array, place: Array) -> float:
 
 
 def _find_balance_corners(robot: Robot, stand: Stand, points: Array) -> Array:
-    """Return the corners of the region of balance, shape (m, 3) [m].
+    """Return the corners of the support region, shape (m, 3) [m], in the world frame.
 
-    z is the height of the plane through ``points``, shape (n, 3) [m].
+    The region contains the horizontal CoM positions at which contact forces can balance the weight
+    (`Stand.corners`). z is the height of the least-squares plane of ``points`` at each corner.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        points: Positions that define the plane, shape (n, 3) [m], in the world frame.
     """
     corners = compute_polygon_corners(np.array([(x, y, 0) for x, y in stand.corners(robot)]))
     return np.array(

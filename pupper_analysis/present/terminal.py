@@ -61,7 +61,10 @@ Source: actions/runner, ActionCommand.TryParseV2 and TryParse."""
 
 
 def _escape_line(text: str) -> str:
-    """Escape terminal control characters and the first character of CI commands."""
+    """Escape characters that a terminal or a CI system would interpret.
+
+    These are control characters, and the first character of a command to the CI system.
+    """
     return _COMMAND_PATTERN.sub(lambda match: f"\\x{ord(match[0]):02x}", escape_control(text))
 
 

@@ -465,7 +465,11 @@ def _make_error_quantity(error: float | None) -> Quantity | None:
 
 
 def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """State the motors that exceed their limits, and the doubling time if nothing was simulated."""
+    """Yield up to two clauses: motors that exceed their limits, and the doubling time [s].
+
+    In the doubling time, a deviation of an unstable stance from equilibrium doubles. This clause is
+    omitted if the stance with feed-forward was simulated.
+    """
     if verdict.overloaded_motors:
         yield Clause(
             False,

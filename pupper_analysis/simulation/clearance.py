@@ -59,7 +59,9 @@ class GroundClearance:
     def distance(self, state: Array) -> float:
         """Return a lower bound of the distance between the ground and the parts [m].
 
-        The bound is 0 if it is not available, or if a bounding box reaches the ground.
+        The parts are the colliding geoms of the robot without the feet. The bound is 0 if it is
+        unavailable (``is_available``), or if a bounding box reaches the ground. It is infinite
+        without such geoms or without ground.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).

@@ -324,7 +324,14 @@ def measure_response(
 
 
 def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str]:
-    """Return the largest of the distances (n, joints), with the unit of its joint; else 0 rad."""
+    """Return the largest joint displacement, and its unit ``"rad"`` or ``"m"``.
+
+    Without displacements the result is (0, ``"rad"``). NaN counts as the largest value.
+
+    Args:
+        distances: Displacements, shape (n, joints) [rad, m].
+        units: Unit of each joint, shape (joints,).
+    """
     if not distances.size:
         return 0.0, "rad"
     joint = int(np.argmax(distances.max(axis=0)))  # NaN counts as largest

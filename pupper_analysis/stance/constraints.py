@@ -103,9 +103,9 @@ class BaseOrientation(Constraint):
     name, is_equality, is_presatisfied = "base-orientation", True, True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the angle from the base orientation to the required orientation, shape (1,) [rad].
+        """Return the angle between base orientation and required orientation, shape (1,) [rad].
 
-        Not negative: the angle of the single rotation between both orientations, 0 to pi.
+        The angle belongs to the axis-angle form of the relative rotation, 0 to pi.
         """
         return np.array([self.violation(goal, at)])
 
@@ -151,7 +151,7 @@ class Footholds(Constraint):
         )
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the largest distance of a contact point to the target [m]."""
+        """Return the largest distance [m] between a contact point and its target position."""
         feet = at.feet
         apart = [math.dist(feet[foot], there.tolist()) for foot, there in goal.targets.items()]
         return max(apart, default=0.0)
@@ -217,9 +217,9 @@ class SupportMargin(Constraint):
     name = "support-margin"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the CoM's distance from each polygon side minus the margin, shape (m,) [m].
+        """Return the distance of the CoM from each side of the support polygon minus the margin.
 
-        Not negative if the margin is kept.
+        Shape (m,) [m]; positive inside. All values are >= 0 if the margin is kept.
         """
         sides, com = self._polygon_sides(goal), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
@@ -239,7 +239,10 @@ class SupportMargin(Constraint):
         return polygon_sides(corners, SIDES if self._goal.task.ground.planes else len(corners))
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the shortfall of the CoM margin [m]; 0 if the margin is kept."""
+        """Return the required CoM margin minus the actual margin [m]; 0 if the margin is kept.
+
+        The margin is the horizontal distance of the CoM from the edge of the support polygon.
+        """
         x, y, _ = at.com
         return max(0.0, goal.task.com_margin - margin_of_place((x, y), goal.corners))
 

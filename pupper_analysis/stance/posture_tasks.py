@@ -127,7 +127,7 @@ class PositionTask(PostureTask):
         return float(np.linalg.norm(gap[_select_axes(self.axes)]))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's position task."""
+        """Add PlaCo's soft task for the position of ``frame`` in the world [m]."""
         task = solver.add_position_task(self.frame, self.position)
         task.mask.set_axises(self.axes)
         task.configure("position", "soft", weight)
@@ -160,7 +160,7 @@ class OrientationTask(PostureTask):
         return _angle_of(np.asarray(self.rotation).T @ body.pose(self.frame)[0])
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's orientation task."""
+        """Add PlaCo's soft task for the orientation of ``frame`` in the world [rad]."""
         task = solver.add_orientation_task(self.frame, self.rotation)
         task.configure("orientation", "soft", weight)
         return PlacoTask(task)
@@ -195,7 +195,15 @@ class RelativePositionTask(PostureTask):
         return float(np.linalg.norm(rotation.T @ (place - origin) - np.asarray(self.position)))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's task of a relative position."""
+        """Add PlaCo's soft task for the position of ``target`` in the axes of ``frame`` [m].
+
+        Args:
+            solver: PlaCo solver.
+            weight: Weight of the squared position error.
+
+        Returns:
+            The added task.
+        """
         task = solver.add_relative_position_task(self.frame, self.target, self.position)
         task.configure("relative position", "soft", weight)
         return PlacoTask(task)
@@ -225,7 +233,7 @@ class CoMTask(PostureTask):
         )
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's CoM task."""
+        """Add PlaCo's soft task for the position of the CoM in the world [m]."""
         task = solver.add_com_task(self.position)
         task.mask.set_axises(self.axes)
         task.configure("com", "soft", weight)
@@ -280,7 +288,10 @@ class AxisAlignTask(PostureTask):
         return float(np.arctan2(np.linalg.norm(np.cross(axis, required)), axis @ required))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's task of an aligned axis; a point is a moving target."""
+        """Add PlaCo's soft task for the direction of an axis of ``frame``.
+
+        If the axis must point to ``point``, the target direction is updated before each iteration.
+        """
         direction = np.array([1.0, 0.0, 0.0]) if self.direction is None else self.direction
         task = solver.add_axisalign_task(self.frame, self.axis, direction)
         task.configure("axis", "soft", weight)
@@ -313,7 +324,7 @@ class JointsTask(PostureTask):
         return max(gaps, default=0.0)
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's task of joint positions."""
+        """Add PlaCo's soft task for joint positions [rad, m]."""
         task = solver.add_joints_task()
         task.set_joints(dict(self.positions))
         task.configure("joints", "soft", weight)
@@ -372,7 +383,10 @@ class _MeasuredClearance:
         """Do nothing: the residual is measured with the target of the constraint."""
 
     def error_norm(self) -> float:
-        """Return the missing distance [m]."""
+        """Return the violation [m]: required clearance minus smallest distance, at least 0.
+
+        The value is 0 before the first update of the constraint.
+        """
         return self.residual
 
 
@@ -416,6 +430,7 @@ def _check_axes(axes: str) -> None:
 
 
 def _select_axes(axes: str) -> list[int]:
+    """Return the sorted indices of axes: ``"zx"`` gives [0, 2]. `_check_axes` checks the names."""
     return ["xyz".index(axis) for axis in sorted(set(axes))]
 
 

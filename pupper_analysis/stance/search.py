@@ -530,9 +530,9 @@ def branch_seeds(
         robot: Robot.
         goal: Goal.
         found: {limb: IK branches of the limb}.
-        reach: Upper bound of the base displacement [m] from the pose of the branches. Branches
-            whose foot error exceeds ``reach`` by more than ``NEAR_MISS`` are omitted, since a foot
-            error changes by at most the base displacement.
+        reach: Upper bound of the base displacement [m] from the base pose for which the branches
+            were computed. A displacement of the base by d changes a foot error by at most d.
+            Therefore, branches with a foot error above ``reach + NEAR_MISS`` are omitted.
         most: Upper bound of the number of combinations.
     """
     near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)

@@ -138,7 +138,8 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
         UnknownNameError: As for `solve_stand`.
         ModelError: As for `solve_stand`.
-        StanceUnreachableError: If the stance is unreachable on rigid ground; not explained.
+        StanceUnreachableError: If the stance is unreachable on rigid ground. The error does not
+            contain the reason (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the depths of a robot without loops do not converge.
     """
@@ -182,13 +183,15 @@ def solve_loaded_stand(
         point: Position of the payload, as in `with_payload`.
 
     Returns:
-        The loaded robot, and the stand as simulated (`solve_stand_as_simulated`).
+        The loaded robot, and its stand from `solve_stand_as_simulated`: on soft ground, with the
+        penetration depths of MuJoCo.
 
     Raises:
         ConfigurationError: If an argument is invalid for the robot.
         UnknownNameError: If the robot lacks the frame of the payload, or a foot of the task.
         ModelError: As for `with_payload` and `solve_stand`.
-        StanceUnreachableError: If the stance is unreachable with that load; not explained.
+        StanceUnreachableError: If the stance is unreachable with that load. The error does not
+            contain the reason (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the penetration depths do not converge.
     """

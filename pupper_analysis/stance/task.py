@@ -239,7 +239,8 @@ class StandTask:
 
 
 _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
-"""Fields that are attributes of the task itself."""
+"""Fields that are attributes of `StandTask`, and are checked on construction. The other fields are
+attributes of its ``ground``."""
 
 _DEFAULTS = {attribute.name: attribute.default for attribute in fields(StandTask)}
 """{attribute: default}, compared by identity to skip checks."""

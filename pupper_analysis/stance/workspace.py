@@ -156,10 +156,20 @@ def find_interval(
 def _find_limit(
     robot: Robot, start: Stand, direction: str, sign: float, enough: float, usual_starts_only: bool
 ) -> float:
-    """Find the end of an interval in a direction by steps that are halved after a failure.
+    """Find an end of the reachable interval of a base coordinate; return the coordinate [m or rad].
 
-    Short steps are tried from the last stand only, which is fast. The full search is used before
-    the end is accepted.
+    The search moves outward from the stand ``start``. Each step is halved if no stand is found.
+    Each step starts at the last stand found; long steps also at the initial guesses of
+    `search_stand`. Before the end is accepted, these guesses are tried once more, at the next value
+    and beyond a short gap. The result moves back until these guesses also reach it.
+
+    Args:
+        robot: Robot.
+        start: Stand at which the search starts.
+        direction: Name of the coordinate, an element of ``DIRECTIONS``.
+        sign: 1 to search towards larger values, -1 towards smaller values.
+        enough: Distance [m or rad] from the start at which the search ends.
+        usual_starts_only: Omit the IK branches and the nonlinear program in `search_stand`.
     """
     first, most = _FIRST_STEPS[direction], _MAX_VALUES.get(direction, math.inf)
     first_value = value = _get_coordinate(robot, start, direction)

@@ -274,8 +274,8 @@ class Balance:
     def _solve_by_gqr(self, cost: Array, target: Array) -> Array | None:
         """Minimise |cost @ f - target| subject to balance by LAPACK's ``gglse``.
 
-        Takes a third of the time of the singular value decomposition. Returns None if the balance
-        rows are dependent, or the minimum is not unique.
+        ``gglse`` takes a third of the time of a singular value decomposition. Returns None if the
+        equations of balance are linearly dependent, or the minimum is not unique.
         """
         count, size = self.base_rows.shape
         if not count < size <= count + len(cost):

@@ -122,7 +122,9 @@ contact is zero. Chosen, not tuned."""
 
 
 _MAX_VISCOSITY_ITERATIONS = 50
-"""Upper bound of the fixed-point iterations of ``_iterate_viscosities``. Chosen, not tuned."""
+"""Upper bound of the iterations between contact forces and viscosities (``_iterate_viscosities``).
+The tangential force per creep speed of a contact in MuJoCo depends on its normal force. Chosen, not
+tuned."""
 
 
 class ForceDistribution(StrEnum):

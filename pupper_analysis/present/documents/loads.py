@@ -29,7 +29,7 @@ reached; 0.9 is chosen, not tuned."""
 def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
     """Create a cell with a motor utilisation in percent and a bar.
 
-    A dash is shown if the limit is zero or unknown.
+    The cell shows a dash if the limit is zero, or if the limit or the utilisation is not finite.
 
     Args:
         share: |torque| / limit.

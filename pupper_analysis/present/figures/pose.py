@@ -55,7 +55,10 @@ class Skeleton:
     boxes: Array
 
     def points(self) -> Array:
-        """Return all points, shape (n, 3) [m]."""
+        """Return all points of the drawing: box corners, then points of the legs.
+
+        Shape (n, 3) [m], expressed in the world frame.
+        """
         return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values()])
 
 

@@ -129,7 +129,11 @@ def _serialise_stand(scene: StandScene) -> dict[str, Any]:
 
 @serialise_scene.register
 def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
-    """Convert the scene of a moving robot."""
+    """Convert the scene of a moving robot to JSON data for the three-dimensional view of a page.
+
+    The data contain bodies, shapes, meshes, joint axes, motions, and a level ground at height 0
+    below the first pose. Lengths are in m. Contacts, support polygon, steps and CoM are empty.
+    """
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
     axes = describe_joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
     drawn = _serialise_robot(robot, qpos, scene.motions, axes)
