@@ -180,6 +180,7 @@ def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 
 
 _COLOUR_MAP = "viridis"
+"""Matplotlib colour map of the deviation of the base height in the heat maps of servo gains."""
 
 
 def _panels(
@@ -356,4 +357,5 @@ FIGURES: dict[str, Callable[[Sequence[Analysis], str | Path], None]] = {
     "heights.png": write_height_figure,
     "gains.png": write_gain_figure,
 }
-"""File names of the figures that ``analyze`` writes beside the poses, and the drawing functions."""
+"""{file name: drawing function} of the figures that ``analyze`` writes in addition to the figures
+of the poses."""

@@ -133,7 +133,12 @@ def _format_change(repair: ValueRepair) -> doc.Name:
 
 
 def get_rule_text(rule: str, what: str) -> doc.Text:
-    """Return the title, reason or repair of a rule in both languages."""
+    """Return the title, reason or repair of an audit rule in English and Chinese.
+
+    Args:
+        rule: Name of the rule.
+        what: ``"title"``, ``"why"`` (the reason) or ``"todo"`` (the repair).
+    """
     return doc.Text(getattr(RULES[rule], what), RULES[rule].chinese[what])
 
 

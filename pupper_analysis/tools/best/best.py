@@ -75,22 +75,29 @@ def best_stance(
     Bounds of the coordinates, widened to contain the initial task:
 
     - Base height: reachable heights without a fraction ``HEIGHT_RESERVE`` at either end.
-    - Base x and y: base workspace of the initial stand, from the usual initial guesses.
-    - Roll, pitch, yaw: the same, at most ``MAX_BASE_ROTATION`` from the initial task.
-    - Feet, outwards: ``MAX_OUTWARD_STEP`` times the largest reachable height.
-    - Feet, inwards: the same, at most ``MAX_INWARD_STEP`` times the smallest foot distance from the
-      centre along that axis.
+    - Base x and y: reachable interval around the initial stand, as in `base_workspace`, but without
+      a search in all IK branches.
+    - Roll, pitch, yaw: reachable interval as for x and y, within ``MAX_BASE_ROTATION`` of the
+      initial task.
+    - Feet, outwards from the centre of the feet: up to ``MAX_OUTWARD_STEP`` times the largest
+      reachable height, along x and along y.
+    - Feet, inwards: up to the outward bound, and up to ``MAX_INWARD_STEP`` times the smallest
+      distance of a free foot from the centre along the same axis.
 
     The smallest singular value of each leg's Jacobian must be at least ``MIN_SINGULAR_VALUE_RATIO``
     times the initial value, because stretched legs, which need no torque, would be optimal. Parts
-    that are apart in the initial stand must not touch each other or the ground; contact with its
-    steps is not detected.
+    that are apart in the initial stand must not touch each other or the ground. Contact of parts
+    with a step of the ground is not detected.
 
     Method: the objective is the maximum of smooth functions, so it has kinks, at which descent on
     the objective alone stalls. Therefore a common upper bound of these functions (the level) is a
-    variable of a smooth nonlinear program, solved by SLSQP. The functions and the slacks are its
-    constraints. Descents start at the initial task and at the best of Latin hypercube samples, with
-    coupled feet (and without y, roll and yaw if the task is symmetric). From the best results,
+    variable of a smooth nonlinear program, solved by SLSQP. Its constraints are that no function
+    exceeds the level, and that the requirements are met: joint limits, singular values, CoM margin
+    and no new contacts of parts.
+
+    Descents start at the initial task and at the best of Latin hypercube samples. In these descents
+    the feet move together: the only variables of the feet are length, front width and rear width of
+    the stance. If the task is symmetric, y, roll and yaw are fixed as well. From the best results,
     descents with independent feet follow. The random seed is fixed. On rigid ground, the result is
     never worse than the initial task.
 
@@ -98,8 +105,8 @@ def best_stance(
     which a motor saturates, a foot lifts off, the servos buckle, or feet sink until another part
     touches the ground. Then `payload_limit` computes the limits of the resulting and the initial
     stance, and the stance with the larger limit is returned. Buckling matters, because almost
-    stretched legs need little torque but buckle: the stance of v3 with the lowest utilisation
-    carries 3.7 kg, the nominal stand 6.1 kg.
+    stretched legs need little torque but buckle: on Pupper v3, the stance with the lowest
+    utilisation carries 3.7 kg, the nominal stand 6.1 kg.
 
     Args:
         robot: Robot with a floating base, without loops or welds.

@@ -3,7 +3,8 @@
 The level is the objective relative to that of the initial task; smaller is better. Each stance
 yields constraints a + b level >= 0 (`EvaluatedStance.rows`): the smooth functions whose maximum is
 the level, and the slacks of `StanceSpace` (b = 0). SLSQP minimises the level over the coordinates
-and the level itself, first in the subspace of coupled feet, then in all coordinates.
+and the level itself, first with feet that move together (`StanceSpace.directions`), then in all
+coordinates.
 """
 
 from __future__ import annotations
@@ -277,7 +278,7 @@ class StanceSearch:
         return -largest_feasible_mass(rows) / self.scale, rows * (1.0, -self.scale)
 
     def run(self) -> None:
-        """Run the search: descents with coupled feet, then with independent feet.
+        """Run the search: descents in which the feet move together, then with independent feet.
 
         Does nothing if no coordinate can change. The final descents start at the best stance, and
         are repeated while the level decreases.
@@ -329,16 +330,16 @@ class StanceSearch:
     def _minimise_level(
         self, subspace: Subspace, start: Array, iterations: int
     ) -> tuple[float, Array]:
-        """Minimise the level over (shares, level) by SLSQP, and update ``best``.
+        """Minimise the level by SLSQP over a subspace and the level itself, and update ``best``.
 
         Args:
-            subspace: Subspace of the shares.
-            start: Initial shares, shape (subspace.size,).
+            subspace: Subspace of the stances.
+            start: Initial scaled coordinates in the subspace, 0 to 1, shape (subspace.size,).
             iterations: Largest number of SLSQP iterations.
 
         Returns:
             Smallest level of the allowed stances that SLSQP evaluated (finite-difference steps are
-            not included), and the shares; infinity and ``start`` if there is none.
+            not included), and its scaled coordinates. Infinity and ``start`` without such a stance.
         """
         from scipy import optimize  # slow to import
 
@@ -349,7 +350,7 @@ class StanceSearch:
         missing = first.rows - np.array([_CONSTRAINT_PENALTY, 0.0])
 
         def rows(share: Array) -> Array:
-            """Return the constraints (k, 2) at some shares, and update the smallest level."""
+            """Return the constraints (k, 2) at scaled coordinates; update the smallest level."""
             nonlocal best
             stance = self.evaluate(subspace.at(share))
             if stance is not None and stance.allowed and stance.level < best[0]:
@@ -357,7 +358,15 @@ class StanceSearch:
             return missing if stance is None else stance.rows
 
         def derivative(values: Array) -> Array:
-            """Return the Jacobian of the constraints by (shares, level), by finite differences."""
+            """Return the Jacobian of the constraints a + b level, shape (k, size + 1).
+
+            The first columns are one-sided differences with step ``_DIFFERENCE_STEP`` in each
+            scaled coordinate (0 to 1). Such a column is zero if neither side has a stand. The last
+            column, b, is the exact derivative with respect to the level.
+
+            Args:
+                values: Scaled coordinates, then the level, shape (size + 1,).
+            """
             share, level = values[:-1], values[-1]
             current, stance = rows(share), self.evaluate(subspace.at(share))
             near = None if stance is None else stance.stand
@@ -404,10 +413,10 @@ def _draw_latin_hypercube(size: int) -> Array:
 
 
 class Subspace:
-    """Box of shares from 0 to 1 along some directions in a space of stances.
+    """Box of scaled coordinates, 0 to 1, along some directions in a space of stances.
 
-    Each share interpolates along a direction, between the two ends at which a coordinate of this
-    direction alone reaches the bound. Directions without such an interval are omitted.
+    Each scaled coordinate interpolates along one direction, between the two points at which a
+    coordinate of the space first reaches a bound. Directions without such an interval are omitted.
 
     Args:
         space: Space of stances.
@@ -418,10 +427,10 @@ class Subspace:
     Attributes:
         origin: Coordinates through which the subspace passes, shape (n,) [m or rad].
         directions: Remaining directions, shape (n, size).
-        low: Multiple of each direction at share 0, shape (size,).
-        width: Difference between the multiples at share 1 and share 0, shape (size,).
-        size: Number of shares.
-        start: Shares of the origin, shape (size,), clipped to 0 to 1.
+        low: Multiple of each direction at the scaled coordinate 0, shape (size,).
+        width: Difference between the multiples at 1 and at 0, shape (size,).
+        size: Number of scaled coordinates.
+        start: Scaled coordinates of the origin, shape (size,), clipped to 0 to 1.
     """
 
     def __init__(self, space: StanceSpace, origin: Array, directions: Array) -> None:
@@ -441,7 +450,10 @@ class Subspace:
         self.start = np.clip(-self.low / self.width, 0, 1)
 
     def at(self, share: Array) -> Array:
-        """Compute the coordinates (n,) [m or rad] of shares (size,), clipped to 0 to 1."""
+        """Compute the coordinates (n,) [m or rad] from scaled coordinates (size,).
+
+        The scaled coordinates are clipped to 0 to 1.
+        """
         multiples = self.low + np.clip(share, 0, 1) * self.width
         coordinates: Array = self.origin + self.directions @ multiples
         return coordinates

@@ -191,7 +191,7 @@ class StanceSpace:
         return asymmetry < 1e-9 and not uneven
 
     def directions(self) -> Array:
-        """Return directions (size, k) in the space of coordinates, with coupled feet.
+        """Return directions (size, k) in the space of coordinates; the feet move together.
 
         Columns: base coordinates (only height, x and pitch if the task is symmetric), length of the
         stance, width of the front feet, width of the rear feet. Columns of zeros are omitted.

@@ -411,7 +411,10 @@ def _format_entry(entry: BaselineEntry) -> str:
 
 
 def _is_baseline(file: BinaryIO) -> bool:
-    """Return True if a file begins with the package's header, or has an entry."""
+    """Return True if a file is a baseline: a list of accepted remarks written by this package.
+
+    The first line is the header of a baseline, or a line can be read as an entry of a baseline.
+    """
     lines = file.read(MAX_TEXT_BYTES).decode("utf-8-sig", errors="replace").splitlines()
     return lines[:1] == [_HEADER_LINES[0]] or any(
         _parse_entry(line) is not None for line in lines if line.startswith("[")

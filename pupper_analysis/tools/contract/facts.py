@@ -25,7 +25,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place, make_file_error, one_line
 
 ENTRY_POINT_GROUP: Final = "pupper_analysis.contract"
-"""Group of entry points with which other distributions register readers: ``name = "its.module"``.
+"""Group of entry points with which other Python packages register readers: ``name = "its.module"``.
 """
 
 MAX_VALUES: Final = 200_000
@@ -65,8 +65,9 @@ class QuantityKind(NamedTuple):
     Attributes:
         unit: Unit for a hinge.
         severity: Severity of a difference between sources; None if the quantity is only listed.
-        mirrored: Relation to the mirrored joint: 1 if equal, -1 if the sign follows from the axes,
-            0 if not compared.
+        mirrored: How the values of a left joint and the corresponding right joint are compared: 1
+            if the values must be equal, -1 if equal or opposite according to the directions of the
+            axes, 0 if not compared.
         is_setting: Whether the quantity belongs to the source, not to a joint.
     """
 
@@ -89,9 +90,10 @@ QUANTITIES: Final[Mapping[str, QuantityKind]] = {
 
 
 def find_quantity_kind(quantity: str) -> QuantityKind:
-    """Return unit, severity and mirror relation of a quantity, for example ``kp``.
+    """Return the properties of a quantity, for example of ``kp``; see `QuantityKind`.
 
-    Quantities not in `QUANTITIES` are scales of observations.
+    A quantity that is not in `QUANTITIES` is the scale of an observation term: it has the unit 1,
+    and a difference between sources is an error.
     """
     return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
@@ -249,8 +251,8 @@ class Reader(Protocol):
 def load_readers() -> tuple[Reader, ...]:
     """Import all reader modules: modules that read statements about joints from source files.
 
-    First are the modules in the folder ``readers`` of this package, sorted by name; then those that
-    other distributions register under `ENTRY_POINT_GROUP`.
+    First are the modules in the folder ``readers`` of this package, sorted by name; then follow
+    modules that other installed Python packages register under `ENTRY_POINT_GROUP`.
     """
     from importlib.metadata import entry_points
 

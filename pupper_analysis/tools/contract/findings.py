@@ -443,7 +443,11 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
 
 
 def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
-    """Yield differences between the orders of observations that two sources have in common."""
+    """Yield a disagreement for each source that lists common observation terms in another order.
+
+    The reference is the first source that lists observation terms. Only terms that both sources
+    list are compared.
+    """
     stating = [
         placed_source.source for placed_source in placed if placed_source.source.observations
     ]

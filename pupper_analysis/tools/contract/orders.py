@@ -311,5 +311,5 @@ _MAX_REPEATS = 5
 """Largest number of quantifiers (``+``, ``*``, ``?``, ``{``) in a regular expression that is
 matched. With 5, a name of n letters needs about n^5 / 120 attempts."""
 _NESTED_REPEAT_PATTERN = re.compile(r"[+*}?)][+*{]")
-"""Quantifier that follows a quantifier or a group. Such patterns are not matched, because their
-matching time may grow exponentially."""
+"""Quantifier that follows a quantifier or a group. A regular expression with such a pair
+is not evaluated, because its matching time may grow exponentially."""

@@ -633,6 +633,7 @@ class Evaluator:
         return self._apply_function(_OPERATOR_FUNCTIONS[type(expression.ops[0])], *both)
 
     def _evaluate_ifexp(self, expression: ast.IfExp, scope: Scope) -> Node:
+        """Evaluate ``a if condition else b``: the condition, then only the selected operand."""
         return self.value(
             expression.body
             if self._is_true(self.value(expression.test, scope))
@@ -726,7 +727,14 @@ class Evaluator:
         return InstanceValue(name, {**keywords, **more})
 
     def _make_field_default(self, keywords: dict[str, Node]) -> Any:
-        """Return the default value of a dataclass field."""
+        """Return the default value of a dataclass field, from the arguments of ``field(...)``.
+
+        Args:
+            keywords: Keyword arguments; ``default_factory`` precedes ``default``.
+
+        Raises:
+            NotConstantError: If there is no constant default value.
+        """
         if "default_factory" not in keywords:
             return self._apply_function(operator.getitem, keywords, "default")
         factory = keywords["default_factory"].value
@@ -811,6 +819,12 @@ class Evaluator:
         return own
 
     def _copy_value(self, value: Any, keywords: dict[str, Node]) -> Any:
+        """Return a deep copy of a value, with changed fields, as ``dataclasses.replace``.
+
+        Args:
+            value: Value; its copied objects are added to the evaluation steps.
+            keywords: {field: new value}; ignored for a value without fields.
+        """
         memo: dict[int, Any] = {}
         fresh = deepcopy(value, memo)
         self.steps += len(memo)

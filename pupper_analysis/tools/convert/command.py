@@ -17,6 +17,8 @@ _COMMON_OPTIONS = {"source", "output", "packages", "json_path", "style", "everyt
 _MJCF_OPTIONS = {
     *("feet", "fixed_base", "armature", "repair_inertia", "copy_meshes"),
 }
+"""Parameters of the command that are used only if the output is an MJCF (``.xml``)."""
+
 _USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIONS}
 """Parameters of the command that are used, for each suffix of the output file."""
 

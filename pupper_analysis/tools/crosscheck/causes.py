@@ -243,8 +243,8 @@ _EULER_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 def find_angle_settings(case: PatternCase) -> PatternFindings:
     """Find another eulerseq, or another angle unit, of the MJCF with which differences disappear.
 
-    A finding requires that at least 60 % of the differences in rotations and axes disappear, or of
-    differences in limits if no rotation differs.
+    A finding requires that at least 60 % of the differences in rotations and axes disappear. If no
+    rotation or axis differs, at least 60 % of the differences in joint limits must disappear.
     """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys

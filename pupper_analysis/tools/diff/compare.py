@@ -380,7 +380,11 @@ class RandomStates:
 
     @cached_property
     def qpos(self) -> Array:
-        """Random positions with a fixed seed, shape (n, nq): base pose if floating, then joints."""
+        """Random configurations with a fixed seed, shape (n, nq).
+
+        A floating base has a position within 1 m of the origin along each axis, and a random
+        orientation. Joint positions are within the limits, or within pi without a limit.
+        """
         rng = np.random.default_rng(0)
         joints = self.values.joints.values()
         lower = [joint.lower if np.isfinite(joint.lower) else -np.pi for joint in joints]

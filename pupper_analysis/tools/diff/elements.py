@@ -201,7 +201,8 @@ def _make_constant_finder(place: Place) -> Callable[[str], Place]:
 
 
 ENABLED_WORD: Final = "enabled"
-"""Attribute of a flag: 1 or 0."""
+"""Key in `Element.values` for a ``<flag>`` of an MJCF: the value is 1 if the flag is enabled, 0 if
+the flag is disabled."""
 
 DISABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtDisableBit.__members__.values() if bit.name.startswith("mjDSBL_")

@@ -54,8 +54,9 @@ GAIN_MARGIN = 2.0
 2008, section 9.3)."""
 
 MIN_DAMPING_RATIO = 0.5
-"""Damping ratio of every oscillation that the recommended damping reaches, if it is within the
-margins. An overshoot of 16 %; chosen, not tuned."""
+"""Lower bound of the damping ratio of each oscillation with the recommended damping. If no damping
+within the stability margins reaches the bound, the damping with the largest ratio is recommended.
+0.5 is an overshoot of 16 %; chosen, not tuned."""
 
 MAX_NOISE_RATIO = 0.1
 """Largest torque step by one encoder count, relative to the torque limit. Chosen, not tuned."""

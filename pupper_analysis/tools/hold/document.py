@@ -359,8 +359,8 @@ def _describe_posture(hold: Hold) -> doc.Words:
 def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> Iterable[doc.Words]:
     """State the motor with the largest finite utilisation.
 
-    Nothing is stated if no utilisation is known, or a motor has a limit of zero: any load exceeds
-    this limit, so no other motor is closest to the limit.
+    The result is empty if no utilisation is known. It is also empty if a motor has a limit of zero,
+    because any load exceeds this limit.
 
     Args:
         statics: Static motor torques.

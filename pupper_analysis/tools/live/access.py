@@ -103,3 +103,4 @@ def strip_folders(text: str) -> str:
 
 
 _FOLDER_PATTERN = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])")
+"""Folders of an absolute path. `strip_folders` deletes the match, so that the file name remains."""

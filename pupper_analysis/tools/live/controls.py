@@ -424,9 +424,15 @@ class Control:
         return fill_template(self.field.words(language).hint, arguments, language)
 
     def extract_number(self, value: float | tuple[str | float, ...] | Contact | Weld) -> float:
-        """Return the component of a field's value that this slider shows, in page units.
+        """Return the number that this slider shows for a field's value: a number or a component.
 
-        For a contact, this is the number of its plane, 0 without a plane.
+        Args:
+            value: Number or point in the units of the web page (`PAGE_UNITS`, for example mm and
+                degrees), or a contact or weld in SI units.
+
+        Returns:
+            Number in the units of the page. For a contact it is ``plane.number`` [mm, or degrees
+            for a slope]; 0 for a contact without a plane, and for a weld.
         """
         if isinstance(value, Contact | Weld):
             return 0.0 if value.plane is None else find_contact_factor(value) * value.plane.number

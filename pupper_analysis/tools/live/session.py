@@ -204,15 +204,19 @@ class Session:
             )
 
     def simulate(self) -> None:
-        """Request a simulation of the stance."""
+        """Queue a simulation of the shown stance; the page shows the motion and the verdict."""
         self._request_job("simulating", self._simulate_stance)
 
     def push(self) -> None:
-        """Request a simulation of a push."""
+        """Queue a simulation of a push on the robot in the shown stance.
+
+        Impulse and direction are those on the page, which then shows the motion. Without a balanced
+        stance, the page shows a hint instead.
+        """
         self._request_job("pushing", self._simulate_push)
 
     def _request_job(self, words: str, job: Callable[[Answer], None]) -> None:
-        """Queue a simulation of the current stance."""
+        """Queue a simulation of the current stance; without a balanced stance, show a hint."""
         with self._lock:
             if self._answer is None or self._answer.statics is None:
                 self._panels.hint("nothing-to-simulate")

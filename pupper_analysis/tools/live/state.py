@@ -49,7 +49,7 @@ PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNIT_BY_KIND.items()} | {
     "position": ("", 1.0),  # rad, or m for a prismatic joint
     "contact": ("mm, °", 1.0),  # typed with its unit
 }
-"""Unit of each kind of field on the page, and page units per SI unit."""
+"""{kind of field: (unit on the web page, factor from the SI unit)}; for example mm for a length."""
 
 _TEXT_TYPES = str, Contact, Weld
 """Types of values that are not numbers and are written as typed."""
@@ -57,7 +57,7 @@ _TEXT_TYPES = str, Contact, Weld
 
 @dataclass(frozen=True, init=False)
 class State:
-    """Requested state of a page, in page units.
+    """Requested state of a web page, in the units of the page.
 
     Lengths are in mm, angles in degrees, joint positions in rad or m. Each field of `SLIDER_FIELDS`
     is an attribute; without a request the field has the default, which is None for values of the
@@ -94,12 +94,12 @@ class State:
         """Return a copy of the page's state with changed values.
 
         Args:
-            **values: {name of the field: value in page units}.
+            **values: {name of the field: value in the units of the page}.
         """
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
-        """Yield the fields of `FIELDS` that are requested, with values in page units."""
+        """Yield the fields of `FIELDS` that are requested, with values in the page's units."""
         for name, field in FIELDS.items():
             if name == "offset":
                 if self.place == "offset":
@@ -114,7 +114,7 @@ class State:
         """Return the stand task.
 
         Raises:
-            ConfigurationError: If a value is out of bounds; the message uses page units.
+            ConfigurationError: If a value is out of bounds. The message uses the page's units.
         """
         for field, value in self.requested_values():
             if not isinstance(value, str):
@@ -135,7 +135,7 @@ class State:
         return place
 
     def with_task(self, task: StandTask) -> State:
-        """Return the state with the numbers of another task, rounded to page units.
+        """Return the state with the numbers of another task, converted to the page's units.
 
         Args:
             task: Task with the same feet and the same mode of the base position.
@@ -149,7 +149,7 @@ class State:
 
 
 def find_contact_factor(contact: Contact | Weld) -> float:
-    """Return page units per SI unit of a contact's number."""
+    """Return the factor from SI units to the page's units for the number of a contact's plane."""
     return PAGE_UNITS["angle" if contact.turns else "length"][1]
 
 
@@ -196,7 +196,7 @@ def _iterate_numbers(value: Any) -> Iterator[tuple[str, float]]:
 
 
 def convert_to_si(field: Field, value: Any) -> Any:
-    """Convert a value from page units to SI units."""
+    """Convert a value from the page's units (`PAGE_UNITS`) to SI units."""
     unit, _ = PAGE_UNITS[field.kind]
     if isinstance(value, str) or unit not in ("mm", "°"):
         return value
@@ -204,7 +204,7 @@ def convert_to_si(field: Field, value: Any) -> Any:
 
 
 def convert_to_page_units(field: Field, value: Any) -> Any:
-    """Convert a value from SI to page units, rounded to 9 decimals."""
+    """Convert a value from SI units to the page's units (`PAGE_UNITS`), rounded to 9 decimals."""
     _, factor = PAGE_UNITS[field.kind]
     return _map_numbers(value, lambda number: round(factor * number, 9))
 
@@ -237,7 +237,7 @@ def make_state(task: StandTask, **robot_values: Any) -> State:
 
     Args:
         task: Stand task.
-        **robot_values: Values of the robot's fields, in page units.
+        **robot_values: Values of the robot's fields, in the units of the page.
 
     Raises:
         ConfigurationError: If a value has no slider.

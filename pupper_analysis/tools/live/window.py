@@ -82,7 +82,10 @@ def simulate_drop(robot: Robot) -> Drop:
 
 
 def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
-    """Check a final state against the home pose with the lowest foot on the ground."""
+    """Compare the final state of a simulation with the home pose.
+
+    The home pose is shifted vertically, so that the lowest foot touches the ground.
+    """
     qpos = robot.home.copy()
     if robot.floating and robot.contact_points:
         qpos[2] -= _foot_clearance(robot, qpos)

@@ -239,7 +239,8 @@ _ROLL_TOLERANCE = 1e-8
 Chosen: far below the error of a foot in MuJoCo."""
 
 _MAX_ROLL_ITERATIONS = 50
-"""Upper bound of the iterations between rolling displacement and leg angles. Chosen, not tuned."""
+"""Upper bound of the fixed-point iterations: the rolling displacement of a foot depends on the leg
+angles, and the leg angles on the displacement. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

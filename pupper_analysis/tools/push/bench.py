@@ -83,8 +83,9 @@ height of the CoM. Measured on v3-long-leg: the robot returns from 0.03, and fal
 """
 
 _SPEED_FACTOR = 1.5
-"""Factor of the measured speed in the bound of the remaining motion: an oscillation may be slower
-for a while. Chosen, not tuned."""
+"""Safety factor of the predicted motion of the base after a push (speed * time). If the motion is
+too large, the robot is not at rest. The measured speed of an oscillation may be small for a while.
+Chosen, not tuned."""
 
 _STILL_RATIO = 0.01
 """Motion in the remaining time relative to its bound, below which the speed is rounding or creep.

@@ -168,8 +168,8 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
 
 
 CHECKED_LEVELS = 8
-"""Number of smaller pushes per direction, at equal distances, that are simulated after the
-bisection. Chosen, not tuned."""
+"""Number of smaller pushes per direction, equally spaced, that are simulated after the bisection.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

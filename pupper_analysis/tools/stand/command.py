@@ -117,7 +117,7 @@ _EXPLAIN_PARAMETERS = {
 def _explain_preparation(
     request: RobotAndTask, words: tuple[str, ...], json_path: Path | None
 ) -> None:
-    """Print the passes that prepare a robot from files; ``--explain``."""
+    """Print the steps that prepare a robot from files, with their changes; ``--explain``."""
     from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.prepare.convert.load import read_pair
     from pupper_analysis.prepare.passes import LoadRequest, parse_feet

@@ -2,7 +2,7 @@
 
 `study_stance` solves a stand task, computes torques and contact forces, predicts the equilibrium
 without feed-forward, and verifies both in MuJoCo. `largest_presses` computes the largest force of
-each hand; `explain_loading` prepares a robot and lists the passes.
+each hand; `explain_loading` prepares a robot and lists the steps.
 """
 
 from __future__ import annotations
@@ -254,7 +254,17 @@ class Preparation(Result):
 def explain_loading(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Preparation, Robot]:
-    """Prepare a robot from two files, and list the passes.
+    """Prepare a robot from two files, and list the preparation steps that were run.
+
+    All steps are run, including the steps that `make_robot` postpones.
+
+    Args:
+        urdf: The URDF.
+        mjcf: The MJCF.
+        request: Options of the user, for example feet, joint pairs and keyframe.
+
+    Returns:
+        List of the steps (passes) with the changes and findings of each step, and the robot.
 
     Raises:
         ModelError: If no robot can be made from the files.

@@ -145,8 +145,8 @@ def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
     """Load the robot of a study from files, and remove the visual geoms of the MJCF.
 
     Args:
-        arguments: ``models`` or ``urdf`` and/or ``mjcf`` (the files), and other arguments of
-            `load_robot`.
+        arguments: The files, as ``models`` (a sequence of paths) or as ``urdf``, ``mjcf`` or both;
+            and other arguments of `load_robot`.
 
     Raises:
         ConfigurationError: If no file is given, an option is unknown, the base is fixed, or the

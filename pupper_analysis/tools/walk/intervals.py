@@ -91,7 +91,7 @@ def _shift_base_com(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 
 
 def _scale_friction(_: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Scale the sliding friction of all geoms and pairs."""
+    """Multiply the sliding friction of all geoms and pairs by ``value``, in ``model``."""
     model.geom_friction[:, 0] *= value
     model.pair_friction[:, :2] *= value
 
@@ -103,18 +103,18 @@ def _find_motors(stage: Stage) -> NDArray[np.int64]:
 
 
 def _scale_kp(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Scale the stiffness of all servos."""
+    """Multiply the stiffness of all servos of ``stage.robot`` by ``value``, in ``model``."""
     model.actuator_gainprm[_find_motors(stage), 0] *= value
     model.actuator_biasprm[_find_motors(stage), 1] *= value
 
 
 def _scale_kd(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Scale the damping of all servos."""
+    """Multiply the damping of all servos of ``stage.robot`` by ``value``, in ``model``."""
     model.actuator_biasprm[_find_motors(stage), 2] *= value
 
 
 def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Scale the force range of all actuators."""
+    """Multiply the force range of all actuators of the robot by ``value``, in ``model``."""
     model.actuator_forcerange[_find_motors(stage)] *= value
 
 
@@ -289,16 +289,19 @@ def tracked_intervals(
 ) -> TrackedIntervals:
     """Find the interval of each quantity within which a policy tracks the command.
 
-    Each quantity is changed alone, in both directions. The range between a tracked and an untracked
-    value is bisected `NUM_HALVINGS` times. All values use the same seeds. The set of tracked values
-    need not be an interval; one end of the set is found. The result does not depend on the number
-    of workers.
+    A simulation tracks the command if the robot does not fall, and if the errors of the mean
+    velocity and turning rate are within the tolerances (`evaluate_tracking`). Each quantity is
+    changed alone, in both directions, for each seed that tracks without changes. First the end of
+    the quantity's range is simulated. If it does not track, the range between a tracked and an
+    untracked value is bisected `NUM_HALVINGS` times. If tracked and untracked values alternate, the
+    bisection finds one of the boundaries. The result does not depend on the number of workers.
 
     Args:
         robot: Robot.
         policy: Policy.
         command: Forward speed, speed to the left [m/s], and turning rate to the left [rad/s].
-        seeds: Number of seeds; the first is the default pose at rest.
+        seeds: Number of initial states per value: seed 0 is the default pose at rest, the other
+            seeds are random states.
         quantities: Names of `QUANTITIES`. ``strength`` is left out if no motor has a force limit.
         seconds: Duration of each run [s], 3 to 600.
         measured: {quantity: interval of the real robot}; see `read_measured_intervals`.

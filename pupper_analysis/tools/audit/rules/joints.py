@@ -114,9 +114,9 @@ def axis_zero(robot: RobotModel) -> Iterator[CheckFinding]:
 def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find position ranges of moving joints with lower >= upper.
 
-    A URDF limit without ``lower`` and ``upper`` counts as 0 to 0. In an MJCF, inverted ranges of
-    joints, actuators and tendons are reported too if ``limited`` is "auto": MuJoCo ignores an
-    inverted range silently.
+    A URDF limit without ``lower`` and ``upper`` counts as 0 to 0. In an MJCF with
+    ``limited="auto"``, MuJoCo silently ignores a range with lower > upper; such ranges of joints,
+    actuators and tendons are reported too.
     """
     for joint in robot.joints.values():
         if joint.moves and joint.lower >= joint.upper:
@@ -373,10 +373,10 @@ def _project_across(vector: Array, axis: Array) -> Array:
 
 
 def find_legs(robot: RobotModel) -> Iterator[Leg]:
-    """Yield limbs with leg-like names with parallel and nearly horizontal hip and knee axes.
+    """Yield the limbs that are legs, by their names, joint axes and lengths.
 
-    The shorter of thigh and shank must have more than 40 % of the length of the longer, both
-    projected perpendicular to the hip axis.
+    Hip and knee axes must be parallel and nearly horizontal. The shorter of thigh and shank must
+    have more than 40 % of the length of the longer, both projected perpendicular to the hip axis.
     """
     for link in robot.links.values():
         if not link.moving or link.joints[-1].kind != HINGE_JOINT:

@@ -129,7 +129,16 @@ def _check_clock(log: Log) -> Iterator[Diagnostic]:
 
 
 def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
-    """Yield joints whose position follows another's command, or the negated own command."""
+    """Report joints whose measured position follows the wrong command, by correlation.
+
+    One note lists joints that follow the command of another joint. A second note lists joints that
+    follow their own command with the opposite sign.
+
+    Args:
+        robot: Robot.
+        log: Measured commands and positions.
+        moving: Indices of the joints that are compared.
+    """
     command, position = log.command[:, moving], log.position[:, moving]
     rows = (np.isfinite(command) & np.isfinite(position)).all(axis=1)
     if rows.sum() < 10:

@@ -27,8 +27,8 @@ MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0
 offsets [rad], and log kp, of each servo and in common. Chosen, not tuned."""
 
 _ENCODER_STEP = 2 * math.pi / 2**14
-"""Encoder step of the simulated robot [rad], of rounded readings: 14 bits per turn.
-Chosen, not tuned."""
+"""Encoder step [rad] to which the simulated robot rounds joint positions: 14 bits per turn. Chosen,
+not tuned."""
 
 _DROP_HEIGHT = 0.01
 """Height [m] of the lowest foot when the robot is set down. Chosen, not tuned."""
@@ -120,7 +120,16 @@ class SimulatedRobot:
         loads: Mapping[str, Array],
         instructions: Sequence[str],  # noqa: ARG002 - follows the plan
     ) -> bool:
-        """Attach the known masses, and set the robot down in the commanded posture."""
+        """Attach known loads, and set the robot just above the ground in the commanded posture.
+
+        Args:
+            stand: Stand to be set up. The base is levelled over its stance feet.
+            loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
+            instructions: Steps for an operator; ignored.
+
+        Returns:
+            True: the stand is not skipped.
+        """
         self._attach_loads(loads)
         self._place_on_feet(stand.swing)
         return True
