@@ -146,6 +146,7 @@ def test_soles_of_legs_with_five_joints_are_level_in_the_nominal_stand(
     assert area.contains(shapely.Point(data.subtree_com[0][:2]))
 
 
+@pytest.mark.slow
 def test_level_soles_are_not_searched_for_wheels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -371,6 +371,7 @@ def test_coarsened_meshes_keep_their_size() -> None:
         assert vertices.max(axis=0) == pytest.approx(high, abs=cell)
 
 
+@pytest.mark.slow
 def test_view_is_omitted_without_three_js(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write, "_VIEWER_PACKAGE", "no_such_package")
     assert write.load_viewer_library() is None

@@ -119,6 +119,7 @@ def integrated_capsule(mass: float, radius: float, length: float) -> tuple[float
     return mass / total * axial, mass / total * lateral
 
 
+@pytest.mark.slow
 @given(mass=st.floats(0.01, 5), radius=st.floats(0.001, 0.2), length=st.floats(0, 1))
 def test_capsule_inertia_is_the_integral(mass: float, radius: float, length: float) -> None:
     tensor = urdf.compute_capsule_inertia(mass, radius, length, np.array([1.0, 0, 0]))

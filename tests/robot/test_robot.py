@@ -35,6 +35,7 @@ def replaced(text: str, old: str, new: str) -> str:
 # ------------------------------------------------------------------------------------- right
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["body", "geom"])
 def test_a_foot_may_be_a_body_or_a_geom(tmp_path: Path, kind: str) -> None:
     site = '<site name="foot" pos="0 0 -0.1"/>'

@@ -66,6 +66,7 @@ def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
     assert seen.torque_error < 1e-3
 
 
+@pytest.mark.slow
 def test_two_wheels_make_no_polygon(tmp_path: Path) -> None:
     files = wheeled(tmp_path, "FL", "FR")
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)

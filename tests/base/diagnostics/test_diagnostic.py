@@ -176,6 +176,7 @@ def test_every_template_gets_its_values() -> None:
 SENTENCE = re.compile("[a-z]+ [a-z]+ [a-z]+")
 
 
+@pytest.mark.slow
 def test_errors_contain_diagnostics_instead_of_sentences() -> None:
     """Reference: the syntax tree. No error of the package is constructed from a literal
     sentence."""
