@@ -44,9 +44,9 @@ def command(
     Each ROBOT is a variant, a URDF, an MJCF, or both: the URDF and then the MJCF. By default the
     six variants are pushed (about three seconds each). Robot and
     stance are given as for `stand`. A push lasts 20 ms and acts at the CoM of the base. A robot
-    survives a push if it is upright and at rest after 6 s and only its feet touched the
-    ground. The legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
-    ground.
+    survives a push if it comes to rest upright and only its feet touch the ground: within
+    6 s, or in a simulation of up to 60 s if it still moves then. The legs are lengthened by
+    the depth to which the feet penetrate MuJoCo's soft ground.
 
     \b
     Examples:
