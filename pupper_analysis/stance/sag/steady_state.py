@@ -658,15 +658,7 @@ def minimum_stiffness(
 
     def find_obstacle(kp: float) -> Diagnostic | None:
         """Return the reason for a failure with kp; None if the robot stands."""
-        try:
-            pose = steady_state(robot, stand, kp=kp, feet=feet)
-        except NoEquilibriumError as error:
-            return error.diagnostic
-        if pose.base_height <= 0.5 * float(stand.qpos[2]) and not (robot.bolted or robot.welds):
-            return diagnose("base-sags", height=Quantity(pose.base_height, "m"))
-        if len(pose.failures) > 1:
-            return diagnose("failures-together", failures=pose.failures)
-        return pose.failures[0] if pose.failures else None
+        return find_sag_failure(robot, stand, kp=kp, feet=feet)
 
     unit = EquilibriumScales.of(robot, stand).stiffness
     low, high = 0.0, unit / 4
@@ -678,6 +670,30 @@ def minimum_stiffness(
         middle = (low + high) / 2
         low, high = (middle, high) if find_obstacle(middle) else (low, middle)
     return high
+
+
+def find_sag_failure(
+    robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feet: Feet = "pinned"
+) -> Diagnostic | None:
+    """Return the reason for which a robot does not stand without feed-forward; None if it stands.
+
+    Reasons are the failures of `steady_state`, and, on a free base, half of the height or less.
+
+    Args:
+        robot: Robot, with the contacts of the stand (``touching``).
+        stand: Stand.
+        kp: Stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        feet: Slip law, as in `steady_state`.
+    """
+    try:
+        pose = steady_state(robot, stand, kp=kp, feet=feet)
+    except NoEquilibriumError as error:
+        return error.diagnostic
+    if pose.base_height <= 0.5 * float(stand.qpos[2]) and not (robot.bolted or robot.welds):
+        return diagnose("base-sags", height=Quantity(pose.base_height, "m"))
+    if len(pose.failures) > 1:
+        return diagnose("failures-together", failures=pose.failures)
+    return pose.failures[0] if pose.failures else None
 
 
 def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:

@@ -14,6 +14,13 @@ from pupper_analysis.present.documents.standing import robot_notes, task_text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.gains.gains import GAIN_MARGIN, MAX_NOISE_RATIO, GainBound, GainStudy
 
+_VERDICT_KEYS = {
+    (True, True): "gains-stable",
+    (True, False): "gains-beyond",
+    (False, False): "gains-unstable",
+}
+"""{(modes are stable, all bounds are met): key of the verdict's text}."""
+
 
 @build_document.register(GainStudy)
 def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document:
@@ -24,7 +31,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
         doc.Name(study.name),
         (_make_class_table(study), _make_bound_table(study), gain_plot(study)),
         passed=study.passed,
-        verdict=text("gains-stable" if study.passed else "gains-unstable"),
+        verdict=text(_VERDICT_KEYS[study.worst.stable, study.passed]),
         failures=failures,
         findings=(_describe_range(study), _describe_controller(study)),
         details=(
@@ -47,6 +54,8 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
             yield text("gains-oscillate", joints=joints, frequency=frequency, time=time)
         else:
             yield text("gains-buckle", joints=joints, time=time)
+    if study.sag_failure is not None:
+        yield text("gains-sag", failure=doc.diagnostic_text(study.sag_failure))
     for one in study.exceeded:
         if one.largest_kp_of_torque is not None and one.kp > one.largest_kp_of_torque:
             yield text(

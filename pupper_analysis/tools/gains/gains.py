@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, NoStiffnessError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.alike import sibling_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation.rollout import make_stand_start
-from pupper_analysis.stance.sag.steady_state import minimum_stiffness
+from pupper_analysis.stance.sag.steady_state import find_sag_failure, minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -146,6 +146,8 @@ class GainStudy(Result):
         largest_kd: Upper bound of the damping.
         least_kp_alone: Smallest stiffness, equal at all joints, with which the robot stands without
             feed-forward (N m/rad); None if there is none, or the base is fixed.
+        sag_failure: Reason for which the robot does not stand with the present stiffness without
+            feed-forward; None if it stands, or the base is fixed.
         worst: Mode with the largest growth rate at the present gains.
         damping_ratio: Smallest damping ratio of an oscillation at the present gains.
         curve_factors: Factors on the stiffness of the curve, shape (n,).
@@ -168,6 +170,7 @@ class GainStudy(Result):
     largest_kp: GainBound
     largest_kd: GainBound
     least_kp_alone: float | None = field(metadata={"unit": "N m/rad"})
+    sag_failure: Diagnostic | None
     worst: WorstMode
     damping_ratio: float = field(metadata={"unit": "1"})
     curve_factors: Array = field(metadata={"unit": "1"})
@@ -177,8 +180,8 @@ class GainStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the present gains are stable, and within the bounds of torque and encoder."""
-        return self.worst.stable and not self.exceeded
+        """Whether the present gains are stable and within all bounds, also without feed-forward."""
+        return self.worst.stable and self.sag_failure is None and not self.exceeded
 
     @property
     def uniform(self) -> bool:
@@ -251,8 +254,9 @@ def study_gains(
     largest_kp = gains.make_bound(largest, with_stiffness, below=False)
     _, end = gains.find_stable_factors(with_damping, damping)
     largest_kd = gains.make_bound(end, with_damping, below=False)
-    alone = None
+    alone = failure = None
     if robot.floating:
+        failure = find_sag_failure(held.robot, settled, kp=gains.kp)
         try:
             alone = minimum_stiffness(robot, settled)
         except NoStiffnessError:
@@ -287,6 +291,7 @@ def study_gains(
         largest_kp=largest_kp,
         largest_kd=largest_kd,
         least_kp_alone=alone,
+        sag_failure=failure,
         worst=loop.find_worst_mode(gains.kp, gains.kd),
         damping_ratio=loop.least_damping_ratio(gains.kp, gains.kd),
         curve_factors=curve,

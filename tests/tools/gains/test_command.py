@@ -39,3 +39,14 @@ def test_invalid_options_end_with_exit_status_2(options: tuple[str, ...], words:
     result = answer("gains", "original", *options)
     assert result.returncode == 2
     assert words in result.stdout + result.stderr
+
+
+@pytest.mark.slow
+def test_stiffness_below_the_least_one_is_not_called_stable() -> None:
+    """Reference: `stand v3-long-leg` fails, its shanks touch the ground at 7.3 s in MuJoCo."""
+    result = answer("gains", "v3-long-leg")
+    assert result.returncode == 1
+    assert result.stdout.startswith("OUT OF BOUNDS v3-long-leg: without gravity compensation: ")
+    assert "kp 5 N m/rad (at least 5.69)" in result.stdout
+    higher = answer("gains", "v3-long-leg", "--kp", "11.4", "--kd", "0.283")
+    assert higher.returncode == 0
