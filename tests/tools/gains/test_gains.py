@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.present.document import Number, Table, get_english
+from pupper_analysis.tools.gains.document import gains_document
 from pupper_analysis.tools.gains.gains import (
     MAX_NOISE_RATIO,
     GainStudy,
@@ -91,6 +93,32 @@ def test_scaled_start_gains_give_equal_bounds() -> None:
         study_gains(robot, stand, kp=60.0, kd=kd).classes[0].largest_kd for kd in (0.5, 1.0, 1.4)
     ]
     assert bounds == pytest.approx([bounds[0]] * 3, rel=0.01)
+
+
+@pytest.mark.slow
+def test_columns_of_the_table_are_the_fields_of_the_classes() -> None:
+    """Reference: the fields, by the English heading and the unit of each column."""
+    study = gains_of("v3")
+    table = gains_document(study).blocks[0]
+    assert isinstance(table, Table)
+    headings = [(get_english(column.name), column.unit) for column in table.columns]
+    assert headings[1:5] == [
+        ("kp", "N m/rad"),
+        ("least", "N m/rad"),
+        ("torque limit", "N m/rad"),
+        ("recommended", "N m/rad"),
+    ]
+    assert [name for name, _ in headings[5:]] == [
+        *("kd", "largest", "largest, alone", "encoder", "recommended"),
+    ]
+    assert {unit for _, unit in headings[5:]} == {"N m s/rad"}
+    for row, one in zip(table.rows, study.classes, strict=True):
+        values = [cell.value for cell in row[1:] if isinstance(cell, Number)]
+        assert values == [
+            *(one.kp, one.least_kp, one.largest_kp_of_torque, one.recommended_kp),
+            *(one.kd, one.largest_kd, one.largest_kd_alone, one.largest_kd_of_encoder),
+            one.recommended_kd,
+        ]
 
 
 def test_joints_of_similar_limbs_form_a_class() -> None:
