@@ -45,15 +45,19 @@ def text(key: str, **values: object) -> Text:
 
 
 def word(name: str) -> Text | Name:
-    """Translate a term of a result; return a term that is not in the catalogue as a name."""
+    """Return the entry of a key in ``terms.toml``, in both languages.
+
+    A string without an entry, such as the name of a joint, is returned as a `Name`, which is shown
+    untranslated.
+    """
     return text(name) if is_term(name) else Name(name)
 
 
 def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
-    """Join words into a text.
+    """Join texts and names into one text in both languages.
 
     Args:
-        parts: Words to join.
+        parts: Texts and names to join.
         comma: Catalogue key of the separator. Default: the comma of each language.
     """
     listed = list(parts)
@@ -65,7 +69,7 @@ def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
 
 
 def get_english(words: Words) -> str:
-    """Return the English text of words."""
+    """Return the English text of a translated text, or an untranslated name as it is."""
     return words.en if isinstance(words, Text) else words.text
 
 
@@ -77,7 +81,7 @@ def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
 
 
 def _select_language(value: object, language: str) -> object:
-    """Return the text of a text or name in the given language; any other value unchanged."""
+    """Return the string of a `Text` or `Name` in a language; any other value unchanged."""
     if isinstance(value, Text):
         return getattr(value, language)
     return value.text if isinstance(value, Name) else value
@@ -206,7 +210,7 @@ class Text:
         return self.chinese if isinstance(self.chinese, str) else self.chinese()
 
     def with_mark(self, mark: str) -> Text:
-        """Return the text with another emphasis."""
+        """Return a copy of this text with another emphasis: one of the values of ``Text.mark``."""
         return Text(self.en, self.chinese, mark)
 
 
@@ -533,5 +537,10 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 
 
 def vector_cell(values: Sequence[float] | Array, form: str) -> Name:
-    """Create a cell with the numbers of a vector, separated by spaces."""
+    """Create a cell with the numbers of a vector, in the displayed unit, separated by spaces.
+
+    Args:
+        values: Numbers, shape (n,).
+        form: Format specification of each number, such as ``"+.3f"``.
+    """
     return Name(" ".join(number_cell(value, form).text for value in values))

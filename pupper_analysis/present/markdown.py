@@ -33,8 +33,8 @@ VERDICT_SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
 """{mark of a verdict: sign before the verdict}."""
 
 MAX_COMMENT_LENGTH = 60_000
-"""Largest number of characters of the output. GitHub accepts 65,536; the rest is left for text that
-the caller adds."""
+"""Largest number of characters of a comment, without the remark that it was shortened. GitHub
+accepts 65,536; the rest is left for text that the caller adds."""
 
 _MARKUP_PATTERN = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))")
 """Characters that can begin or end markup (group 1), and list markers at the start (group 2)."""
@@ -42,7 +42,8 @@ _MARKUP_PATTERN = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))
 _REFERENCE_PATTERN = re.compile(
     r"(?<=[@#])(?=\w)|(?<=GH-)(?=\d)|(?<=:)(?=//)|(?<=www)(?=\.)|(?<=:)(?=[\w+-]+:)"
 )
-"""Position in a mention, reference, link or emoji that needs no markup."""
+"""Empty match inside a text that GitHub turns into a mention, reference, link or emoji, although it
+contains no markup. A `_WORD_JOINER` is inserted at each match."""
 
 _WORD_JOINER = "\u2060"
 """Zero-width character that keeps the renderer from joining letters into a reference."""
@@ -68,7 +69,7 @@ def write_markdown(report: Report) -> str:
 
 
 def fold_lines(title: str, lines: Iterable[str]) -> str:
-    """Return preformatted lines in a folded section with a title."""
+    """Return lines as preformatted text in a folded HTML section with a title."""
     content = "\n".join(html.escape(line) for line in lines)
     return f"<details><summary>{html.escape(title)}</summary><pre>{content}</pre></details>\n"
 

@@ -15,7 +15,13 @@ import numpy as np
 
 
 def draw_frames(folder: Path) -> None:
-    """Draw each configuration from its camera; write frames of shape (n, height, width, 3)."""
+    """Draw the configurations of ``views.npz`` in a folder, and write the images to the folder.
+
+    ``model.mjb`` contains the MuJoCo model. ``views.npz`` contains ``qpos``, shape (n, nq), of this
+    model; ``cameras``, shape (n, 6): looked-at point [m], distance [m], azimuth and elevation [deg]
+    in MuJoCo's convention; ``size``: width and height [pixel]; ``shadows``. The images are written
+    to ``frames.npy``, shape (n, height, width, 3), 8 bits per colour.
+    """
     model = mujoco.MjModel.from_binary_path(str(folder / "model.mjb"))
     with np.load(folder / "views.npz") as views:
         qpos, cameras, size = views["qpos"], views["cameras"], views["size"]

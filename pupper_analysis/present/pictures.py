@@ -169,7 +169,17 @@ def show_result(
     azimuth: float = AZIMUTH,
     elevation: float = ELEVATION,
 ) -> Image.Image | None:
-    """Show the last configuration of a result; see ``Pictured.show``.
+    """Show the last configuration of a result in MuJoCo's viewer, or return it as a picture.
+
+    The viewer is used if a window can be opened and no notebook runs. It simulates the robot until
+    the window is closed, and None is returned.
+
+    Args:
+        result: Result.
+        robot: Robot of the result, if the result does not reference it.
+        size: Width and height of the picture [pixel].
+        azimuth: Azimuth of the picture's camera [deg], in MuJoCo's convention.
+        elevation: Elevation of the picture's camera [deg], in MuJoCo's convention.
 
     Raises:
         ConfigurationError: If the result has no picture, or the robot is missing.
@@ -196,7 +206,16 @@ def animate_result(
     azimuth: float = AZIMUTH,
     elevation: float = ELEVATION,
 ) -> Animation:
-    """Draw the motion of a result, or a turn of the camera; see ``Pictured.animate``.
+    """Draw an animation of a result's motion.
+
+    For a result with a single configuration, the camera turns around the robot once.
+
+    Args:
+        result: Result.
+        robot: Robot of the result, if the result does not reference it.
+        size: Width and height [pixel].
+        azimuth: Azimuth of the camera [deg], in MuJoCo's convention; at the start of a turn.
+        elevation: Elevation of the camera [deg], in MuJoCo's convention.
 
     Raises:
         ConfigurationError: If the result has no picture, or the robot is missing.
@@ -226,7 +245,7 @@ def list_views(result: Any, robot: Robot | None = None) -> View:
         ConfigurationError: If the type has no pictures, or the robot is missing.
     """
     del robot
-    raise ConfigurationError("result", diagnose("result-without-picture", kind=_kind(result)))
+    raise ConfigurationError("result", diagnose("result-without-picture", kind=_name_type(result)))
 
 
 @list_views.register(Configuration)
@@ -259,7 +278,7 @@ def _single_view(robot: Robot, qpos: Array) -> View:
 
 def _require_robot(result: object, robot: Robot | None) -> Robot:
     if robot is None:
-        raise ConfigurationError("robot", diagnose("picture-needs-robot", kind=_kind(result)))
+        raise ConfigurationError("robot", diagnose("picture-needs-robot", kind=_name_type(result)))
     return robot
 
 
@@ -268,7 +287,7 @@ def _place_on_ground(robot: Robot, stand: Stand) -> Robot:
     return build_on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets)
 
 
-def _kind(result: object) -> str:
+def _name_type(result: object) -> str:
     return type(result).__name__
 
 
@@ -281,7 +300,13 @@ def _can_open_window() -> bool:
 
 
 def _make_cameras(robot: Robot, qpos: Array, azimuths: Array, elevation: float) -> Array:
-    """Return cameras that see the whole robot: all at the same point and the same distance.
+    """Return cameras that see the whole robot, all with the same distance and looked-at point.
+
+    Args:
+        robot: Robot.
+        qpos: Configurations, shape (n, nq), of which the first and the last are fitted.
+        azimuths: Azimuth of each camera, shape (n,) [deg].
+        elevation: Elevation of all cameras [deg].
 
     Returns:
         Shape (n, 6): looked-at point [m], distance [m], azimuth and elevation [deg].
@@ -352,7 +377,7 @@ def draw_views(
 
 
 def _list_drivers() -> tuple[str, ...]:
-    """Return the values of MUJOCO_GL to try: that of the user alone, if there is one."""
+    """Return the values of MUJOCO_GL to try: only the user's value, if the variable is set."""
     requested = os.environ.get("MUJOCO_GL", "")
     if requested:
         return (requested,)

@@ -27,7 +27,7 @@ SCREEN_DPI = 100
 
 
 def plot_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw a result in a new figure of ``pyplot``; see ``Result.plot``.
+    """Draw a result in a new figure of ``pyplot``, and return the axes of its panels.
 
     Raises:
         ConfigurationError: If the result has no plot, or the robot is missing.
@@ -40,7 +40,7 @@ def plot_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
 
 @singledispatch
 def draw_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw the plots of the document of a result in a new figure.
+    """Draw the plots of a result's document in a new figure, and return the axes of its panels.
 
     Raises:
         ConfigurationError: If the document has no plots.
@@ -68,12 +68,15 @@ def make_axes(title: str, height: float) -> Axes:
 
 
 def create_figure(**options: Any) -> Figure:
-    """Create a figure of ``pyplot``, which notebooks show, with the resolution of a screen."""
+    """Create a figure of ``pyplot``, which notebooks show, with `SCREEN_DPI` pixels per inch.
+
+    ``options`` are arguments of ``pyplot.figure``; ``dpi`` is replaced.
+    """
     import matplotlib.pyplot as plt
 
     return plt.figure(**{**options, "dpi": SCREEN_DPI})
 
 
 def name_kind(result: object) -> str:
-    """Return the name of the type of a result."""
+    """Return the class name of a result."""
     return type(result).__name__

@@ -131,13 +131,13 @@ class StandingScene:
 
     @property
     def ground_centre(self) -> Array:
-        """Point of the ground below the mean of the contact points, shape (3,) [m]."""
+        """Ground point at the mean x and y of the contact points, shape (3,) [m], world frame."""
         x, y = self.contact_positions[:, :2].mean(axis=0)
         return np.array([x, y, self.ground.height((x, y))])
 
     @property
     def ground_normal(self) -> Array:
-        """Unit normal of the ground plane, shape (3,), out of the ground."""
+        """Upward unit normal of the slope, shape (3,), in the world frame."""
         return self.ground.normal()
 
 

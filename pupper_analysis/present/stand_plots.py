@@ -22,7 +22,8 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
     """Draw skeleton, contact forces, CoM and support polygon, obliquely and from above.
 
     Raises:
-        ConfigurationError: If the robot is missing or another one, or stands on no foot.
+        ConfigurationError: If the robot is missing, is not the robot of the stand, or stands on no
+            foot.
     """
     from pupper_analysis.present.figures.pose import make_pose_figure
 

@@ -300,9 +300,10 @@ def _to_plain_text(words: Words) -> str:
 
 
 def _style_words(words: Words) -> Text:
-    """Return words in the style of the mark.
+    """Return a text for the terminal, in the style of its emphasis (``mark``).
 
-    A first word in capitals gets the style alone; otherwise only quiet words are styled.
+    If the text begins with a word in capitals, such as HOLDS, only this word is styled. Otherwise
+    only a text with the mark ``"quiet"`` is styled.
     """
     plain = _to_plain_text(words)
     style = MARK_STYLES.get(words.mark, "")

@@ -69,8 +69,8 @@ class Clause:
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Return the statements of a verdict, without repetitions.
 
-    Statements that agree with the result come first: statements against the stand if the verdict is
-    bad.
+    If the verdict is good, statements that support the stand come first; if the verdict is bad,
+    statements against the stand.
     """
     run_clauses, fails = (
         tuple(make_keyframe_run_clauses(verdict.keyframe_run)),
@@ -104,7 +104,7 @@ _DECIDING_REMARKS = {
     VerdictCode.LIMITS_UNKNOWN: "torque-limits-unknown",
     VerdictCode.MASSES_UNKNOWN: "link-masses-unknown",
 }
-"""{verdict code: code of the deciding remark}. Such a remark comes first."""
+"""{code of a verdict: code of the remark that is the reason for it}. This remark comes first."""
 
 _VERDICT_WORDS = {
     Question.STANDS: ("HOLDS", "FAILS"),
@@ -131,7 +131,10 @@ def get_verdict_key(verdict: Verdict) -> str:
 
 
 def _disagrees(verdict: Verdict) -> bool:
-    """Return True if the robot stands in MuJoCo, and not as predicted: prepared or as published."""
+    """Return True if a simulated robot stands, but otherwise than predicted.
+
+    The robot is the prepared model or, for `VerdictCode.DIFFERS_AS_PUBLISHED`, the published file.
+    """
     if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
         run = None if verdict.published is None else verdict.published.worst
         return run is not None and not run.collapses
@@ -202,7 +205,7 @@ class JudgedResult(Protocol):
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict with the basis of the verdict."""
+        """Verdict of the stand or motion, with its reasons."""
 
 
 def judged_document(
@@ -219,15 +222,16 @@ def judged_document(
 ) -> Document:
     """Create the document of a result whose answer is a verdict.
 
-    The short answer contains the verdict with the requested number, the warnings and assumptions
-    that change its meaning, and the limit. A terminal prints the other statements and the tables
-    with -v only.
+    The short answer contains the verdict with the first text of ``answer``, the warnings and
+    assumptions that change the meaning of the verdict, and the other texts of ``answer``. A
+    terminal prints the other statements and the tables with -v only.
 
     Args:
-        kind: Kind of result.
+        kind: Kind of result, such as "stance" or "payload limit".
         judged: Result.
         blocks: Tables and plots.
-        answer: Requested number, and the limit or the cause.
+        answer: At least one text: first the number that the user requested, such as the largest
+            payload, then the number or the cause that limits it.
         details: Further statements.
         failures: Reasons against the result, in addition to the reasons of the verdict.
         word: Verdict in one or two words. Default: the word of the judge's verdict.
@@ -391,7 +395,12 @@ def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...
 
 
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:
-    """State the deviation of the published robot from the computed one, and the causes."""
+    """Yield statements on the published file, simulated from the computed stand.
+
+    The first statement contains the collapse or the deviations of the worst simulation in torque,
+    joint angle [rad] and CoM height [m]; each cause is a further statement. Without such a
+    simulation there is no statement.
+    """
     if published is None:
         return
     run = published.worst
@@ -408,7 +417,7 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
 
 
 def cause_text(cause: Cause) -> Diagnostic:
-    """Describe a cause for which a file differs from the computed stand.
+    """Create the message for a cause for which a published file departs from the computed stand.
 
     Raises:
         KeyError: If the code of the cause is unknown.
@@ -456,19 +465,20 @@ _CAUSE_MESSAGES = {
     "base-held": "base-held-as-published",
     "ground": "ground-not-level-as-published",
 }
-"""{code of a cause: code of the message}, for messages with only elements and line as values."""
+"""{code of a cause: code of the message}. The values of these messages are the names of the
+elements and the line in the file."""
 
 
 def _make_error_quantity(error: float | None) -> Quantity | None:
-    """Convert a relative error to a quantity of at least 1e-6, an upper bound in the message."""
+    """Convert a relative error to the upper bound that a message states, at least 1e-6."""
     return None if error is None else Quantity(max(error, 1e-6), "1")
 
 
 def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield up to two clauses: motors that exceed their limits, and the doubling time [s].
+    """Yield up to two clauses: on motors that exceed their limits, and on the doubling time [s].
 
-    In the doubling time, a deviation of an unstable stance from equilibrium doubles. This clause is
-    omitted if the stance with feed-forward was simulated.
+    In the doubling time, a deviation of an unstable stance from equilibrium doubles. Its clause is
+    omitted if it is infinite, or if the stance with feed-forward was simulated.
     """
     if verdict.overloaded_motors:
         yield Clause(

@@ -1,4 +1,9 @@
-"""Motor torques and contact forces as tables and plots, for documents of stands and analyses."""
+"""Motor torques and contact forces as tables and plots, for documents of stands and analyses.
+
+Inputs are static equilibria, a simulation of the stand and the effort limits with their origins.
+Outputs are cells, tables, plots and views of `document`, with torques in N m and forces in N in
+world axes.
+"""
 
 from __future__ import annotations
 
@@ -42,14 +47,20 @@ def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
 
 
 def limit_cell(limit: float, form: str = "g") -> doc.Cell:
-    """Create a cell with a torque limit; a word if no file states a limit."""
+    """Create a cell with a torque limit, or the word "unknown" if the limit is not finite.
+
+    Args:
+        limit: Torque limit [N m]; infinite if no file states a limit.
+        form: Format specification.
+    """
     return doc.number_cell(limit, form) if math.isfinite(limit) else text("limit-unknown")
 
 
 def mass_text(mass: float) -> doc.Words:
-    """Format a payload mass [kg], rounded down so that the printed mass can be carried.
+    """Format the largest payload mass [kg], rounded down to 0.01 kg.
 
-    NaN is an unknown limit, infinity no limit.
+    Rounding up would print a mass that cannot be carried. NaN is formatted as "unknown", infinity
+    as "no limit".
     """
     if math.isnan(mass):
         return text("limit-unknown")
@@ -59,7 +70,10 @@ def mass_text(mass: float) -> doc.Words:
 
 
 def proof_text(verification: StandVerification) -> doc.Text:
-    """State how predicted torques and forces were verified by simulation."""
+    """Return a sentence on the simulation that verified the predicted torques and foot forces.
+
+    The sentence contains the simulated time [s] and the relative errors of torques and forces.
+    """
     return text(
         "source-verified",
         seconds=f"{verification.duration:g}",
@@ -83,7 +97,8 @@ def load_blocks(
         min_max_torque: Equilibrium with the smallest peak utilisation.
         verification: Simulation with feed-forward.
         limits: Effort limits, shape (nu,) [N m].
-        origins: Statement in the files of each limit; None without a limit.
+        origins: Origin of each joint's limit: the attribute of a file that states the limit; None
+            for a joint without limit.
         more: Further columns, {column: values of shape (nu,)}.
     """
     source = (
@@ -150,7 +165,13 @@ def torque_table(
 
 
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
-    """List the origins of torque limits, the most frequent first, with the number of joints."""
+    """Return a text that lists the attributes and files which state torque limits.
+
+    The most frequent origin is first. If there are several, each has the number of its joints.
+
+    Args:
+        origins: Statement of each joint's limit; None for a joint without limit.
+    """
     counts = Counter(
         None if origin is None else (origin.attribute, origin.file) for origin in origins
     )

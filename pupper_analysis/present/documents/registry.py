@@ -37,7 +37,10 @@ from pupper_analysis.robot.robot import Robot
 
 
 def value_cell(value: object) -> Cell:
-    """Create a cell with a value; a long value is replaced by the size of the value."""
+    """Create a table cell with the value of a result's field, numbers with six digits.
+
+    A long list or array is replaced by its size or shape.
+    """
     if hasattr(value, "phrase"):  # as a stand's task says what it asks for
         return diagnostic_text(value.phrase())
     if isinstance(value, float | int) and not isinstance(value, bool):
@@ -65,7 +68,7 @@ def make_fields_document(result: Result) -> doc.Document:
 
 
 _PACKAGE_NAME = "pupper_analysis"
-"""Name of the package at which the search for a builder ends."""
+"""Top package: the search for a builder in the parent packages of a type ends below it."""
 
 
 @singledispatch
@@ -89,7 +92,12 @@ def build_document(result: object, _: Robot | None = None) -> Document:
 
 @singledispatch
 def compare_results(_: object, __: Sequence[Result]) -> tuple[Block, ...]:
-    """Create blocks that compare results of the first result's type; none by default."""
+    """Create tables and plots that compare results of one type; none without an implementation.
+
+    Args:
+        _: First result, whose type selects the registered implementation.
+        __: All results, including the first.
+    """
     return ()
 
 
@@ -136,7 +144,7 @@ def build_report(
 
 
 def _make_title(documents: Sequence[Document]) -> Words:
-    """Return the title of a report: the common kind of the documents, and the document titles."""
+    """Return the title of a report: ``Document.kind``, if equal for all, and all titles."""
     if not documents:
         return text("report")
     kinds = {get_english(document.kind) for document in documents}
@@ -145,9 +153,11 @@ def _make_title(documents: Sequence[Document]) -> Words:
 
 
 def load_builder(kind: type) -> None:
-    """Import the module of the builder for a type, if there is one.
+    """Import the module that registers the builder of a result type's document, if there is one.
 
-    The package of the type and the parent packages are searched first, then the tools.
+    For the type, and then for each base class, a module ``document`` is searched in the package of
+    the class and in the parent packages below ``pupper_analysis``. If there is none, the modules
+    ``document`` of all tools are searched for a registration of the class.
     """
     for base in kind.__mro__:
         package = getattr(sys.modules.get(base.__module__), "__package__", None) or ""

@@ -1,4 +1,8 @@
-"""Origin of a report's numbers: model files with line numbers, and pages of the documentation."""
+"""Origin of a report's numbers: model files with line numbers, and pages of the documentation.
+
+Inputs are a robot, or a place ``file:line`` that a result contains; outputs are sentences and the
+quoted lines of the file.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +20,21 @@ Chosen, not tuned."""
 
 
 def cite_page(name: str, heading: str) -> Text:
-    """Refer to a section of the documentation that explains a computation."""
+    """Return a text that refers to a section of the documentation.
+
+    Args:
+        name: Page, such as ``explanation/statics.md``.
+        heading: Heading of the section.
+    """
     return text("source-docs", page=name, heading=Name(heading))
 
 
 def files_text(robot: Robot | None) -> Text:
-    """State the files of a robot, and whether a model was converted or changed."""
+    """Return a sentence that names the URDF and MJCF of a robot.
+
+    The sentence also states if one model was converted from the other, or if the URDF was changed
+    after reading. Without a robot, no file is named.
+    """
     if robot is None:
         return text("source-own-files")
     description = robot.description
@@ -37,9 +50,9 @@ def files_text(robot: Robot | None) -> Text:
 
 
 def is_urdf_changed(robot: Robot) -> bool:
-    """Return True if a robot's URDF differs from the text of the URDF file.
+    """Return True if the text of a robot's URDF differs from its file, or the file is unreadable.
 
-    False for a URDF that was converted from an MJCF.
+    Return False for a URDF that was converted from an MJCF, which has no file.
     """
     if robot.description.converted == "urdf":
         return False
@@ -57,7 +70,8 @@ def quote_line(place: str | None, *paths: str) -> str:
             named in ``place``.
 
     Returns:
-        The lines; empty if the place is unknown, or the line is missing or blank.
+        Lines, joined by newlines, without indentation; empty if ``place`` contains no line number,
+        or if none of the files has a non-blank line with this number.
     """
     file, _, line = (place or "").rpartition(":")
     if not file or not line.isdigit() or int(line) < 1:

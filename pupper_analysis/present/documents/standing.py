@@ -1,4 +1,8 @@
-"""Parts that documents of stands share: task, ground, quantities of the stand, simulations."""
+"""Parts that documents of stands share: task, ground, quantities of the stand, simulations.
+
+Inputs are a stand, its static equilibrium and its simulations; outputs are texts, tables, plots and
+motions of `document`. Lengths are in m in results, and in mm in tables and plots.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +38,7 @@ def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]
 
 
 def task_text(task: StandTask) -> Text:
-    """Describe the task of a stand."""
+    """Return the description of a stand task in both languages."""
     return Text(str(task), lambda: task.describe("zh"))
 
 
@@ -48,10 +52,11 @@ def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
 
 
 def ground_text(depths: Iterable[float]) -> Text:
-    """State whether the ground is simulated or rigid, in a sentence.
+    """Return a sentence that states for which ground a stand was solved: soft or rigid.
 
     Args:
-        depths: Penetrations of the feet [m]; all zero on rigid ground.
+        depths: Penetrations of the feet into MuJoCo's soft ground, for which the stand is
+            compensated [m]; all zero for rigid ground.
     """
     deepest = max(depths, default=0.0)
     if not deepest:
@@ -63,10 +68,10 @@ def ground_text(depths: Iterable[float]) -> Text:
 
 
 def ground_word(depths: Iterable[float]) -> Text:
-    """State whether the ground is simulated or rigid, in a few words.
+    """Return the ground for which a stand was solved, in a few words: soft or rigid.
 
     Args:
-        depths: Penetrations of the feet [m]; all zero on rigid ground.
+        depths: Penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid ground.
     """
     return text("on-simulated-ground" if max(depths, default=0.0) else "on-rigid-ground")
 
@@ -101,11 +106,11 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
 
 
 def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
-    """Create the plot of the base height over time.
+    """Create the plot of the simulated base height [mm] over time [s], with the requested height.
 
     Args:
-        runs: Simulations.
-        task: Requested height [m].
+        runs: Simulations; each is a line.
+        task: Requested height of the base above the ground [m].
     """
     series = [
         doc.Series(
@@ -131,9 +136,10 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 
 
 def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
-    """Format the height loss [mm], averaged over the last second of the curve.
+    """Format the mean height loss [mm] in the last second of a run; ``task`` is a height [m].
 
-    ``run.height_loss`` is the mean over the second before the nudge instead.
+    ``run.height_loss`` is a mean over an earlier second: the last one before the velocity
+    disturbance (nudge) that tests stability.
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))
@@ -142,7 +148,7 @@ def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
 
 
 def list_motions(runs: Sequence[StandVerification]) -> list[doc.Motion]:
-    """Return the motions of simulations, for the 3-D view."""
+    """Return the recorded configurations of simulations, as motions that a 3-D view can play."""
     return [
         doc.Motion(
             text("simulated-with-feed-forward")

@@ -1,4 +1,8 @@
-"""Plots as PNG files with Matplotlib, from the marks of the page's SVG; shared parts of figures."""
+"""Plots as PNG files with Matplotlib, from the marks of the page's SVG; shared parts of figures.
+
+``html.plots`` converts a plot to lines, points and words in CSS pixels; this module draws them in
+panels of a Matplotlib figure, so that page and PNG show the same plot.
+"""
 
 from __future__ import annotations
 
@@ -147,7 +151,10 @@ def make_plots_figure(
 
 
 def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
-    """Draw the marks of a page's plot into axes with the page's units."""
+    """Draw the marks of a page's plot into axes whose unit is the CSS pixel.
+
+    ``size`` is the font size of words [pt].
+    """
     axes.set(xlim=(0, drawing.width), ylim=(drawing.height, 0), aspect="equal", anchor="N")
     axes.set_axis_off()
     for mark in drawing.marks:
@@ -192,7 +199,7 @@ def _make_line_style(kind: str, width: float) -> dict[str, Any]:
 
 
 def _write_words(mark: Mark, axes: Axes, size: float) -> None:
-    """Write the words of a mark, with the unit."""
+    """Write the text of a mark, and its unit in brackets, with font size ``size`` [pt]."""
     words = get_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
     turned = 90.0 if "transform" in mark else 0.0
     axes.text(mark["x"], mark["y"], words, ha=_TEXT_ALIGNMENTS[mark["anchor"]], rotation=turned,
@@ -200,13 +207,21 @@ def _write_words(mark: Mark, axes: Axes, size: float) -> None:
 
 
 def _collect_legend(drawing: Drawing) -> dict[str, str]:
-    """Return {text: class of the style sheet} of a legend; the class of the note is empty."""
+    """Return {text: class of the style sheet} of a legend.
+
+    The last entry is the drawing's note, if there is one. Its class is empty.
+    """
     entries = {get_english(words): kind for words, kind in drawing.legend}
     return entries if drawing.note is None else {**entries, get_english(drawing.note): ""}
 
 
 def _make_handle(name: str, kind: str) -> Artist:
-    """Create a legend entry for a class of the style sheet, a colour or, if empty, a note."""
+    """Create a legend entry with the text ``name``.
+
+    Args:
+        name: Text.
+        kind: Class of the style sheet, or a colour; empty for a text without a symbol.
+    """
     if not kind:
         return Line2D([], [], ls="", label=name)
     if kind in _CLASS_DASHES or kind == "s0" or kind == "other":
@@ -236,7 +251,7 @@ def make_page_figure(
 
 
 def title_panel(axes: Axes, title: str) -> None:
-    """Set the title of a panel, and the style that all panels share."""
+    """Set the title of a panel, the font size of its ticks, and hide its top and right border."""
     axes.set_title(title, size=FONT_SIZE, weight="bold", loc="left", pad=4, parse_math=False)
     axes.tick_params(labelsize=FONT_SIZE)
     for spine in ("top", "right"):

@@ -41,7 +41,7 @@ BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Lines that represent a robot, from MuJoCo's kinematics of the MJCF. In the world frame [m].
+    """Lines that represent a robot, from MuJoCo's kinematics of the MJCF, in the world frame [m].
 
     Attributes:
         legs: {foot: points of shape (n, 3)}: joints from the base to the foot, then the centre of
@@ -55,19 +55,22 @@ class Skeleton:
     boxes: Array
 
     def points(self) -> Array:
-        """Return all points of the drawing: box corners, then points of the legs.
+        """Return all points of the skeleton, shape (n, 3) [m], expressed in the world frame.
 
-        Shape (n, 3) [m], expressed in the world frame.
+        The corners of the base's boxes come first, then the points of the legs.
         """
         return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values()])
 
 
 def draw_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
-    """Compute the skeleton of a robot.
+    """Compute the legs and the boxes of the base that a figure draws for a configuration.
 
     Args:
         robot: Robot.
         qpos: Configuration in MuJoCo's coordinates, shape (nq,).
+
+    Returns:
+        Points of each leg and corners of the boxes, expressed in the world frame [m].
     """
     model, data = robot.mj_model, robot.placed(qpos)
     base = model.body(robot.mj_base).id
@@ -102,6 +105,8 @@ def _list_joint_positions(
 
 def hull_corners(points: Iterable[Array]) -> Array:
     """Compute the corners of the convex hull of points in the x-y plane, shape (n, 2) [m].
+
+    If the hull has an area, the last corner repeats the first.
 
     Args:
         points: Points, shape (2,) or (3,) [m]; z is ignored.

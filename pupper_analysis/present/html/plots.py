@@ -75,7 +75,7 @@ class Drawing:
 
 @singledispatch
 def draw_svg(plot: Plot) -> Drawing:
-    """Convert a plot to SVG marks.
+    """Convert a plot to lines, points and words of an SVG image.
 
     Raises:
         TypeError: If there is no implementation for this type of plot.
@@ -195,7 +195,10 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
 
 
 def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
-    """Return (words, class of the style sheet) of each series, with the note."""
+    """Return the legend of lines: (name, class of the style sheet) of each.
+
+    The name contains the note of the series, if there is one.
+    """
     return tuple(
         (
             one.name if one.note is None else text("name-note", name=one.name, note=one.note),
@@ -237,11 +240,13 @@ def _compute_range(values: Array, room: float) -> tuple[float, float]:
 def draw_grid(
     across: Mapping[float, float], up: Mapping[float, float], wide: float, tall: float
 ) -> list[Mark]:
-    """Draw grid lines of both axes, with the values.
+    """Create the SVG marks of vertical and horizontal grid lines, with their values.
+
+    All lengths are in user units of the SVG (CSS pixels); y points down.
 
     Args:
-        across: {value: x coordinate of the line}.
-        up: {value: y coordinate of the line}.
+        across: {value: x coordinate of the vertical line}.
+        up: {value: y coordinate of the horizontal line}.
         wide: Width of the grid.
         tall: Height of the grid.
     """
@@ -258,7 +263,15 @@ def draw_grid(
 def draw_axes(
     x: Words, y: Words, wide: float, tall: float, units: tuple[str, str] = ("", "")
 ) -> list[Mark]:
-    """Draw both axes with names and units."""
+    """Create the SVG marks of the x and y axis, with names and units.
+
+    Args:
+        x: Name of the x axis.
+        y: Name of the y axis.
+        wide: Length of the x axis [CSS pixels].
+        tall: Length of the y axis [CSS pixels].
+        units: Units of the x and y axis; empty for no unit.
+    """
     up = draw_words(14, TOP_MARGIN + tall / 2, y, "middle", units[1])
     return [
         draw_line(LEFT_MARGIN, TOP_MARGIN + tall, LEFT_MARGIN + wide, TOP_MARGIN + tall, "axis"),
@@ -269,11 +282,11 @@ def draw_axes(
 
 
 def draw_series(places: Array, labels: Sequence[str], series: Series, index: int) -> list[Mark]:
-    """Draw a line and the data points.
+    """Create the SVG marks of a series: a polyline, and dots if the series has data points.
 
     Args:
-        places: Points in user units, shape (n, 2).
-        labels: Text of each point at the mouse pointer.
+        places: Points, shape (n, 2) [CSS pixels]; y points down.
+        labels: Text of each point, shown at the mouse pointer.
         series: Series.
         index: Index of the series, which selects the style.
     """
@@ -297,12 +310,23 @@ def draw_series(places: Array, labels: Sequence[str], series: Series, index: int
 
 
 def draw_line(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
-    """Create a straight line."""
+    """Create the SVG mark of a line from (x1, y1) to (x2, y2) [CSS pixels].
+
+    ``style`` is a class of the style sheet.
+    """
     return {"tag": "line", "class": style, "x1": x1, "y1": y1, "x2": x2, "y2": y2}
 
 
 def draw_words(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
-    """Create words at a position; ``anchor`` is ``start``, ``middle`` or ``end``."""
+    """Create the SVG mark of a text at (x, y) [CSS pixels].
+
+    Args:
+        x: Horizontal position.
+        y: Vertical position of the base line; y points down.
+        words: Text.
+        anchor: Part of the text that is at ``x``: ``start``, ``middle`` or ``end``.
+        unit: Unit that follows the text in brackets; empty for none.
+    """
     return {
         "tag": "text",
         "class": "words",

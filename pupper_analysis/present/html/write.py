@@ -80,10 +80,12 @@ tuned."""
 
 @singledispatch
 def serialise_scene(scene: object) -> dict[str, Any] | None:
-    """Convert a scene to lists and numbers: lengths in m, in the world frame unless stated.
+    """Convert a 3-D scene to JSON data for the viewer of a page.
 
     Returns:
-        Scene; None if an implementation has nothing to show.
+        Robot, motions, contacts and ground; lengths in m, forces in N. Contacts, ground and CoM are
+        expressed in the world frame, shapes and joint axes in the frames of their bodies. None if
+        an implementation has nothing to show; both built-in ones always have.
 
     Raises:
         TypeError: If there is no implementation for this type of scene.
@@ -183,16 +185,18 @@ def _pack_motion(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str,
 
 
 def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
-    """Pack poses as 16-bit integers.
+    """Pack the body poses of a motion as 16-bit integers in base64.
 
     Args:
         name: Name of the motion.
         time: Times, shape (n,) [s].
-        poses: Position [m] and quaternion (w, x, y, z) of each body, shape (n, bodies, 7).
+        poses: Position [m] and quaternion (w, x, y, z) of each body in the world frame, shape
+            (n, bodies, 7).
 
     Returns:
-        ``frames`` contains the integers in base64: x, y, z in units of ``reach`` / 32767, then the
-        quaternion in units of 1 / 32767.
+        Name in both languages (``en``, ``zh``), times (``time``) [s], the largest absolute
+        coordinate (``reach``) [m], and the integers (``frames``): per body x, y, z in units of
+        ``reach`` / 32767, then the quaternion in units of 1 / 32767.
     """
     values = poses.copy()
     reach = max(float(np.abs(values[..., :3]).max()), 1e-3)
@@ -207,12 +211,21 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
 
 
 def round_values(values: ArrayLike) -> list[Any]:
-    """Round to five decimals (for lengths 0.01 mm), which suffices for a view."""
+    """Round an array to five decimals, and convert it to nested lists.
+
+    For lengths in metres this is 0.01 mm, which suffices for a view.
+    """
     return np.round(np.asarray(values), 5).tolist()  # type: ignore[no-any-return]
 
 
 def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Compute the bounds of the bounding spheres of a robot's shapes, and of the body frames.
+    """Compute the axis-aligned box that contains a robot in a configuration.
+
+    The box contains the bounding spheres of the visible geoms and the origins of the body frames.
+
+    Args:
+        model: Model.
+        data: Configuration, with evaluated kinematics.
 
     Returns:
         Lower and upper bounds, shape (3,) [m], in the world frame.
@@ -253,9 +266,12 @@ def _serialise_joint(one: JointAxis, motion: str) -> dict[str, Any]:
 def serialise_geoms(
     model: mujoco.MjModel,
 ) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
-    """Convert a robot's visible shapes and meshes.
+    """Convert a robot's visible geoms and meshes to JSON data.
 
-    A mesh is named after the mesh content, so that robots with equal meshes share a mesh.
+    Returns:
+        List of geoms, and {name of a mesh: packed mesh}. A geom has its shape, the index of its
+        body without the world, size [m], position [m] and quaternion (w, x, y, z) in the body
+        frame, and colour. The name of a mesh is a hash, so robots with equal meshes share an entry.
     """
     shapes, found = collect_visible_shapes(model, MAX_FACES)
     meshes = {number: _pack_mesh(mesh) for number, mesh in found.items()}
@@ -371,8 +387,10 @@ def write_report(
         force: Also replace an existing file that is not a page of this package.
 
     Raises:
-        ConfigurationError: If there is no result, or the language is unknown.
-        OutputError: If the file cannot be written, or is not a page of this package.
+        ConfigurationError: If there is no result, an object is not a result, or the language is
+            unknown.
+        OutputError: If the file cannot be written, or would replace a file that is not a page of
+            this package.
     """
     if language not in HTML_LANGUAGES:
         raise ConfigurationError("language", diagnose("language-unknown", language=language))
