@@ -320,7 +320,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
         )
         yield Clause(not (run.falls or run.tilted), message)
     for cause in () if keyframe_run is None else keyframe_run.causes:
-        yield Clause(False, cause_text(cause))
+        yield Clause(False, describe_cause(cause))
 
 
 def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
@@ -413,10 +413,10 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
         message = diagnose("off-as-published", torque=torque, joint=joint, height=height)
         yield Clause(False, message)
     for cause in published.causes:
-        yield Clause(False, cause_text(cause))
+        yield Clause(False, describe_cause(cause))
 
 
-def cause_text(cause: Cause) -> Diagnostic:
+def describe_cause(cause: Cause) -> Diagnostic:
     """Create the message for a cause for which a published file departs from the computed stand.
 
     Raises:

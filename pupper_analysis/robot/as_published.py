@@ -114,7 +114,7 @@ class Cause:
     """Element of the MJCF, or change on loading, that causes a deviation from the prediction.
 
     Attributes:
-        code: Code; see ``present.verdict.cause_text``.
+        code: Code; see ``present.verdict.describe_cause``.
         elements: Names of the elements.
         line: Line of the first element in the file; None if unknown.
         remaining: Largest torque deviation with all causes disabled, relative to the largest

@@ -15,7 +15,7 @@ from pupper_analysis.present.document import get_english
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
-    draw_skeleton,
+    compute_skeleton,
     write_pose_figure,
 )
 from pupper_analysis.present.scene import describe_scene
@@ -38,7 +38,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments
 def test_skeleton_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
     robot, qpos = load(name), stand_of(name).qpos
     feet = pa.Configuration(robot, qpos).foot_positions()
-    legs = draw_skeleton(robot, qpos).legs
+    legs = compute_skeleton(robot, qpos).legs
     assert set(legs) == set(robot.contact_points)
     for foot, leg in legs.items():
         assert leg.shape == (4, 3)  # three joints and the foot
@@ -48,7 +48,7 @@ def test_skeleton_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
 @pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
 def test_skeleton_base_consists_of_its_boxes(name: str, count: int) -> None:
     robot = load(name)
-    boxes = draw_skeleton(robot, robot.neutral()).boxes
+    boxes = compute_skeleton(robot, robot.neutral()).boxes
     assert boxes.shape == (count, 8, 3)
     edges = [np.linalg.norm(boxes[0, 0] - boxes[0, corner]) for corner in (4, 2, 1)]
     sizes = {"v3": (0.09014, 0.12758, 0.25943)}.get(name, (0.2, 0.11, 0.05))

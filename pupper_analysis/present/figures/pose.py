@@ -62,7 +62,7 @@ class Skeleton:
         return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values()])
 
 
-def draw_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
+def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     """Compute the legs and the boxes of the base that a figure draws for a configuration.
 
     Args:
@@ -192,7 +192,7 @@ def make_pose_figure(
         statics: Static equilibrium.
         create: Creates the empty figure, as for ``drawing.make_page_figure``.
     """
-    lines, seen = draw_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
+    lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
     title, height = f"{robot.name}: how it stands", 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure(title, height, create=create)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"

@@ -33,7 +33,7 @@ from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.figures.pose import (
     BOX_FACES,
     Skeleton,
-    draw_skeleton,
+    compute_skeleton,
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
@@ -129,7 +129,7 @@ def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int
         width: Width of the picture [pixels].
         columns: Tiles in a row.
     """
-    lines = [draw_skeleton(robot, qpos) for robot, qpos in poses]
+    lines = [compute_skeleton(robot, qpos) for robot, qpos in poses]
     grounds = []
     low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
     for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
