@@ -141,8 +141,9 @@ def check_length(name: str, value: object) -> float:
 def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Decorate a public function with a check of the arguments against the type hints.
 
-    Array types and literals are not checked; the function itself must check such arguments, and all
-    values.
+    Types that `_make_type_test` does not support are not checked, for example arrays, tuples,
+    literals, and unions with an enum. Of a mapping only the keys are checked, and no elements of an
+    iterator. The function itself must check these arguments, and the values of all arguments.
 
     Raises:
         ConfigurationError: In the call, if an argument has another type.
@@ -220,7 +221,8 @@ _TYPE_NAMES: dict[Any, str] = {
     bool: "True or False",
     Path: "a path",
 }
-"""Names of built-in types in error messages, as terms of the catalogue."""
+"""{type: name in error messages}; the names are keys of ``diagnostics/catalogue/terms.toml``, which
+contains the translations."""
 
 
 _BOOLEAN_TYPES = (bool, np.bool_)

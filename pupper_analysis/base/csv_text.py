@@ -28,7 +28,7 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
 def _line(row: Iterable[object]) -> str:
     text = io.StringIO(newline="")
     # The writer quotes a carriage return only if its line terminator contains one.
-    csv.writer(text, lineterminator="\r\n").writerow([_guard(cell) for cell in row])
+    csv.writer(text, lineterminator="\r\n").writerow([_escape_formula(cell) for cell in row])
     return text.getvalue().removesuffix("\r\n") + "\n"
 
 
@@ -39,7 +39,8 @@ def cell_text(cell: str) -> str:
     return cell
 
 
-def _guard(cell: object) -> object:
+def _escape_formula(cell: object) -> object:
+    """Prefix a text that a spreadsheet would execute with an apostrophe; return other cells."""
     if isinstance(cell, str) and _FORMULA_START.match(cell) and not _is_number(cell):
         return _TEXT_MARK + cell
     return cell

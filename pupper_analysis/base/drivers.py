@@ -92,14 +92,15 @@ def no_mujoco_log() -> Iterator[None]:
     """
     log: Any = import_module("mujoco").MjLogConfig
     before = log.get().logto_file
-    _write_log(log, enabled=False)
+    _set_file_logging(log, enabled=False)
     try:
         yield
     finally:
-        _write_log(log, enabled=before)
+        _set_file_logging(log, enabled=before)
 
 
-def _write_log(log: Any, *, enabled: bool) -> None:
+def _set_file_logging(log: Any, *, enabled: bool) -> None:
+    """Enable or disable MuJoCo's log file; ``log`` is the class ``mujoco.MjLogConfig``."""
     config = log.get()
     config.logto_file = enabled
     log.set(config)

@@ -41,10 +41,10 @@ class PupperAnalysisError(Exception):
         super().__init__(str(self.diagnostic))
 
     def at(self, where: Problem) -> Self:
-        """Return a copy of the error whose message starts with the place of the failure.
+        """Return a copy of the error whose message starts with the failed part of the computation.
 
         Args:
-            where: Part of the computation, for example the time of a sample.
+            where: Text or diagnostic that names the part, for example "tasks[3]" or "at 0.50 s".
         """
         message = diagnose("error-at", where=where, what=vars(self).get("diagnostic", str(self)))
         error = _restore_error(type(self), (str(message),), vars(self))
@@ -57,7 +57,10 @@ class PupperAnalysisError(Exception):
 
 
 def as_diagnostic(problem: Problem) -> Diagnostic:
-    """Return a problem as a diagnostic. The message of another program becomes a value."""
+    """Return a diagnostic unchanged; return a text, such as a message of MuJoCo, as a diagnostic.
+
+    The diagnostic has the code ``problem`` and contains the text as a value.
+    """
     return problem if isinstance(problem, Diagnostic) else diagnose("problem", problem=problem)
 
 

@@ -177,10 +177,10 @@ def write_atomically(path: Path, kind: Kind, *, force: bool = False) -> Iterator
 
 
 def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
-    """Raise an error if a file could not be written, or must not be replaced. Nothing is written.
+    """Check that a file may be written, and register an existing file as an output of the run.
 
-    An existing file is registered as an output of the run, which then must not read the file,
-    unless the kind is edited in place.
+    Afterwards the run must not read the registered file. A file of a kind that is edited in place
+    is not registered. The file is not written; old temporary files in the folder are removed.
 
     Args:
         path: Output file.
@@ -208,7 +208,7 @@ def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
         raise OutputError(path, describe_os_error(error)) from error
     run = current_run()
     if run is not None and not kind.edits:
-        run.expect(path)
+        run.register_output(path)
 
 
 def _check_replaceable(
@@ -228,7 +228,7 @@ def _check_replaceable(
     """
     run = current_run()
     regular = is_replaceable(status) and status.st_size > 0
-    if run is not None and not (kind.edits and (not regular or _owns(kind, target))):
+    if run is not None and not (kind.edits and (not regular or _is_of_kind(target, kind))):
         run.refuse_input(path, (status.st_dev, status.st_ino))
     if not regular:
         return
@@ -245,14 +245,14 @@ def _check_replaceable(
             raise OutputError(path, diagnose("output-of-another-kind", kind=Term(kind.name)))
 
 
-def _owns(kind: Kind, target: Path) -> bool:
-    """Return True if a file is a result of a kind."""
+def _is_of_kind(target: Path, kind: Kind) -> bool:
+    """Return True if the content of a file is recognised as a kind of output."""
     with target.open("rb") as file:
         return kind.owns is not None and kind.owns(file)
 
 
 def check_folder(folder: Path) -> None:
-    """Check that files can be written to a folder. Nothing is written.
+    """Check that files can be written to a folder, and remove old temporary files from the folder.
 
     Raises:
         OutputError: If the folder is not writable, or does not exist and cannot be created.
@@ -314,6 +314,7 @@ def _standard_stream(status: os.stat_result) -> int | None:
 
 
 def _write_output(writing: Writing) -> None:
+    """Write to standard output, to a pipe or device in place, or replace a file atomically."""
     path, data = writing.path, writing.content
     if path == STANDARD_OUTPUT:
         _write_bytes(_result_stream(), data)
@@ -345,7 +346,7 @@ def _result_stream() -> TextIO:
 
 
 def _write_bytes(stream: TextIO, data: bytes) -> None:
-    """Write bytes to a text stream, without encoding if the stream has a byte buffer."""
+    """Write bytes to the buffer of a text stream; as UTF-8 text if the stream has no buffer."""
     stream.flush()
     buffer = getattr(stream, "buffer", None)
     if buffer is None:
@@ -407,16 +408,16 @@ def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Pat
         for file in files:
             file.stage()
         for file in files:
-            file.keep()
-            if backup and file.there is not None:
-                copies.append(file.backed_up())
+            file.link_existing()
+            if backup and file.existing is not None:
+                copies.append(file.copy_existing())
         for file in files:
             file.replace()
         is_complete = True
         run = current_run()
         if run is not None:
             for file in files:
-                run.wrote(file.target, edited=file.writing.kind.edits)
+                run.register_written(file.target, edited=file.writing.kind.edits)
     finally:
         try:
             if not is_complete:
@@ -435,7 +436,7 @@ class _StagedFile:
     Attributes:
         writing: Request.
         target: Path with links resolved.
-        there: Status of the existing file; None if there is none.
+        existing: Status of the existing file; None if there is none.
         new: Temporary file with the new content.
         old: Second name, or copy, of the existing file.
         stuck: Whether restoring the old file failed, so that ``old`` must be kept.
@@ -443,7 +444,7 @@ class _StagedFile:
 
     writing: Writing
     target: Path = field(init=False)
-    there: os.stat_result | None = None
+    existing: os.stat_result | None = None
     new: Path | None = None
     old: Path | None = None
     stuck: bool = False
@@ -451,61 +452,63 @@ class _StagedFile:
     def stage(self) -> None:
         """Check the target, and write the new content to a temporary file."""
         try:
-            self.target, self.there = resolve_target(self.writing.path)
-            if self.there is not None:
-                self._check_target(self.there)
-            self._check_content()
+            self.target, self.existing = resolve_target(self.writing.path)
+            if self.existing is not None:
+                self._check_replacement(self.existing)
+            self._check_unchanged()
             self.target.parent.mkdir(parents=True, exist_ok=True)
             self.new = hidden_beside(self.target)
-            write_new(self.new, self.writing.content, like=self.there)
+            write_new(self.new, self.writing.content, like=self.existing)
         except (OSError, ValueError) as error:
             raise self._make_error(describe_os_error(error)) from error
 
-    def _check_target(self, there: os.stat_result) -> None:
-        if not is_replaceable(there):
+    def _check_replacement(self, existing: os.stat_result) -> None:
+        """Raise an error if the existing file with this status cannot or must not be replaced."""
+        if not is_replaceable(existing):
             raise self._make_error(diagnose("output-no-regular-file"))
         if not os.access(self.target, os.W_OK):
             raise self._make_error(diagnose("output-not-writable"))
         force = self.writing.force or self._has_content(self.writing.content)
-        _check_replaceable(self.writing.path, self.target, there, self.writing.kind, force=force)
+        _check_replaceable(self.writing.path, self.target, existing, self.writing.kind, force=force)
 
     def _has_content(self, content: bytes) -> bool:
         """Return True if the existing file already has this content, so that no data is lost."""
-        there = self.there
+        existing = self.existing
         return (
-            there is not None
-            and there.st_size == len(content)
+            existing is not None
+            and existing.st_size == len(content)
             and self.target.read_bytes() == content
         )
 
-    def _check_content(self) -> None:
+    def _check_unchanged(self) -> None:
+        """Raise an error if the existing file does not have the expected content ``before``."""
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
             raise self._make_error(diagnose("output-changed-meanwhile"))
 
-    def keep(self) -> None:
+    def link_existing(self) -> None:
         """Link the existing file to a second name, so that restoring the file needs no disk space.
 
         If the file system does not support hard links, the file is copied.
         """
-        if self.there is None:
+        if self.existing is None:
             return
         self.old = hidden_beside(self.target)
         try:
             os.link(self.target, self.old)
         except OSError:  # no hard links
             try:
-                write_new(self.old, self.target.read_bytes(), like=self.there)
+                write_new(self.old, self.target.read_bytes(), like=self.existing)
             except OSError as error:
                 raise self._make_error(describe_os_error(error)) from error
 
-    def backed_up(self) -> Path:
+    def copy_existing(self) -> Path:
         """Copy the existing file to an unused backup name, and return the path of the copy."""
         number = 1
         while True:
             path = self.target.with_name(f"{self.target.name}.bak{number if number > 1 else ''}")
             try:
-                write_new(path, self.target.read_bytes(), like=self.there)
+                write_new(path, self.target.read_bytes(), like=self.existing)
             except FileExistsError:
                 number += 1
             except OSError as error:
@@ -515,21 +518,28 @@ class _StagedFile:
                 )
                 raise self._make_error(message) from error
             else:
-                if self.there is not None:
-                    os.utime(path, ns=(self.there.st_atime_ns, self.there.st_mtime_ns))
+                if self.existing is not None:
+                    os.utime(path, ns=(self.existing.st_atime_ns, self.existing.st_mtime_ns))
                 return path
 
     def replace(self) -> None:
-        """Replace the target by the new content."""
+        """Rename the temporary file with the new content to the target.
+
+        Raises:
+            OutputError: If the rename fails, or the target has an unexpected content.
+        """
         assert self.new is not None
         try:
-            self._check_content()
+            self._check_unchanged()
             self.new.replace(self.target)
         except OSError as error:
             raise self._make_error(describe_os_error(error)) from error
 
-    def put_back(self) -> None:
-        """Restore the old file if the target has been replaced."""
+    def restore(self) -> None:
+        """Restore the old file if the target has been replaced; delete a target without old file.
+
+        If the system cannot restore the old file, ``stuck`` is set.
+        """
         if self.new is None or self.new.exists():  # an interrupt may come right after the rename
             return
         if self.old is None:
@@ -539,10 +549,13 @@ class _StagedFile:
             self.old.replace(self.target)
         except OSError:
             self.stuck = True
-            self._show_old()
+            self._unhide_old_file()
 
-    def _show_old(self) -> None:
-        """Give the old file a name that no later run clears, as far as the system allows."""
+    def _unhide_old_file(self) -> None:
+        """Rename the hidden old file to ``NAME.oldN``, which no later run removes.
+
+        If the rename fails, the old file keeps the hidden name.
+        """
         assert self.old is not None
         number = 1
         while os.path.lexists(kept := self.target.with_name(f"{self.target.name}.old{number}")):
@@ -551,7 +564,7 @@ class _StagedFile:
             self.old = self.old.rename(kept)
 
     def clear(self) -> None:
-        """Remove the temporary files."""
+        """Remove the temporary files, except an old file that could not be restored."""
         for path in (self.new, None if self.stuck else self.old):
             if path is not None:
                 with suppress(OSError):
@@ -568,7 +581,7 @@ def _undo_replacements(files: Sequence[_StagedFile], copies: Sequence[Path]) -> 
         OutputError: If a file cannot be restored; the message contains the path of the old file.
     """
     for file in reversed(files):
-        file.put_back()
+        file.restore()
     for path in copies:
         path.unlink(missing_ok=True)
     stuck = [file for file in files if file.stuck]

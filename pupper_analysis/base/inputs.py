@@ -36,7 +36,7 @@ _MAX_KEY_LENGTH: Final = 500
 """Maximum number of characters of a TOML key. Error messages contain the key."""
 
 
-def check_input(path: Path, most: int, *, own: bool = False) -> None:
+def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
     """Raise an error unless the path is a regular file (links followed) of limited size.
 
     The file is not opened: opening a pipe may block, and opening a device may trigger an action.
@@ -44,12 +44,12 @@ def check_input(path: Path, most: int, *, own: bool = False) -> None:
     Args:
         path: The file.
         most: Maximum size [bytes].
-        own: Whether the run also writes this file. Other files are registered as inputs, which the
-            run must not write.
+        rewritten: Whether the run may also write this file. Other files are registered as inputs,
+            which the run must not write.
 
     Raises:
         InputError: If the file is missing, is not accessible, is no regular file, or is too large.
-        OutputError: If the run will write this file, unless ``own`` is set.
+        OutputError: If the run will write this file, unless ``rewritten`` is set.
     """
     try:
         status = path.stat()
@@ -65,7 +65,7 @@ def check_input(path: Path, most: int, *, own: bool = False) -> None:
         raise InputError(path, diagnose("file-not-regular"))
     if status.st_size > most:
         raise InputError(path, diagnose("file-too-large", most=most / 1e6))
-    if not own:
+    if not rewritten:
         register_input(path)
 
 
@@ -77,20 +77,20 @@ def is_input(path: Path) -> bool:
         return False
 
 
-def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
+def read_input(path: Path, most: int, *, rewritten: bool = False) -> bytes:
     """Return the content of an input file.
 
     Args:
         path: The file.
         most: Maximum size [bytes].
-        own: Whether the file belongs to this package, and not to the user. The file is then not
-            recorded as an input of the run.
+        rewritten: Whether the run may also write this file, for example a file in the folder of
+            earlier results. Other files are registered as inputs, which the run must not write.
 
     Raises:
         InputError: If the file is missing, is no regular file, is too large, or cannot be read.
-        OutputError: If the run will write this file, unless ``own`` is set.
+        OutputError: If the run will write this file, unless ``rewritten`` is set.
     """
-    check_input(path, most, own=own)
+    check_input(path, most, rewritten=rewritten)
     try:
         # Non-blocking, because a pipe may have replaced the file since the check.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))

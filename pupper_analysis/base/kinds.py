@@ -23,7 +23,8 @@ NUM_HEAD_BYTES: Final = 1 << 16
 hundred joints is shorter."""
 
 _MAX_PLAN_BYTES: Final = 1 << 24
-"""Maximum number of bytes read from a plan. Ten thousand stands of a hundred joints need fewer."""
+"""Maximum number of bytes that are read to recognise a plan of stands (CSV, see `PLAN_KIND`): 16
+MiB, enough for thousands of stands. Chosen, not tuned."""
 
 
 def _match_none(_file: BinaryIO) -> bool:
@@ -96,10 +97,14 @@ def _is_animation(file: BinaryIO) -> bool:
 
 
 def _read_measured_cells(file: BinaryIO) -> list[str] | None:
-    """Return the non-empty cells of a plan in columns that ``fit`` does not fill itself.
+    """Return the cells of a plan that a measurement has filled in.
+
+    A plan is a CSV file with a row per stand. ``fit --plan`` writes the commands and leaves the
+    other columns empty, for example the measured positions.
 
     Returns:
-        The cells. None if the file is not a CSV file with the columns of a plan.
+        Non-empty cells of these other columns. None if the file has no columns "command" and
+        "position".
     """
     try:
         rows = list(csv.reader(io.StringIO(file.read(_MAX_PLAN_BYTES).decode("utf-8-sig"))))
@@ -137,12 +142,16 @@ STAND_TABLE: Final = Kind(
     "table of a stand", match_prefix("joint,position (rad),torque (N m),"), suffixes=(".csv",)
 )
 PLAN_KIND: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
-"""CSV plan of stands to be measured, for ``fit``. A new plan may replace an existing plan without
-measurements. A plan that contains measurements is never replaced."""
+"""CSV file with a row per stand to be measured, written by ``fit --plan``. A new plan may replace a
+plan without measurements. A plan that contains measurements is never replaced, not even with
+``force``."""
 
 RECORD_KIND: Final = Kind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True
 )
+"""CSV file with a row per measured stand and the columns of a plan; ``fit --record`` appends rows.
+"""
+
 OFFSETS_KIND: Final = Kind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
 MODEL_KIND: Final = Kind("model")
 """Model file. Users edit models, so an existing model is replaced only with ``force``."""

@@ -27,7 +27,8 @@ MAX_SHOWN_ROWS = 12
 Chosen, not tuned: the joints of a quadruped."""
 
 MAX_TEXT_LENGTH = 200
-"""Largest number of characters of the text of a nested object."""
+"""Largest number of characters of the text of a nested object; a longer text is cut off. Chosen,
+not tuned."""
 
 NUMBER_FORMAT = ".4g"
 """Format of numbers in a cell; ``to_dict`` returns all digits."""
@@ -44,10 +45,11 @@ Row = tuple[str, str, str]
 
 
 def render_result(result: object) -> str:
-    """Return the HTML table of a dataclass: public fields and reported properties.
+    """Return the HTML table of a result: a row per public field, with value and unit.
 
     Args:
-        result: Instance of a dataclass.
+        result: Instance of a dataclass. The properties that its class lists in ``_reported`` have
+            rows, too.
     """
     kind: Any = type(result)
     units = units_of(kind)
@@ -61,8 +63,8 @@ def render_table(caption: str, rows: Iterable[Row]) -> str:
     """Return an HTML table with the columns field, value and unit.
 
     Args:
-        caption: Text above the table; escaped here.
-        rows: Name (escaped), HTML of the value (from ``format_value``), and unit (escaped).
+        caption: Plain text above the table. This function escapes it for HTML.
+        rows: (name as plain text, value as HTML from ``format_value``, unit as plain text).
     """
     style = "text-align: left; vertical-align: top"
     head = "".join(f'<th style="{style}">{name}</th>' for name in ("field", "value", "unit"))

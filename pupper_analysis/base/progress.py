@@ -34,7 +34,7 @@ class ProgressClock:
         """Record that some parts of a stage are completed.
 
         Args:
-            stage: Name of the stage. Another name than before begins a stage.
+            stage: Name of the stage. A new name, or a smaller ``done``, begins a new stage.
             done: Number of completed parts.
             total: Number of parts, as far as known.
         """
@@ -50,7 +50,10 @@ class ProgressClock:
 
     @property
     def remaining(self) -> float | None:
-        """Estimated remaining time of the stage [s]; None before its first part is completed."""
+        """Estimated remaining time of the stage [s].
+
+        None before the first part is completed, and after the last.
+        """
         if not 0 < self.done < self.total:
             return None
         part_duration = (self._updated - self._stage_start) / self.done

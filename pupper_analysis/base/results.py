@@ -70,7 +70,8 @@ _MAX_REPR_LENGTH = 220
 """Maximum number of characters of the fields in ``repr``: two or three lines of a terminal."""
 
 _MAX_SHOWN_ITEMS = 3
-"""Maximum number of items of a field that ``repr`` shows individually."""
+"""Maximum number of items of a field that ``repr`` shows individually: a position (3,) is shown
+completely. Chosen, not tuned."""
 
 
 class Result:
@@ -114,11 +115,12 @@ class Result:
     def plot(self, robot: object = None) -> tuple[Axes, ...]:
         """Draw the plots of the result with Matplotlib, in a new figure of ``pyplot``.
 
-        Notebooks show the figure below the cell. A stand is drawn as in its figure, a comparison
-        by the deviations of its quantities, other results by the plots of their pages.
+        Notebooks show the figure below the cell. For a ``Stand``, the figure contains the skeleton
+        with contact forces, CoM and support polygon; for a ``Comparison``, the deviations of the
+        quantities; for other results, the plots of their HTML reports.
 
         Args:
-            robot: Robot of the result; necessary for a stand.
+            robot: Robot of the result; necessary for a stand from another process.
 
         Returns:
             Axes of the panels.
@@ -145,13 +147,14 @@ class Pictured:
     """Result that contains configurations of a robot, which MuJoCo's renderer draws."""
 
     def show(self, robot: object = None, **options: Any) -> Image | None:
-        """Show the last configuration: in MuJoCo's viewer, or as a picture.
+        """Show the robot in the configuration of the result: in MuJoCo's viewer, or as a picture.
 
-        In a notebook and without a display, a Pillow image is returned; a notebook displays the
-        image. Otherwise the viewer simulates the robot until its window is closed.
+        The last configuration of a simulated motion is shown. In a notebook and without a display,
+        a Pillow image is returned; a notebook displays the image. Otherwise the viewer simulates
+        the robot until its window is closed.
 
         Args:
-            robot: Robot of the result; necessary if the result comes from another process.
+            robot: Robot of the result; necessary for a result from another process.
             **options: ``size`` (width, height) [pixel], ``azimuth`` and ``elevation`` of the camera
                 in MuJoCo's convention [deg].
 

@@ -43,8 +43,8 @@ class Run:
     command: tuple[str, ...] = ()
     request: dict[str, Any] = field(default_factory=dict)
 
-    def expect(self, path: Path) -> None:
-        """Register an existing file as an output; a missing file is ignored.
+    def register_output(self, path: Path) -> None:
+        """Register an existing file as an output of the run; a missing file is ignored.
 
         Reading this file later in the run raises an error, unless the run has written the file.
 
@@ -69,10 +69,10 @@ class Run:
         if identity in self.inputs and identity not in self.written:
             raise OutputError(path, diagnose("output-is-an-input", source=self.inputs[identity]))
 
-    def wrote(self, path: Path, *, edited: bool = False) -> None:
+    def register_written(self, path: Path, *, edited: bool = False) -> None:
         """Register a file that the run has written. A missing file is ignored.
 
-        Expected outputs whose file was deleted or replaced are removed.
+        Entries of ``outputs`` whose file was deleted or replaced are removed from ``outputs``.
 
         Args:
             path: The file.
@@ -116,10 +116,12 @@ def ensure_run() -> Iterator[Run]:
 
 
 def register_input(path: str | os.PathLike[str]) -> None:
-    """Register an input file of the current run; called by each function that reads a file.
+    """Register a file as an input of the current run. Without a run, nothing is done.
+
+    A missing file, and a file that the run itself has written, are ignored.
 
     Raises:
-        OutputError: If the run will write this file. The error is raised before any computation.
+        OutputError: If the run will write this file.
     """
     run = _current_run.get()
     if run is None:

@@ -85,7 +85,7 @@ class Format(NamedTuple):
 
 def own_tools() -> Mapping[str, Tool]:
     """Return {name: tool} of the tools of this package, sorted by name."""
-    return _find_own("command.py")
+    return _find_own_packages("command.py")
 
 
 def other_tools() -> Mapping[str, Tool]:
@@ -93,7 +93,7 @@ def other_tools() -> Mapping[str, Tool]:
 
     Tools with the name of an own tool, and tools without a package folder, are left out.
     """
-    return _find_others(TOOLS_GROUP, "command.py")
+    return _find_plugins(TOOLS_GROUP, "command.py")
 
 
 def find_tool_modules(module: str) -> Mapping[str, str]:
@@ -108,19 +108,22 @@ def find_tool_modules(module: str) -> Mapping[str, str]:
 
 def own_packages() -> Mapping[str, Tool]:
     """Return {name: package} of the tools and formats of this package."""
-    return MappingProxyType({**own_tools(), **_find_own("format.toml")})
+    return MappingProxyType({**own_tools(), **_find_own_packages("format.toml")})
 
 
 def other_packages() -> Mapping[str, Tool]:
     """Return {name: package} of the tools and formats of other installed packages."""
-    return MappingProxyType({**other_tools(), **_find_others(FORMATS_GROUP, "format.toml")})
+    return MappingProxyType({**other_tools(), **_find_plugins(FORMATS_GROUP, "format.toml")})
 
 
 @cache
 def formats() -> Mapping[str, Format]:
     """Return {name: format} of all formats, our own first."""
     by_name = {}
-    packages = {**_find_own("format.toml"), **_find_others(FORMATS_GROUP, "format.toml")}
+    packages = {
+        **_find_own_packages("format.toml"),
+        **_find_plugins(FORMATS_GROUP, "format.toml"),
+    }
     for name, package in packages.items():
         settings = tomllib.loads((package.folder / "format.toml").read_text(encoding="utf-8"))
         begins = tuple(text.encode() for text in settings.get("begins", ()))
@@ -160,21 +163,26 @@ _COMMON_SUFFIXES = ("", ".urdf", ".xml", ".mjcf", ".xacro")
 
 
 @cache
-def _find_own(mark: str) -> Mapping[str, Tool]:
-    paths = sorted(_TOOLS_FOLDER.glob(f"*/{mark}"))
+def _find_own_packages(file_name: str) -> Mapping[str, Tool]:
+    """Return {name: package} of the subpackages of ``tools`` with a file of this name."""
+    paths = sorted(_TOOLS_FOLDER.glob(f"*/{file_name}"))
     return MappingProxyType(
         {path.parent.name: Tool(f"{TOOLS_GROUP}.{path.parent.name}", path.parent) for path in paths}
     )
 
 
 @cache
-def _find_others(group: str, mark: str) -> Mapping[str, Tool]:
+def _find_plugins(group: str, file_name: str) -> Mapping[str, Tool]:
+    """Return {name: package} of the installed entry points in a group.
+
+    A name that `_find_own_packages` returns for the file name is left out.
+    """
     from importlib.metadata import entry_points  # takes 20 ms
 
     packages = {}
     for entry_point in sorted(entry_points(group=group), key=lambda entry_point: entry_point.name):
         spec = find_spec(entry_point.module)
         locations = spec.submodule_search_locations if spec else None
-        if locations and entry_point.name not in _find_own(mark):
+        if locations and entry_point.name not in _find_own_packages(file_name):
             packages[entry_point.name] = Tool(entry_point.module, Path(next(iter(locations))))
     return MappingProxyType(packages)

@@ -170,7 +170,7 @@ def test_xacro_is_expanded_if_it_is_installed(
         read = read_model(file)
         # What it includes is read as well, and never written over.
         with pytest.raises(OutputError, match="which this run reads"):
-            run.expect(part)
+            run.register_output(part)
     assert isinstance(read, UrdfFile)
     assert list(read.tree.links) == ["base"]
     # The lines are those of no file that anyone has.

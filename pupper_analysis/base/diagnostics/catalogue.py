@@ -40,7 +40,9 @@ LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
 
 _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 _TABLES_BY_FILE = {_TERMS_FILE: "terms", _TEXTS_FILE: "texts", _MEANINGS_FILE: "meanings"}
-"""{file: table with the same kind of entries in a tool's ``words.toml``}."""
+"""{catalogue file: table for entries of the same kind in a file ``words.toml``}. Each tool (a
+subpackage of ``pupper_analysis.tools``, or a package of another distribution) has its texts in such
+a file."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def entry(code: str) -> Entry:
     Raises:
         KeyError: If the catalogue does not contain the code.
     """
-    tables = _load_tables() if code in _load_tables() else _load_other_tables()
+    tables = _load_tables() if code in _load_tables() else _load_plugin_tables()
     fields = tomllib.loads(tables[code])
     severity = fields.get("severity", "note")
     group = fields.get("group", "found" if severity == "note" else "wrong")
@@ -90,15 +92,23 @@ def is_term(name: str) -> bool:
 
 @cache
 def phrase(key: str, language: str) -> str:
-    """Return the template of a text of documents and pages, or a term.
+    """Return a text of documents and pages, or a term, in a language.
+
+    Args:
+        key: Key in ``texts.toml``, in ``terms.toml`` or in a table ``[texts]`` of a tool.
+        language: ``"en"`` or ``"zh"``.
+
+    Returns:
+        Text, in which ``fill_template`` replaces the placeholders.
 
     Raises:
-        KeyError: If the catalogue contains neither.
+        KeyError: If there is no entry with this key.
     """
     for file in (_TEXTS_FILE, _TERMS_FILE):
         if key in list_entries(file):
             return _select_language(_parse_entry(file, key), language)
-    return _select_language(tomllib.loads(_load_other_entries(_TEXTS_FILE)[key])["entry"], language)
+    entries = _load_plugin_entries(_TEXTS_FILE)
+    return _select_language(tomllib.loads(entries[key])["entry"], language)
 
 
 def meaning(kind: type, field: str, language: str) -> str:
@@ -114,9 +124,9 @@ def meaning(kind: type, field: str, language: str) -> str:
         if key in list_entries(_MEANINGS_FILE):
             return _parse_entry(_MEANINGS_FILE, key)[language]
         is_own = owner.__module__.startswith(f"{__name__.partition('.')[0]}.")
-        if not is_own and key in _load_other_entries(_MEANINGS_FILE):
+        if not is_own and key in _load_plugin_entries(_MEANINGS_FILE):
             return _select_language(
-                tomllib.loads(_load_other_entries(_MEANINGS_FILE)[key])["entry"], language
+                tomllib.loads(_load_plugin_entries(_MEANINGS_FILE)[key])["entry"], language
             )
     return ""
 
@@ -143,24 +153,22 @@ def _split_tables(path: Path) -> Mapping[str, str]:
 
 
 @cache
-def _load_other_tables() -> Mapping[str, str]:
-    """Return {code: text of the table} of tools and formats of other installed packages."""
+def _load_plugin_tables() -> Mapping[str, str]:
+    """Return {code: TOML text of the table} from the ``words.toml`` files of `other_packages`."""
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     tables = [_split_tables(path) for path in paths if path.is_file()]
     return MappingProxyType({code: text for table in tables for code, text in table.items()})
 
 
 @cache
-def _load_other_entries(file: str) -> Mapping[str, str]:
-    """Return the one-line entries that tools and formats of other installed packages add.
-
-    The entries are read from the ``words.toml`` files of these Python packages.
+def _load_plugin_entries(file: str) -> Mapping[str, str]:
+    """Return the one-line entries in the ``words.toml`` files of `other_packages`.
 
     Args:
-        file: Catalogue file with the same kind of entries; a key of `_TABLES_BY_FILE`.
+        file: Catalogue file with entries of the same kind; a key of `_TABLES_BY_FILE`.
 
     Returns:
-        {key: TOML text ``entry = ...``}.
+        {key of the entry: TOML text ``entry = ...``}.
     """
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     texts = [_split_tables(path).get(_TABLES_BY_FILE[file], "") for path in paths if path.is_file()]
@@ -188,7 +196,15 @@ def _load_tables() -> Mapping[str, str]:
 
 @cache
 def list_entries(file: str) -> Mapping[str, str]:
-    """Return {key: entry as TOML} of a file with a line per entry, and of the tools' tables."""
+    """Return the one-line entries of a catalogue file, and of the tools of this package.
+
+    Args:
+        file: Name of the catalogue file, an element of ``LINE_ENTRY_FILES``. Entries of the same
+            kind in the ``words.toml`` files of the tools are included.
+
+    Returns:
+        {key: TOML text ``{ en = "...", zh = "..." }``}.
+    """
     text = (_CATALOGUE_FOLDER / file).read_text(encoding="utf-8")
     if file in _TABLES_BY_FILE:
         paths = [path for path in word_files().values() if path.name not in LINE_ENTRY_FILES]

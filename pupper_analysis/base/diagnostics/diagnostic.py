@@ -41,7 +41,7 @@ class Severity(StrEnum):
 
 
 class Group(StrEnum):
-    """Action that a diagnostic requires of the user; in display order."""
+    """Group of diagnostics that require the same action of the user; in display order."""
 
     WRONG = "wrong"
     """Must be repaired."""
@@ -109,7 +109,7 @@ class Diagnostic:
 
     @property
     def group(self) -> Group:
-        """Action that the diagnostic requires of the user."""
+        """Group by required action: wrong (repair), assumed (check) or found (none)."""
         return Group(entry(self.code).group)
 
     def text(self, language: str = "en") -> str:

@@ -46,12 +46,13 @@ _UNIT_FACTORS = {
     ("m^3", "litres"): 1e3,
     ("1", "%"): 1e2,
 }
-"""{(SI unit, displayed unit): factor}."""
+"""{(SI unit, displayed unit): factor}; displayed number = factor x number in the SI unit."""
 
 
 def format_number(value: float, spec: str) -> str:
-    """Format a number; the format ``g`` gets no exponent between 1e-6 and 1e9.
+    """Format a number by a format specification of Python, such as ``".3g"``.
 
+    Absolute values from 1e-6 to below 1e9 are written without exponent, except by the format ``e``.
     With ``g%`` the number is shown in percent: 0.039 by ``".2g%"`` is ``"3.9 %"``.
     """
     if spec.endswith("g%"):
@@ -118,7 +119,12 @@ class Vector:
 
     @staticmethod
     def rounded(values: Iterable[float], unit: str = "1") -> Vector:
-        """Return a vector of numbers rounded to 1e-9, so that rounding errors are not displayed."""
+        """Create a vector of numbers rounded to 9 decimals, so that no rounding error is displayed.
+
+        Args:
+            values: Numbers in the SI unit ``unit``.
+            unit: SI unit; ``"1"`` for dimensionless numbers.
+        """
         return Vector(tuple(round(float(value), 9) for value in values), unit)
 
     def __format__(self, spec: str) -> str:
@@ -203,7 +209,12 @@ def to_unicode(text: str) -> str:
 
 
 _OPTIONAL_TEXT = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
+"""Pattern of an optional text in a template: ``[name? text]``, or ``[!name? text]`` for the text
+that is included if the value of ``name`` is false."""
+
 _LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
+"""Pattern of the format of a tuple: separator, maximum number of items, and ``|`` with the format
+of each item; each part may be missing."""
 
 _MAX_LISTED_ITEMS = 8
 """Default of the maximum number of items in a list. Longer lists hide the rest of the message."""
@@ -216,15 +227,16 @@ _OMITTED_ITEMS = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {le
 
 
 def fill_template(template: str, values: Mapping[str, Any], language: str) -> str:
-    """Return the text of a template with the values filled in.
+    """Replace the placeholders of a template by values, and return the text.
 
     Args:
-        template: Template.
+        template: Text with placeholders such as ``{mass:.3g}`` and optional texts such as
+            ``[limit? beyond {limit}]``; the docstring of this module describes the syntax.
         values: {name: value}.
         language: ``"en"`` or ``"zh"``.
 
     Raises:
-        KeyError: If a value of an included part is missing.
+        KeyError: If the value of a placeholder is missing, except in an omitted optional text.
     """
     included = _OPTIONAL_TEXT.sub(
         lambda match: match[3] if bool(values.get(match[2])) != bool(match[1]) else "", template
@@ -267,7 +279,13 @@ class _TemplateFormatter(Formatter):
         return write(value, format_spec)
 
     def _format_list(self, values: tuple[Any, ...], spec: str) -> str:
-        """Return the items of a tuple, separated as specified; omitted items are counted."""
+        """Return the items of a tuple as a list in words; omitted items are counted.
+
+        Args:
+            values: Items.
+            spec: Separator, maximum number of items and item format, such as ``or3|.2f``; see
+                `_LIST_FORMAT`.
+        """
         match = _LIST_FORMAT.match(spec)
         if match is None:
             raise ValueError(f"{spec!r} is no format of a list")

@@ -308,7 +308,7 @@ def write_fit(
 def _read_own_hashes(folder: Path) -> dict[str, str]:
     """Return {relative path: hash} of the models that a fit has written to a folder."""
     try:
-        document = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, own=True))
+        document = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, rewritten=True))
         return {str(place): str(digest) for place, digest in document["files"].items()}
     except (InputError, ValueError, TypeError, KeyError, AttributeError):
         return {}

@@ -100,7 +100,8 @@ class Store:
         """
         path = self.folder / "study.json"
         try:
-            request: dict[str, Any] = orjson.loads(read_input(path, MAX_TEXT_BYTES, own=True))
+            content = read_input(path, MAX_TEXT_BYTES, rewritten=True)
+            request: dict[str, Any] = orjson.loads(content)
         except InputError as error:
             finding = error.cause
             if finding.code == "no-such-file":

@@ -91,7 +91,7 @@ class WrittenNumbers:
             for source in self.sources:
                 register_input(source)
             for place in self.contents:
-                run.expect(folder / place)
+                run.register_output(folder / place)
                 remove_stale_files(resolve_target(folder / place)[0].parent)
         return [
             Writing(
