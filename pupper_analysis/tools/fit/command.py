@@ -185,10 +185,11 @@ def command(
 ) -> None:
     """Fit a robot's numbers to measurements: masses, centres of mass, zeros of encoders, kp.
 
-    A soft servo is a torque sensor: tau = kp (command - position). A file of stands has a row for
-    each: command.<joint> and position.<joint> (rad, or [deg] in the header), swing (feet in the
-    air).
-    A log is of a robot that hangs or is bolted down: time, position.<joint>, command.<joint>.
+    A soft servo is a torque sensor: tau = kp (command - position). A stand is a pose in which the
+    robot is at rest on its feet. A file of stands has a row per stand, with the columns
+    command.<joint> and position.<joint> (rad, or [deg] in the header) and swing (feet in the air).
+    A log is recorded on a robot that hangs or is bolted down, with the columns time,
+    position.<joint> and command.<joint>.
 
     Every number has an interval. The output states whether the measurements determine the number.
 
@@ -282,13 +283,15 @@ def command(
 
 
 _MEASURING_OPTIONS = ("--plan", "--record", "--bridge", "--prior", "--added", "--added-at")
-"""Options of plans and recordings that the following mode of the command refuses."""
+"""Options of plans and recordings that are omitted from the suggested next command, since its mode
+(recording or fit) refuses them."""
 
 
 def _select_next_step(result: Fit | StandPlan | Recording, output: Path | None) -> NextStep | None:
-    """Return the next command: plan, recording, fit, written files, in this order.
+    """Return the suggested next command: plan, recording, fit, written files, in this order.
 
-    After a fit with an output folder, the next command depends on the written files: None.
+    None after an explained fit with an output folder: `command` then suggests a command with the
+    written files.
     """
     from pupper_analysis.tools.fit.record.recorder import Recording
     from pupper_analysis.tools.fit.stands.plan import StandPlan
@@ -322,9 +325,10 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
 def _write_models(
     robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path, *, anyway: bool
 ) -> tuple[str, ...]:
-    """Write the corrected models, and return their paths.
+    """Write the corrected models of the selected robot ``meant``, and return their paths.
 
-    An unexplained fit is only written with ``--anyway``; otherwise there are no paths.
+    An unexplained fit is only written if ``anyway`` is True, with inflated intervals; otherwise the
+    result is empty.
     """
     from pupper_analysis.tools.fit.write import write_fit
 

@@ -79,7 +79,7 @@ def describe_fit(
 
 
 def _describe_largest_change(estimates: Sequence[Estimate]) -> Iterator[doc.Words]:
-    """Yield the estimate farthest from the value of the file, in its standard deviations."""
+    """Yield the text of the estimate with the largest abs(mean - stated) / posterior std."""
     changes = [
         (abs(estimate.mean - estimate.stated) / estimate.std, estimate)
         for estimate in estimates
@@ -198,7 +198,7 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
 
 
 def _format_estimate(estimate: Estimate) -> dict[str, str]:
-    """Return an estimate and the half interval with three decimals."""
+    """Return {"mean": mean, "half": half width of the 95 % interval} as texts, three decimals."""
     return {"mean": f"{estimate.mean:.3f}", "half": f"{estimate.high - estimate.mean:.3f}"}
 
 

@@ -30,8 +30,8 @@ decrease d corresponds to a step of sqrt(d) standard deviations: 1e-4 is a hundr
 deviation. Chosen, not tuned."""
 
 _STALL_RTOL = 0.01
-"""Predicted decrease, relative to the cost, above which a failed or vanishing step is an error: the
-derivatives are wrong. Chosen, not tuned."""
+"""Predicted decrease, relative to the cost, from which a failed step is an error, if the decrease
+also exceeds `_MAX_UNREALISED_DECREASE`: the derivatives are wrong. Chosen, not tuned."""
 
 
 _MIN_DECREASE_RATIO = 0.1
@@ -39,9 +39,9 @@ _MIN_DECREASE_RATIO = 0.1
 damping is raised. Chosen, not tuned."""
 
 _MAX_CORRECTIONS = 2
-"""Upper bound of the corrections to an undamped step that decreases the cost too little: the cost
-has curved valleys, since inertia is quadratic in large CoM displacements and an unweighed mass
-follows kp. Chosen, not tuned."""
+"""Maximum number of second-order corrections to an undamped step that decreases the cost too
+little. The cost has curved valleys: inertia is quadratic in large CoM displacements, and without a
+weight, masses and kp are determined only by their ratio. Chosen, not tuned."""
 
 _MAX_UNREALISED_DECREASE = 1.0
 """Predicted decrease that may remain when the steps no longer decrease the cost. It widens the
@@ -96,7 +96,7 @@ class LinearisedResiduals:
 
     @staticmethod
     def empty(n: int) -> LinearisedResiduals:
-        """Return the sums of zero residuals for n parameters."""
+        """Return zero sums for n parameters: the initial value to which residuals are added."""
         return LinearisedResiduals(np.zeros((n, n)), np.zeros(n), 0.0, 0)
 
     def __add__(self, other: LinearisedResiduals) -> LinearisedResiduals:
@@ -161,12 +161,12 @@ class Posterior:
 
     @property
     def kinds(self) -> NDArray[np.str_]:
-        """Kind of each parameter, shape (n,)."""
+        """Kind of each parameter, a key of ``parameters.KINDS``, shape (n,)."""
         return np.array([parameter.kind for parameter in self.parameters], dtype=str)
 
     @property
     def std(self) -> Array:
-        """Standard deviations, shape (n,), in the parameters' units."""
+        """Posterior standard deviation of each parameter, shape (n,), in its unit."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
@@ -183,10 +183,10 @@ class Posterior:
 
     @property
     def degrees_of_freedom(self) -> float:
-        """Expectation of ``chi2``: residuals minus the effective number of determined parameters.
+        """Expectation of ``chi2``: number of residuals minus effective number of parameters.
 
-        With prior precision P, information J and n parameters this number is n - trace((P + J)^-1
-        P).
+        With prior precision P, information J and n parameters the effective number of parameters,
+        which the measurements determine, is n - trace((P + J)^-1 P).
         """
         n = len(self.mean)
         covariance = np.linalg.inv(self.precision + self.information)
@@ -211,14 +211,15 @@ def estimate_parameters(
     Step: minimum of the linearised cost within the lower bounds, with damping added to the
     diagonal. An undamped step may be corrected twice with the derivatives of the starting point.
     Accepted: an actual decrease of at least 10 % of the predicted decrease, minus
-    `_MIN_PREDICTED_DECREASE`. Rejected: the damping is raised tenfold, from 0 to `_MIN_DAMPING`.
+    `_MIN_PREDICTED_DECREASE`; the damping is then divided by ten. Rejected: the damping is raised
+    tenfold, from 0 to `_MIN_DAMPING`.
 
-    Stop criteria: the predicted decrease of the undamped step is below ``min_decrease``
-    (converged); no step is accepted, an accepted step decreases the cost by at most
-    ``min_decrease``, or 60 steps are taken. In these cases the result is returned if the predicted
-    decrease is below 1, or below 1 % of the cost; the covariance is then widened by the outer
-    product of the unrealised step. This occurs if joints stick and slip, since the cost of such a
-    simulation has jumps.
+    Converged: the predicted decrease of the undamped step is below ``min_decrease``. Stalled: no
+    step is accepted up to `_MAX_DAMPING`, an accepted step decreases the cost by at most
+    ``min_decrease``, or 60 steps are taken. A stalled iteration ends if the predicted decrease is
+    below 1, or below 1 % of the cost; the covariance is then widened by the outer product of the
+    undamped step. This occurs if joints stick and slip, since the cost of such a simulation has
+    jumps.
 
     The noise of residuals may depend on the parameters (encoder noise acts on torques by kp). It is
     evaluated at the last parameters, and not differentiated: otherwise the minimisation would
@@ -233,7 +234,8 @@ def estimate_parameters(
         min_decrease: Predicted decrease below which the iteration has converged.
 
     Raises:
-        FitError: If the iteration does not converge.
+        FitError: If the iteration neither converges nor ends stalled as described, or the cost is
+            not finite or has no minimum.
     """
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     if lower_bounds is None:
@@ -292,7 +294,7 @@ class _QuadraticCost:
 
     @property
     def has_minimum(self) -> bool:
-        """Whether all values are finite and the posterior information is positive definite."""
+        """Whether the cost is finite and the posterior information is positive definite."""
         if not (np.isfinite(self.posterior_information).all() and np.isfinite(self.descent).all()):
             return False
         try:
@@ -302,10 +304,13 @@ class _QuadraticCost:
         return True
 
     def compute_step(self, damping: float) -> Array:
-        """Return the damped step, shape (n,), in units of the prior widths.
+        """Return the damped Gauss-Newton step, shape (n,), in units of the prior widths.
 
         Entries that would violate a lower bound end at the bound; the other entries are then solved
         again.
+
+        Args:
+            damping: Factor on the diagonal of the posterior information that is added to it.
         """
         lower_bounds = (self.lower_bounds - self.x) / self.table.width
         step, free = np.zeros(len(self.x)), np.ones(len(self.x), dtype=bool)
@@ -320,16 +325,20 @@ class _QuadraticCost:
         return step
 
     def predict_decrease(self, step: Array) -> float:
-        """Return the decrease of the quadratic cost for a step in units of the prior widths."""
+        """Return the decrease of the quadratic cost (dimensionless) for a step.
+
+        ``step`` has the shape (n,), in units of the prior widths.
+        """
         return float(step @ (2 * self.descent - self.posterior_information @ step))
 
     def make_posterior(self, unrealised_step: Array | None = None) -> Posterior:
-        """Return the distribution about the parameters.
+        """Return the normal distribution with the current parameters as the mean.
+
+        The covariance is the inverse of the posterior information.
 
         Args:
-            unrealised_step: Step, shape (n,), in units of the prior widths, whose predicted
-                decrease no accepted step realised. The outer product of the step is added to the
-                covariance.
+            unrealised_step: Predicted step, shape (n,), in units of the prior widths, that did not
+                decrease the cost as predicted. Its outer product is added to the covariance.
         """
         width = self.table.width
         covariance = np.linalg.inv(self.posterior_information)
@@ -351,9 +360,11 @@ class _QuadraticCost:
 def _find_decrease(
     cost: _QuadraticCost, linearise: Callable[[Array, Array], LinearisedResiduals], damping: float
 ) -> tuple[tuple[Array, float] | None, float]:
-    """Return the accepted parameters and the decrease of the cost, or None; and the next damping.
+    """Find a step that decreases the cost, with increasing damping from ``damping`` on.
 
-    The decrease may be negative, but not below ``-_MIN_PREDICTED_DECREASE``.
+    Returns:
+        Accepted parameters and decrease of the cost (which may be negative, by at most
+        ``_MIN_PREDICTED_DECREASE``), or None without an accepted step; and the next damping.
     """
     table, x = cost.table, cost.x
     while damping <= _MAX_DAMPING:

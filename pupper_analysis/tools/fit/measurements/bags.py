@@ -14,6 +14,7 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError, Mi
 
 Array = NDArray[np.float64]
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
+"""File suffixes of MCAP files, of the storage of ROS 2 bags (SQLite) and of ROS 1 bags."""
 _MAX_GAP_RATIO = 1.5
 """Upper bound of a gap in median sampling intervals. Larger gaps are not interpolated. Chosen, not
 tuned."""
@@ -29,15 +30,17 @@ _ROLE_TYPES = {
     "state": (_STATE_TYPE, _CONTROLLER_TYPE),
     "command": (_ARRAY_TYPE, _TRAJECTORY_TYPE, _CONTROLLER_TYPE),
 }
+"""{role of a topic: message types that a topic with this role may have}."""
+
 _CONTROLLER_FIELDS = {"state": ("feedback", "actual"), "command": ("reference", "desired")}
 """Fields of the state of a controller: the names since ROS 2 Humble, and the names before."""
 
 MAX_BAG_BYTES: Final = 2_000_000_000
-"""Upper bound of the size of a file of a bag. Larger bags usually contain camera topics, which
-can be left out. Chosen, not tuned."""
+"""Upper bound of the size of a file of a bag [bytes]. Larger bags usually contain camera topics,
+which can be left out. Chosen, not tuned."""
 
 MAX_MESSAGE_BYTES: Final = 500_000_000
-"""Upper bound of the total size of the messages that are read. Chosen, not tuned."""
+"""Upper bound of the total size of the messages that are read [bytes]. Chosen, not tuned."""
 
 
 def is_bag(path: Path) -> bool:
@@ -52,12 +55,19 @@ def read_bag(
 
     Args:
         path: Bag.
-        topics: {kind of value: topic}, chosen by the user.
-        joints: Names of the joints.
+        topics: {``state`` or ``command``: topic}, chosen by the user. A role without an entry uses
+            the only topic with a suitable message type.
+        joints: Names of the joints, for messages without names.
 
     Returns:
-        Times from the first sample on, shape (n,) [s], and {kind: {joint: values, shape (n,) [rad,
-        m]}}; NaN if missing.
+        Times from the first sample on, shape (n,) [s], and {``position`` or ``command``: {joint:
+        values, shape (n,) [rad, m]}}; NaN if missing.
+
+    Raises:
+        ConfigurationError: If a topic in ``topics`` has an unknown role or an unsuitable type.
+        MeasurementError: If the bag cannot be read, has no joint states, or the topic of a role is
+            ambiguous.
+        MissingPackageError: If rosbags is not installed.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -82,7 +92,8 @@ def read_bag(
 def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> dict[str, str]:
     """Return {role: topic}: the requested topic, or the only topic with a type of the role.
 
-    A ``JointState`` is preferred to the state of a controller, which may be late.
+    The role is ``state`` or ``command``; ``command`` is left out without a topic. For ``state``, a
+    ``JointState`` topic is preferred to the state of a controller, which may be late.
     """
     topics: dict[str, str] = {}
     listing = tuple(f"{name} ({kind})" for name, kind in sorted(types.items()))
@@ -110,7 +121,10 @@ def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> di
 
 
 def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> dict[Any, Array]:
-    """Return {(kind, joint): rows of recording time [s], header time [s], value}, shape (n, 3)."""
+    """Return {(kind, joint): rows of recording time [s], header time [s], value}, shape (n, 3).
+
+    The kind is ``position`` or ``command``; the value is in rad or m.
+    """
     series: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     used = chosen.values()
     connections = [connection for connection in reader.connections if connection.topic in used]
@@ -156,7 +170,11 @@ def _read_positions(message: Any, connection: Any, role: str) -> Sequence[float]
 def _resample_to_common_clock(
     series: dict[Any, Array],
 ) -> tuple[Array, dict[str, dict[str, Array]]]:
-    """Return sample times of the most frequently measured joint, and all values at these times."""
+    """Return sample times of the most frequently measured joint, and all values at these times.
+
+    Times start at 0, shape (n,) [s]. Values are {kind: {joint: shape (n,) [rad, m]}}: positions
+    are interpolated, commands hold until the next message; NaN if missing.
+    """
     time_column = 1 if all(np.isfinite(rows[:, 1]).all() for rows in series.values()) else 0
     samples: dict[Any, tuple[Array, Array]] = {}
     for (kind, joint), rows in series.items():

@@ -26,7 +26,8 @@ from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
 Array = NDArray[np.float64]
 
 _MIN_JUMP = 0.5
-"""Lower bound of a clock jump: time [s] between two samples. Chosen, not tuned."""
+"""Smallest time [s] between two samples that counts as a jump of the clock, which ends a run.
+Chosen, not tuned."""
 
 MIN_SAMPLES = 100
 """Smallest number of samples of a log: half a second at 200 Hz. Chosen, not tuned."""
@@ -63,12 +64,16 @@ class Log:
 
     @property
     def jumps(self) -> list[int]:
-        """Indices of samples before a new run: the clock was set, or the log interrupted."""
+        """Index of the last sample before each clock jump.
+
+        The next sample follows more than 0.5 s and ten median intervals later: the clock was set,
+        or the log was interrupted.
+        """
         min_jump = max(_MIN_JUMP, 10 * self.interval)
         return [int(index) for index in np.flatnonzero(np.diff(self.time) > min_jump)]
 
     def select_rows(self, rows: slice) -> Log:
-        """Return a log of some of the samples."""
+        """Return a log with the samples of a slice of row indices."""
         return replace(
             self, time=self.time[rows], command=self.command[rows], position=self.position[rows]
         )
@@ -99,7 +104,7 @@ class Log:
 def make_log(
     source: str, time: Array, kinds: Mapping[str, Mapping[str, Array]], lines: Sequence[int]
 ) -> Log:
-    """Create a log from columns.
+    """Create a log of joint commands and measured joint positions from columns.
 
     Args:
         source: Source of the columns, for error messages.

@@ -1,4 +1,9 @@
-"""Checks of a log before a fit: units, exchanged columns, clock and resting joints."""
+"""Checks of a log before a fit: units, exchanged columns, clock and resting joints.
+
+`inspect_log` returns the findings for a robot. Units are checked by the joint limits and by the
+ratio of commands to positions, exchanged columns by correlations and by the sign of the work of the
+servos. `find_column_step` determines the encoder step from the differences of the positions.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +29,21 @@ _MIN_JOINT_RANGE = 2e-3
 not tuned."""
 
 _MAX_REACH_RATIO = 2.0
-"""Upper bound of the median absolute position over the larger absolute joint limit. Above, the unit
-is wrong. Chosen, not tuned."""
+"""Upper bound of the ratio of the median absolute position to the larger absolute joint limit.
+Above, the unit is wrong. Chosen, not tuned."""
 
 _DEGREES_PER_RADIAN = 180 / np.pi
 """Degrees per radian."""
 
 _SAME_UNIT_RATIOS = (0.2, 5.0)
-"""Bounds of the ratio of two columns with the same unit. 57.3 and 1/57.3 are far outside. Chosen,
-not tuned."""
+"""Bounds of the ratio of standard deviations of commands and positions with the same unit. With
+degrees and radians the ratio is about 57.3 or 1/57.3. Chosen, not tuned."""
 
 _MAX_SWAPPED_CORRELATION = -0.1
-"""Correlation between a joint's steps and the servo error below which the columns are swapped. A
-servo supplies the energy that friction dissipates, so that the correlation is positive: 0.1 to
-0.9 in simulated and public logs, and as negative with swapped columns."""
+"""Correlation of the displacements of a joint between samples with the servo error (command -
+position), below which commands and positions are swapped. A servo supplies the energy that friction
+dissipates, so that the correlation is positive: 0.1 to 0.9 in simulated and public logs. Swapped
+columns give -0.9 to -0.1."""
 
 _OFFSET_ALLOWANCE = 0.1
 """Encoder offset [rad, m] that is allowed in the energy balance of a motion with different start
@@ -85,7 +91,7 @@ def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
 
 
 def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[Diagnostic]:
-    """Yield remarks on a log with joints in actuator order."""
+    """Yield remarks on a log with joints in actuator order; ``joints`` are the measured joints."""
     indices = [robot.joint_names.index(name) for name in joints]
     position, command = log.position[:, indices], log.command[:, indices]
     if log.interval > _MAX_INTERVAL:
@@ -129,10 +135,11 @@ def _check_clock(log: Log) -> Iterator[Diagnostic]:
 
 
 def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
-    """Report joints whose measured position follows the wrong command, by correlation.
+    """Yield diagnostics on joints whose measured position follows the wrong command.
 
-    One note lists joints that follow the command of another joint. A second note lists joints that
-    follow their own command with the opposite sign.
+    The first diagnostic lists joints whose position correlates with the command of another joint,
+    the second lists joints whose position correlates negatively with their own command. Either is
+    left out if its list is empty.
 
     Args:
         robot: Robot.
@@ -167,13 +174,13 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
 
 
 def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
-    """Yield joints whose command follows the position.
+    """Yield a diagnostic that lists the joints whose command follows the position.
 
     A servo supplies the energy that friction dissipates: over a motion the integral of (command -
     position) d position is positive. With swapped columns this integral is negative, and so is the
     integral of (command - position) d command, which is larger by [(command - position)^2] / 2
-    between start and end. Only one integral is negative if a motion ends with a loaded servo, or
-    the load decreased.
+    between start and end. A joint is listed if both integrals are negative. A single negative
+    integral is no evidence: the motion may end with a loaded servo, or the load may have decreased.
     """
     backwards = []
     for index in moving:
@@ -197,7 +204,10 @@ def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator
 def find_degrees(
     robot: Robot, joints: Iterable[int], position: Array, command: Array
 ) -> Iterator[Diagnostic]:
-    """Yield columns whose median magnitude is beyond the joint limits, as of angles in degrees.
+    """Yield a diagnostic for each column whose values are too large for radians.
+
+    The median magnitude of such a column is more than twice the larger absolute joint limit (2 pi
+    for a joint without a limit), as with angles in degrees.
 
     Args:
         robot: Robot.
@@ -229,7 +239,11 @@ def find_degrees(
 
 
 def _compute_column_ratio(first: Array, second: Array) -> float | None:
-    """Return the median ratio of the columns' standard deviations; None if no column varies."""
+    """Return the median over the joints of std(first) / std(second), dimensionless.
+
+    Both arrays have the shape (n, joints); NaN is ignored. Joints without variation in either array
+    are left out; None if no joint remains.
+    """
     is_finite = np.isfinite(first) & np.isfinite(second)
     pairs = [
         (first[rows, column], second[rows, column])
@@ -244,7 +258,8 @@ def find_column_step(column: Array) -> float:
     """Find the largest step of which the differences between sorted positions are multiples.
 
     Tested are the `_MAX_STEPS` smallest differences above `_MIN_ENCODER_STEP`. Candidates are the
-    smallest difference and its integer fractions down to 1 / `_MAX_PARTS`.
+    smallest difference and its integer fractions, down to 1 / `_MAX_PARTS` of it and to
+    `_MIN_ENCODER_STEP`.
 
     Args:
         column: Positions of a joint, shape (n,) [rad].
@@ -266,17 +281,19 @@ _MIN_ENCODER_STEP = 1e-5
 """Lower bound of an encoder step [rad]: above the rounding of files, below the step of 18 bits."""
 
 _MIN_STEPS = 7
-"""Smallest number of differences between readings that determine an encoder step. Derived: seven
-chance multiples have a probability of 1e-7 for each divisor."""
+"""Smallest number of differences between readings that determine an encoder step. Derived: a random
+difference is within `_MULTIPLE_TOLERANCE` of a multiple with probability 0.1, six besides the
+smallest difference with probability 1e-6 for each candidate step."""
 
 _MAX_PARTS = 400
-"""Upper bound of the ratio between the smallest difference of readings and the encoder step.
-Derived: ten stands in 0.1 rad are about 300 steps of 14 bits apart."""
+"""Upper bound of the ratio between the smallest difference of readings and the encoder step. Larger
+than 0.1 rad, a range of readings, in encoder steps of 14 bits per turn (about 260)."""
 
 _MULTIPLE_TOLERANCE = 0.05
 """Distance of a difference of readings from a whole number of encoder steps, in steps, up to which
 it counts as a multiple. The distance covers rounding in the file. Chosen, not tuned."""
 
 _MAX_STEPS = 50
-"""Number of the smallest differences that are tested, since rounding errors are relatively smallest
-there. Fifty chance multiples have a probability of 1e-50."""
+"""Number of differences between readings that are tested, the smallest first: the step has the
+rounding error of the smallest difference, which changes the ratios of large differences more. Fifty
+random differences are multiples of a step with a probability of 1e-49. Chosen, not tuned."""

@@ -131,7 +131,7 @@ def _check_runs(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence
     """Check that there are samples to fit, and that each joint of a log has commands and a servo.
 
     Raises:
-        MeasurementError: If not.
+        MeasurementError: If there are no samples, or a joint lacks commands or a stiffness.
     """
     if not runs or not any(run.counts.any() for run in runs):
         source = logs[0].source if logs else robot.name
@@ -147,7 +147,8 @@ def _make_parameters(
 ) -> ParameterTable:
     """Create the parameters: joints in the logs, links that these joints move, and delays.
 
-    The damping of a joint includes the damping of the servo, since both have the same effect.
+    The damping kd of the servos is no parameter: an error of kd appears in the estimated damping of
+    the joint, since both have the same effect.
     """
     bodies = Simulator(robot, drive, ParameterTable(()), 1.0, 1).bodies
     model, dofs = bodies.model, robot.mj_convention.qvel_index
@@ -218,10 +219,14 @@ def _report_motions(
 
 
 def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
-    """Return the distribution for measurement noise that is larger by a factor.
+    """Return the distribution with a larger standard deviation of the measurement noise.
 
     Errors beyond the encoder noise are errors of the model, which shift parameters in unknown
     directions. The prior is unchanged.
+
+    Args:
+        posterior: Distribution of the parameters.
+        noise_ratio: Factor on the standard deviation of the noise, at least 1.
     """
     width = np.array([parameter.width for parameter in posterior.parameters])
     sizes, inverse_square = np.outer(width, width), noise_ratio**-2
@@ -235,7 +240,14 @@ def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
 def _report_misfit(
     robot: Robot, by_joint: Array, noise: Array, rms_error: float
 ) -> Iterator[Diagnostic]:
-    """Yield a failure if the fitted model does not explain the motion."""
+    """Yield a failure if the fitted model does not explain the motion.
+
+    Args:
+        robot: Robot.
+        by_joint: RMS position error of each joint, shape (nu,) [rad]; NaN if not measured.
+        noise: Standard deviation of each joint's encoder noise, shape (nu,) [rad].
+        rms_error: RMS position error over all joints [rad].
+    """
     noise_ratios = by_joint / noise
     if (
         np.nanmedian(noise_ratios) > _MAX_NOISE_RATIO
@@ -254,7 +266,10 @@ def _report_misfit(
 def _report_notes(
     runs: Sequence[Run], rms_error: float, stated_error: float
 ) -> Iterator[Diagnostic]:
-    """Yield notes: a prediction worse than with the stated values, and a replayed motion."""
+    """Yield notes: a prediction worse than with the stated values, and a replayed motion.
+
+    Both errors are RMS position errors [rad]: with the fitted and with the stated parameters.
+    """
     if rms_error > stated_error:
         yield diagnose(
             "motion-predicted-worse",
@@ -272,10 +287,11 @@ repeated logs have at least 0.99, other motions of the same joints hardly 0.5.""
 
 
 def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
-    """Return the shift at which commands agree best with part of others, and the correlation.
+    """Return the shift at which a pattern agrees best with part of a series, and the correlation.
 
-    The shift is in samples. All joints are correlated jointly, and the shift is refined with a
-    parabola through the maximum.
+    Both arrays are commands, shape (samples, nu) [rad]. The shift is in samples. All joints are
+    correlated jointly, and the shift is refined with a parabola through the maximum. (0, 0) if the
+    series is shorter than the pattern, or the pattern is constant.
     """
     centred_pattern = pattern - pattern.mean(axis=0)
     if len(series) < len(pattern) or not centred_pattern.any():
@@ -299,14 +315,15 @@ def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
 
 
 def _get_middle_half(rows: Array) -> Array:
-    """Return the middle half of some rows, which overlaps if logs are shifted in time."""
+    """Return the middle half of some rows, which a log shifted by a quarter still contains."""
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
 
 
 def measure_replay(runs: Sequence[Run]) -> float:
-    """Return the largest correlation between held-out and fitted commands, at any shift.
+    """Return the largest correlation (-1 to 1) between held-out and fitted commands, at any shift.
 
-    The middle half of each held-out part is compared with all fitted parts; 0 if there are none.
+    The middle half of the held-out part of each run is compared with the fitted parts of all runs;
+    0 if no run has a held-out part.
     """
     fitted = [run.command[run.counts.any(axis=1)] for run in runs]
     parts = [_get_middle_half(run.command[run.held_out.any(axis=1)]) for run in runs]
@@ -343,12 +360,14 @@ def measure_repeatability(runs: Sequence[Run]) -> float:
 
 
 def _estimate_encoder_noise(series: Sequence[Array]) -> float:
-    """Return the standard deviation of the encoder noise, estimated from third differences.
+    """Return the standard deviation [rad] of the encoder noise, estimated from third differences.
 
     For white noise of variance s^2 the variance of the differences is 20 s^2; motions of some Hz
     contribute little. The median is used, since joints jump for a moment after a new command. The
-    result is at least the standard deviation of the encoder's quantisation; NaN without
-    differences.
+    result is at least the encoder step (if one is found) / sqrt(12); NaN without differences.
+
+    Args:
+        series: Positions of one joint in each run, shape (n,) [rad].
     """
     steps = np.concatenate([np.abs(np.diff(column, 3)) for column in series])
     steps = steps[np.isfinite(steps)]
@@ -371,12 +390,13 @@ _MIN_DECREASE = 0.04
 a standard deviation, with which an interval is 2 % too narrow."""
 
 _ROUGH_MIN_DECREASE = 10.0
-"""Predicted decrease of the cost below which the first pass ends, in which the noise is still
-assumed to be white. Chosen, not tuned."""
+"""Predicted decrease of the cost (chi2 plus prior) below which the first pass ends, in which the
+noise is still assumed to be white. Chosen, not tuned."""
 
 _MAX_DERIVATIVE_DISTANCE = 4.0
-"""Squared distance, in standard deviations, up to which derivatives are reused, since derivatives
-need many simulations: 4 is two standard deviations. Chosen, not tuned."""
+"""Square of the distance of the parameters, in posterior standard deviations, up to which
+derivatives are reused, since derivatives need many simulations: 4 is two standard deviations.
+Chosen, not tuned."""
 
 _FINE_STEP_FACTOR = 4
 """Factor on the number of simulation steps for predictions. The error of dry friction decreases
@@ -408,8 +428,14 @@ class MotionResiduals:
     def linearise(self, moments: Array, noise_point: Array) -> LinearisedResiduals:
         """Linearise the whitened residuals of all runs, for ``estimate_parameters``.
 
-        The noise is estimated from the residuals if ``moments`` is ``noise_point``; derivatives are
-        then evaluated again if the parameters have moved far.
+        The residuals are predicted minus measured joint positions, divided by the long-run standard
+        deviation of the noise. If ``moments`` is the same object as ``noise_point``, the noise is
+        estimated from the residuals, and derivatives are evaluated again if the parameters are
+        farther than `_MAX_DERIVATIVE_DISTANCE` from the last evaluation.
+
+        Args:
+            moments: Parameters in first-moment coordinates (`MomentCoordinates`), shape (n,).
+            noise_point: Parameters at which the noise is evaluated, shape (n,).
         """
         vector = self.moments.to_parameters(moments)
         residuals = [
@@ -460,19 +486,20 @@ class MotionResiduals:
         )
 
     def _iterate_derivatives(self) -> Iterator[tuple[IntArray, Array, int, int]]:
-        """Yield parameter indices, derivatives, shape (samples, parameters), joint and run."""
+        """Yield k parameter indices, derivatives, shape (samples, k), joint index and run index."""
         for run, jacobians in enumerate(self._jacobians):
             for group, (places, by_places) in jacobians.items():
                 for column, joint in enumerate(self.simulator.groups[group][0]):
                     yield places, by_places[:, column], joint, run
 
     def fit(self) -> Posterior:
-        """Return the estimated parameters, with the remaining noise.
+        """Estimate the parameters by weighted least squares, and return their distribution.
 
-        Weighted least squares, each joint weighted by the long-run standard deviation of the
-        joint's noise. The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the
-        prior widths, with H = A + P, information A, prior precision P, and B the covariance of the
-        gradient under the autocorrelated noise.
+        The residuals of each joint are divided by the long-run standard deviation of the joint's
+        noise. The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the prior
+        widths, with H = A + P, information A, prior precision P, and B the covariance of the
+        gradient under the autocorrelated noise. If the iteration stalled, the outer product of the
+        unrealised step is added.
 
         Raises:
             FitError: If the iteration does not converge.
@@ -506,16 +533,16 @@ class MotionResiduals:
 
 
 _MAX_LAGS = 20
-"""Order of the autoregressive noise: 100 ms at 200 Hz. Longer correlations are represented by their
-effect within that time. Chosen, not tuned."""
+"""Order of the autoregressive noise model [samples]: 100 ms at 200 Hz. Longer correlations are
+represented by their effect within that time. Chosen, not tuned."""
 
 _MIN_NOISE_STD = 1e-6
 """Lower bound of a noise standard deviation [rad, m], so that weights are finite. Chosen, not
 tuned."""
 
 _SAMPLES_PER_LAG = 20
-"""Smallest number of samples per coefficient; with fewer the noise is assumed to be white. Chosen,
-not tuned."""
+"""Smallest number of samples per coefficient of the autoregressive noise model; with fewer the
+noise is assumed to be white. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -538,16 +565,23 @@ class SeriesNoise:
 
     @staticmethod
     def fit_white(series: Sequence[Array]) -> SeriesNoise:
-        """Return white noise with the RMS of some series, or ``_MIN_NOISE_STD`` if larger."""
+        """Return white noise whose standard deviation is the RMS of some residual series.
+
+        The series have the shape (n,) [rad]; NaN is ignored. The deviation is at least
+        ``_MIN_NOISE_STD``.
+        """
         deviation = float(np.fmax(compute_rms(series), _MIN_NOISE_STD))  # fmax ignores NaN
         return SeriesNoise(np.zeros(0), deviation, deviation)
 
     @staticmethod
     def fit_autoregression(series: Sequence[Array]) -> SeriesNoise:
-        """Return the noise of some series, shape (n,) each, by the Yule-Walker equations.
+        """Fit autoregressive noise to some residual series by the Yule-Walker equations.
 
-        NaN samples are missing. The equations give a stable filter. White noise is returned if the
-        samples are too few, or their RMS is at most ``_MIN_NOISE_STD``.
+        The equations give a stable filter. White noise is returned if the samples are too few, or
+        their RMS is at most ``_MIN_NOISE_STD``.
+
+        Args:
+            series: Residuals of a joint in each run, shape (n,) [rad]; NaN if missing.
         """
         filled = [np.where(np.isfinite(series_part), series_part, 0.0) for series_part in series]
         count = int(sum(np.isfinite(series_part).sum() for series_part in series))
@@ -566,15 +600,22 @@ class SeriesNoise:
 
     @property
     def long_run_std(self) -> float:
-        """Long-run standard deviation [rad], at least that of e."""
+        """Long-run standard deviation s / (1 - sum c) [rad], at least the standard deviation of e.
+
+        The noise is e_k = sum_i c_i e_(k-i) + w_k with white w of standard deviation s.
+        """
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
     def propagate_weights(self, weights: Array) -> Array:
-        """Return a factor of the covariance of weighted sums of the noise.
+        """Return a factor of the covariance of m weighted sums of n samples of the noise.
 
-        With the weights, shape (n, m), of m sums of n samples, the result is B^T, shape (m, n), and
-        B^T B is the covariance of the sums. Sums of filtered noise are sums of white noise whose
-        weights are filtered backwards in time.
+        Sums of filtered noise are sums of white noise whose weights are filtered backwards in time.
+
+        Args:
+            weights: Weights of the samples in each sum, shape (n, m).
+
+        Returns:
+            B^T, shape (m, n), such that B^T B, shape (m, m), is the covariance of the sums.
         """
         filter_coefficients = [1.0, *-self.coefficients]
         return np.asarray(lfilter([self.innovation], filter_coefficients, weights[::-1], axis=0)).T
@@ -591,11 +632,12 @@ def compute_rms(series: Iterable[Array]) -> float:
 
 
 _DIFFERENCE_STEP = 0.1
-"""Finite-difference step in standard deviations. Measured on v3: with steps of 0.1 to 1 the
-intervals agree to 1 %."""
+"""Finite-difference step of the parameters in posterior standard deviations. Measured on v3: with
+steps of 0.1 to 1 the intervals agree to 1 %."""
 
 _INITIAL_DIFFERENCE_STEP = 1e-2
-"""Finite-difference step in prior widths, while only the priors are known. Chosen, not tuned."""
+"""Finite-difference step of the parameters in prior standard deviations, for the first derivatives,
+before the posterior is known. Chosen, not tuned."""
 
 
 def differentiate_motion(
@@ -605,26 +647,29 @@ def differentiate_motion(
     point: Array,
     information: Array | None = None,
 ) -> Mapping[int, tuple[IntArray, Array]]:
-    """Compute the derivatives of the predicted positions by the parameters, in moment coordinates.
+    """Compute the derivatives of predicted joint positions by the parameters of a fit.
+
+    The parameters are in first-moment coordinates: a CoM c of a body with an estimated mass m is
+    replaced by c0 + (m / m0) (c - c0), with stated values c0, m0 (`MomentCoordinates`).
 
     A common factor on kp, friction and masses changes nothing, but each alone changes much. With
     differences along single parameters, the errors of large derivatives would add up to a false
     effect of the common factor, and intervals would be a quarter too narrow. Therefore the steps
     are along the principal directions of the information, scaled by the uncertainties.
 
-    Independent groups of joints are changed in the same simulation.
+    Groups of joints without mutual effect are changed in the same simulation.
 
     Args:
         simulator: Simulator.
-        moments: Conversion of moment coordinates to parameters.
+        moments: Conversion of first-moment coordinates to parameters.
         run: Run.
-        point: Moment coordinates, shape (n,).
+        point: First-moment coordinates, shape (n,).
         information: Information of the coordinates, shape (n, n), in units of the prior widths;
             None if only the priors are known, with steps along single parameters.
 
     Returns:
-        {group of joints: (indices of the parameters, derivatives of shape (samples, joints,
-        parameters))}.
+        {index of the group in `simulator.groups`: (indices of k parameters, derivatives of shape
+        (samples, joints of the group, k) [rad per unit of the parameter])}.
     """
     groups, common_parameters = (
         simulator.groups,
@@ -659,7 +704,7 @@ def differentiate_motion(
 
 
 def _make_steps(columns: list[int], information: Array | None) -> Array:
-    """Return steps of some parameters in units of the prior widths, a step per row."""
+    """Return k steps of the k parameters ``columns``, shape (k, k), in prior widths, in rows."""
     if information is None:
         return _INITIAL_DIFFERENCE_STEP * np.eye(len(columns))
     values, directions = np.linalg.eigh(information[np.ix_(columns, columns)])

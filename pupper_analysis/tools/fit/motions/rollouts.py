@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SERVOS_SUBJECT = "servos"
-"""Subject of delay and lags, which are common to all servos."""
+"""`Parameter.subject` of the delay and the lags, which are common to all servos."""
 
 DELAY_PARAMETERS = (
     ("delay", SERVOS_SUBJECT, "", 0.0),
@@ -47,15 +47,15 @@ encoder readings; the velocity error decays within some time constants kd / kp o
 50 ms)."""
 
 _MAX_STEP_RATE = 0.5
-"""Upper bound of the time step times the fastest rate (kd + damping) / inertia. The error of the
-Runge-Kutta method is then 1e-4 of the motion."""
+"""Upper bound of the product of time step and fastest rate (kd + damping) / inertia. The error of
+the Runge-Kutta method is then 1e-4 of the motion."""
 
 _MAX_STEPS_PER_SAMPLE = 20
 """Upper bound of the simulation steps per sample. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-11
-"""Tolerance of MuJoCo's solver. The solver error in dry friction would appear in finite
-differences. Chosen, not tuned."""
+"""Tolerance of MuJoCo's CG solver (``mjOption.tolerance``, dimensionless). The solver's error in
+dry friction would appear in finite differences. Chosen, not tuned."""
 
 _MAX_BATCH_SIZE = 8
 """Largest number of simulations whose states are kept in memory at once: each has 25 MB for a
@@ -89,12 +89,12 @@ class Run:
 
 
 def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
-    """Yield the runs of a log that are longer than one second.
+    """Yield the runs of a log, split at clock jumps, that last at least one second.
 
     Args:
         log: Log, joints in actuator order.
-        rest: Positions at which joints are held that are not in the log, shape (nu,) [rad].
-        hold_out: Fraction at the end of each run that is not fitted.
+        rest: Positions, shape (nu,) [rad], at which joints without measurements are held.
+        hold_out: Fraction (0 to 1) at the end of each run that is predicted, not fitted.
     """
     boundaries = [0, *(jump + 1 for jump in log.jumps), len(log.time)]
     for first, last in pairwise(boundaries):
@@ -131,7 +131,11 @@ def _fill_commands(command: Array) -> Array:
 
 
 def _fit_initial_state(time: Array, position: Array) -> Array:
-    """Return initial positions and velocities, shape (2, nu), by a parabola; NaN if unknown."""
+    """Fit a parabola in time [s] to positions (n, nu) [rad], and return the initial state.
+
+    Returns:
+        Positions [rad] and velocities [rad/s], shape (2, nu); NaN with three or fewer samples.
+    """
     initial_state = np.full((2, position.shape[1]), np.nan)
     for joint, column in enumerate(position.T):
         is_finite = np.isfinite(column)
@@ -204,19 +208,19 @@ class Simulator:
         return np.asarray(1 / np.diag(np.linalg.inv(mass))[self._dofs])
 
     def with_steps(self, steps: int) -> Simulator:
-        """Return a simulator with another number of steps per sample."""
+        """Return a simulator of the same robot with a number of simulation steps per sample."""
         interval = self._model.opt.timestep * self.steps
         return Simulator(self.robot, self.drive, self.table, interval, steps)
 
     def predict_positions(self, run: Run, vectors: Sequence[Array]) -> Array:
-        """Predict the encoder positions of a run for several parameter vectors.
+        """Predict the encoder positions of a run for several parameter vectors, by simulation.
 
         Args:
             run: Run with n samples.
-            vectors: k parameter vectors.
+            vectors: k parameter vectors (physical parameters, in the order of the table).
 
         Returns:
-            Positions, shape (k, n, nu) [rad].
+            Joint position plus encoder offset, shape (k, n, nu) [rad].
         """
         starts = range(0, len(vectors), _MAX_BATCH_SIZE)
         return np.concatenate(
@@ -266,7 +270,7 @@ class Simulator:
         return np.array(positions)
 
     def _get_joint_values(self, vector: Array, kind: str, stated: Array) -> Array:
-        """Return the values of a kind for all joints, shape (nu,)."""
+        """Return the values of a parameter kind for all joints, shape (nu,), in its unit."""
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
     def _get_delay(self, vector: Array, part: str = "") -> float:
@@ -274,10 +278,18 @@ class Simulator:
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
     def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:
-        """Replace derivatives by the position lag by those of equivalent damping and armature.
+        """Replace the derivative of positions by the position lag with a sum over other parameters.
 
         To second order a lag T of positions is a damping of -kp T and an armature of kp T^2.
-        Finite-difference errors must not distinguish equivalent parameters.
+        Therefore the derivative by T is the sum of -kp times the derivative by the damping and
+        2 kp T times the derivative by the armature of each joint. Finite-difference errors must not
+        distinguish equivalent parameters. Without estimated damping and armature nothing changes.
+
+        Args:
+            vector: Parameters, shape (n,).
+            indices: Indices of k parameters, shape (k,).
+            jacobians: Derivatives by these parameters, shape (samples, joints, k); changed in
+                place.
         """
         kp, lag = (
             self._get_joint_values(vector, "kp", self.drive.kp),
@@ -295,8 +307,12 @@ class Simulator:
     def set_parameters(self, model: mujoco.MjModel, vector: Array) -> None:
         """Write a parameter vector into a model: servos, damping, friction, armature, masses.
 
-        Dry friction and armature are clipped at 0. Damping is not, since finite differences need
-        both sides.
+        kp, dry friction and armature are clipped at 0. Damping is not, since finite differences
+        need both sides.
+
+        Args:
+            model: Copy of the simulator's model; changed in place.
+            vector: Parameters, shape (n,), each in its unit.
         """
         dofs, drive, stated = self._dofs, self.drive, self._model
         kp = np.maximum(self._get_joint_values(vector, "kp", drive.kp), 0.0)
@@ -320,7 +336,11 @@ class Simulator:
 
 
 def _average_commands(time: Array, command: Array, edges: Array) -> Array:
-    """Return the means (k - 1, nu) of piecewise constant commands between k times."""
+    """Return the means, shape (k - 1, nu) [rad], of piecewise constant commands between k times.
+
+    ``time``, shape (n,) [s], are the sample times of the commands, ``edges``, shape (k,) [s], the
+    boundaries of the intervals.
+    """
     boundaries = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
     steps = np.diff(boundaries)[:, None] * np.vstack([command[:1], command])
     sums = np.vstack([np.zeros(command.shape[1]), np.cumsum(steps, axis=0)])
@@ -412,7 +432,16 @@ class MovingBodies:
         mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
 
     def set_parameters(self, model: mujoco.MjModel, table: ParameterTable, vector: Array) -> None:
-        """Write masses and CoM positions of a parameter vector into a copy of ``model``."""
+        """Write masses [kg] and CoM positions [m] of a parameter vector into a MuJoCo model.
+
+        Values that are not estimated keep the values of the file. The rotational inertia is scaled
+        with the mass. A mass is at least `MIN_MASS_FRACTION` of the stated mass.
+
+        Args:
+            model: Copy of the model with merged inertials; changed in place.
+            table: Parameters.
+            vector: Values of the parameters, shape (n,).
+        """
         for joint, (link, body) in enumerate(zip(self.links, self._bodies, strict=True)):
             if self.mass[joint] <= 0:
                 continue
@@ -424,10 +453,14 @@ class MovingBodies:
             model.body_ipos[body] = self._to_link[joint].actInv(com)
 
     def find_independent_groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
-        """Return groups of joints without mutual effect, with the parameters of each group.
+        """Return groups of joints that do not affect each other, with the parameters of each group.
 
-        Since the base is held, the joints of a kinematic tree are a group. Models with equality
-        constraints or tendons have a single group.
+        Since the base is held, the joints of a branch of the tree at the base are a group. Models
+        with equality constraints or tendons have a single group.
+
+        Returns:
+            (Indices of the joints, indices of the parameters of these joints and their links) of
+            each group.
         """
         model = self.model
         roots = [_find_root_body(model, int(body)) for body in self._bodies]
@@ -466,7 +499,7 @@ def _find_root_body(model: mujoco.MjModel, body: int) -> int:
 def _compute_link_frames(
     robot: Robot, model: mujoco.MjModel, bodies: NDArray[np.int64]
 ) -> Iterator[pin.SE3]:
-    """Yield the pose of each joint's MuJoCo body in the frame of the Pinocchio joint."""
+    """Yield the pose of each joint's MuJoCo body in the frame of the Pinocchio joint [m]."""
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, robot.home)
     mujoco.mj_kinematics(model, data)
@@ -527,7 +560,10 @@ class MomentCoordinates:
         )
 
     def _compute_mass_ratio(self, vector: Array) -> Array:
-        """Return m0 / m for each CoM coordinate."""
+        """Return stated over estimated mass, m0 / m, for each CoM coordinate of a parameter vector.
+
+        m is at least `MIN_MASS_FRACTION` times m0.
+        """
         min_mass = MIN_MASS_FRACTION * self._stated_mass
         return np.asarray(self._stated_mass / np.maximum(vector[self._masses], min_mass))
 
@@ -557,7 +593,11 @@ class MomentCoordinates:
         return moments
 
     def differentiate_parameters(self, moments: Array) -> Array:
-        """Return the derivative of the parameters by the coordinates, shape (n, n)."""
+        """Return the derivative of the parameters by the first-moment coordinates, shape (n, n).
+
+        Args:
+            moments: Point, in first-moment coordinates, shape (n,).
+        """
         derivative, mass_ratio = np.eye(len(moments)), self._compute_mass_ratio(moments)
         deviation = moments[self._coms] - self._stated_com
         derivative[self._coms, self._coms] = mass_ratio
@@ -566,7 +606,9 @@ class MomentCoordinates:
         return derivative
 
     def transform_posterior(self, posterior: Posterior, covariance: Array) -> Posterior:
-        """Return the distribution of the parameters, linearised about the mean of the coordinates.
+        """Convert a distribution of first-moment coordinates to a distribution of the parameters.
+
+        The conversion is linearised about the mean.
 
         Args:
             posterior: Distribution of the coordinates.

@@ -50,7 +50,7 @@ class Operator(Protocol):
         """
 
     def stops(self) -> bool:
-        """Return True if the operator has pressed a key to stop."""
+        """Return True if the operator has pressed a key to stop the recording."""
 
 
 class Bridge(Protocol):
@@ -82,7 +82,11 @@ class Bridge(Protocol):
 
 
 def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
-    """Open a bridge and the operator by ``NAME`` or ``NAME:ARGUMENTS``.
+    """Open a connection to a robot, and return the bridge and the operator.
+
+    Args:
+        name: ``NAME`` or ``NAME:ARGUMENTS`` of a bridge of this package or of an entry point.
+        robot: Robot, with the values of the files.
 
     Raises:
         ConfigurationError: If there is no bridge of this name.

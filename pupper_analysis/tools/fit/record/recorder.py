@@ -40,8 +40,8 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand, compute_com_std
 Array = NDArray[np.float64]
 
 MAX_JOINT_SPEED = 0.5
-"""Upper bound of the commanded joint speed [rad/s]: two adjacent stands of a plan are about two
-seconds apart. Chosen, not tuned."""
+"""Upper bound of the commanded joint speed [rad/s] between stands. Two adjacent stands of a plan
+are then about two seconds apart. Chosen, not tuned."""
 
 _COMMAND_INTERVAL = 0.02
 """Time [s] between two commands of a ramp. Chosen, not tuned."""
@@ -62,8 +62,9 @@ _MIN_TRAVEL_RATIO = 0.25
 recording stops. Chosen, not tuned."""
 
 _LIVE_TRAVEL_RATIO = 0.6
-"""Ratio of measured to commanded travel above which a servo works: other loads do not move a joint
-so far. Chosen, not tuned."""
+"""Ratio of measured to commanded travel above which a servo counts as working: gravity and the
+servos of other joints do not move a joint that far. If the servo fails later, rows recorded since
+then are withdrawn. Chosen, not tuned."""
 
 _REST_RANGE = 1e-3
 """Largest range of each joint position [rad] within `_REST_WINDOW` with which the robot counts as
@@ -77,8 +78,8 @@ _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
 
 _MIN_COM_MARGIN_RATIO = 0.02
-"""Smallest CoM margin with the file's masses, as a fraction of the nominal height, with which a
-planned stand is accepted. Chosen, not tuned."""
+"""Smallest distance of the CoM from the edge of the support polygon, with the file's masses, as a
+fraction of the nominal height, with which a planned stand is accepted. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Recording(Result):
 
     @property
     def complete(self) -> bool:
-        """True if no stand is missing."""
+        """Whether all stands of the plan are recorded."""
         return not self.missing_stands
 
 
@@ -127,7 +128,7 @@ class _StandSkippedError(_RecordingEndedError):
 def record_stands(
     robot: Robot, plan: str | Path, output: str | Path, bridge: Bridge, operator: Operator
 ) -> Recording:
-    """Record the stands of a plan, and append a row for each to a file.
+    """Move a robot to the stands of a plan, and append a row of measurements per stand to a file.
 
     Args:
         robot: Robot, with the values of the files.
@@ -233,7 +234,7 @@ class _RecordingSession:
         self._last_live_rows = np.zeros(robot.nu, dtype=int)
 
     def hold_position(self) -> None:
-        """Send the last command again."""
+        """Send the last commanded joint positions again, if there are any."""
         if self._command is not None:
             self._bridge.send(self._command)
 
@@ -244,12 +245,21 @@ class _RecordingSession:
         instructions: Sequence[str],
         rows: int,
     ) -> tuple[Array, Sequence[str]]:
-        """Return joint positions at rest, shape (nu,) [rad], and the feet in the air.
+        """Move the robot to a stand, and return joint positions at rest and the feet in the air.
 
-        ``rows`` is the number of rows recorded before.
+        Args:
+            stand: Planned stand.
+            loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
+            instructions: Steps for the operator, as text.
+            rows: Number of rows recorded before.
+
+        Returns:
+            Joint positions, shape (nu,) [rad], in actuator order; names of the feet in the air.
 
         Raises:
             _StandSkippedError: If the operator skips the stand, or the robot does not come to rest.
+            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
+                stops the recording.
         """
         target = np.array([stand.command[name] for name in self._robot.joint_names])
         if self._bridge.ramps:
@@ -288,8 +298,11 @@ class _RecordingSession:
     def _check_tracking(self, stand: PlannedStand, start: Array, first_position: Array) -> None:
         """Check that all servos follow, and that no key is pressed.
 
+        ``start`` are the commands, ``first_position`` the positions at the start of the ramp, shape
+        (nu,) [rad].
+
         Raises:
-            _RecordingEndedError: If not.
+            _RecordingEndedError: If a servo does not follow, or a key is pressed.
         """
         assert self._command is not None
         position = self._read_positions(stand)
@@ -310,7 +323,11 @@ class _RecordingSession:
             raise _RecordingEndedError(diagnose("recording-stopped"))
 
     def _read_positions(self, stand: PlannedStand) -> Array:
-        """Return current joint positions, shape (nu,) [rad]."""
+        """Return joint positions, shape (nu,) [rad], at most `_MAX_POSITION_AGE` old.
+
+        Raises:
+            _RecordingEndedError: If none arrive in this time.
+        """
         start = self._bridge.now()
         while True:
             time, position = self._bridge.read()
@@ -321,7 +338,11 @@ class _RecordingSession:
             self._bridge.wait(_COMMAND_INTERVAL)
 
     def _average_at_rest(self, stand: PlannedStand) -> Array:
-        """Return the mean joint positions, shape (nu,) [rad], once the robot is at rest."""
+        """Return the mean joint positions, shape (nu,) [rad], once the robot is at rest.
+
+        Raises:
+            _StandSkippedError: If the robot is not at rest within `_REST_TIMEOUT`.
+        """
         assert self._command is not None
         count = round(_REST_WINDOW / _COMMAND_INTERVAL)
         window: list[Array] = []
@@ -385,7 +406,10 @@ def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
 
 
 def _compute_com_margin(robot: Robot, command: Array, swing: Sequence[str]) -> float:
-    """Return the CoM margin [m] of a robot with the loaded feet on level ground."""
+    """Return the CoM margin [m] of a robot with all feet except ``swing`` on level ground.
+
+    The joints are at ``command``, shape (nu,) [rad].
+    """
     config = Configuration(robot, robot.posed(command))
     points = [
         point
@@ -431,7 +455,7 @@ count as planned: six written decimals."""
 
 
 def _make_planned_stand(planned: MeasuredStands, row: int) -> PlannedStand:
-    """Return a stand of a plan file."""
+    """Return the stand in a row of a plan file."""
     added = float(sum(load[row, 0] for load in planned.added.values()))
     command = dict(zip(planned.joints, planned.command[row].tolist(), strict=True))
     heading = float(planned.heading[row])
@@ -441,10 +465,17 @@ def _make_planned_stand(planned: MeasuredStands, row: int) -> PlannedStand:
 def _append_row(
     path: Path, planned: MeasuredStands, row: int, position: Array, swing: Sequence[str]
 ) -> int:
-    """Append a row; the file is replaced atomically.
+    """Append a measured stand to a CSV file; the file is replaced atomically.
+
+    Args:
+        path: File.
+        planned: Stands of the plan.
+        row: Index of the stand in the plan.
+        position: Measured joint positions, shape (nu,) [rad].
+        swing: Feet in the air.
 
     Returns:
-        Length of the file before [bytes].
+        Length of the file before, with a final line end [bytes].
     """
     row_stand = replace(planned.select_rows([row]), position=position[None], swing=(tuple(swing),))
     content_before = path.read_bytes() if path.exists() else None

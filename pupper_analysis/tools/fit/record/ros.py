@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/forward_position_controller/commands"
 
 _SPIN_INTERVAL = 0.02
-"""Time [s] between two checks for messages. Chosen, not tuned."""
+"""Time [s] between two checks for messages while the bridge is opened. Chosen, not tuned."""
 
 _DISCOVERY_TIMEOUT = 5.0
 """Time [s] after which the bridge fails if a joint has no position or nobody receives the commands:
@@ -93,19 +93,24 @@ class RosBridge(WallClock):
                 self._positions[name], self._reception_times[name] = float(value), self.now()
 
     def read(self) -> tuple[float, Array]:
-        """Return the oldest reception time [s] and joint positions (nu,) [rad]; NaN if missing."""
+        """Return the last received joint positions and the oldest of their reception times.
+
+        Returns:
+            Time on the clock of ``now`` [s], -inf if a joint was never received; joint positions in
+            actuator order, shape (nu,) [rad], NaN if never received.
+        """
         self._ros.spin_once(self._node, timeout_sec=0.0)
         positions = [self._positions.get(name, math.nan) for name in self._robot.joint_names]
         return min(self._reception_times.values()), np.array(positions)
 
     def wait(self, seconds: float) -> None:
-        """Wait and process messages."""
+        """Wait for a duration [s], and process ROS messages meanwhile."""
         end = self.now() + seconds
         while (remaining := end - self.now()) > 0:
             self._ros.spin_once(self._node, timeout_sec=remaining)
 
     def send(self, command: Array) -> None:
-        """Publish joint positions, shape (nu,) [rad]."""
+        """Publish commanded joint positions, shape (nu,) [rad], in actuator order."""
         message = self._message()
         message.data = [float(command[joint]) for joint in self._order]
         self._publisher.publish(message)
@@ -116,10 +121,15 @@ class RosBridge(WallClock):
 
 
 def open_ros(robot: Robot, arguments: str) -> tuple[RosBridge, Terminal]:
-    """Open the bridge, with arguments ``state=TOPIC;command=TOPIC;order=JOINT,...``.
+    """Open a bridge over ROS 2 topics, with an operator at the terminal.
+
+    Args:
+        robot: Robot.
+        arguments: ``state=TOPIC;command=TOPIC;order=JOINT,...``, each part optional.
 
     Raises:
-        ConfigurationError: If ROS 2 is not installed, or an argument is unknown.
+        ConfigurationError: If ROS 2 is not installed, an argument is unknown, or a topic is silent
+            or belongs to other joints.
     """
     try:
         ros = import_module("rclpy")

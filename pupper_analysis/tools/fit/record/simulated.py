@@ -1,4 +1,9 @@
-"""Simulated robot with perturbed masses, servos and encoders, to try a plan without hardware."""
+"""Simulated robot with perturbed masses, servos and encoders, to try a plan without hardware.
+
+`SimulatedRobot` is both the bridge and the operator of a recording. Masses, CoM positions, encoder
+offsets and kp are drawn at random from a seed; commands are simulated in MuJoCo, and positions are
+rounded to the encoder step. Known masses are attached by reloading the model.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +42,8 @@ _MAX_FOOT_FRICTION = (1e-3, 2e-4)
 """Upper bounds of torsional and rolling friction [m], values of rubber feet. Chosen, not tuned."""
 
 _MIN_LOAD_RATIO = 0.005
-"""Load of a foot, as a fraction of the weight, below which a person sees the foot in the air.
-Chosen, not tuned."""
+"""Normal force on a foot, as a fraction of the robot's weight, below which the simulated operator
+reports the foot in the air. Chosen, not tuned."""
 
 
 class SimulatedRobot:
@@ -78,7 +83,7 @@ class SimulatedRobot:
         self._place_on_feet(())
 
     def _attach_loads(self, loads: Mapping[str, Array]) -> None:
-        """Create the simulation with known masses attached."""
+        """Create the simulation with known masses {link: mass [kg], position (3,) [m]}."""
         loaded = self.robot
         for link, (mass, *position) in loads.items():
             loaded = with_payload(loaded, float(mass), (link, *position))
@@ -94,17 +99,17 @@ class SimulatedRobot:
         return self._time
 
     def read(self) -> tuple[float, Array]:
-        """Return the time [s] and the quantised encoder positions, shape (nu,) [rad]."""
+        """Return the simulated time [s] and the rounded encoder positions, shape (nu,) [rad]."""
         index = self._loaded.mj_convention.qpos_index
         positions = self._data.qpos[index][7:] + self.offset
         return self._time, np.round(positions / _ENCODER_STEP) * _ENCODER_STEP
 
     def send(self, command: Array) -> None:
-        """Store joint positions, shape (nu,) [rad], that ``wait`` commands."""
+        """Store the joint command, shape (nu,) [rad], with which ``wait`` simulates the servos."""
         self.sent.append(command.copy())
 
     def wait(self, seconds: float) -> None:
-        """Simulate for a duration [s] with the last command."""
+        """Simulate the robot in MuJoCo for a duration [s] with the last command."""
         model, data = self._drive.model, self._data
         data.ctrl[:] = self._drive.command(self._loaded, self.sent[-1] - self.offset)
         for _ in range(max(1, round(seconds / model.opt.timestep))):
@@ -112,7 +117,7 @@ class SimulatedRobot:
         self._time += seconds
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing: a simulation has no connection to close."""
 
     def prepare(
         self,
@@ -154,7 +159,15 @@ class SimulatedRobot:
         feet: Sequence[str],
         planned: Sequence[str],  # noqa: ARG002 - evaluates the contacts
     ) -> tuple[str, ...] | None:
-        """Return the feet without load; None if other parts touch or two or fewer feet carry."""
+        """Return the feet with hardly any normal force (`_MIN_LOAD_RATIO`) in the simulation.
+
+        None, so that the stand is skipped, if another part touches the ground or the robot, or if
+        fewer than three feet carry.
+
+        Args:
+            feet: All feet of the robot.
+            planned: Ignored.
+        """
         carried, force = dict.fromkeys(feet, 0.0), np.zeros(6)
         for number, contact in enumerate(self._data.contact[: self._data.ncon]):
             mujoco.mj_contactForce(self._drive.model, self._data, number, force)
@@ -168,12 +181,17 @@ class SimulatedRobot:
         return swing if len(feet) - len(swing) >= 3 else None
 
     def stops(self) -> bool:
-        """Return False."""
+        """Return False: the simulated operator does not stop the recording."""
         return False
 
 
 def open_simulated(robot: Robot, arguments: str) -> tuple[SimulatedRobot, SimulatedRobot]:
-    """Open the bridge, with arguments ``SEED`` or ``SEED;kp=60``.
+    """Create a simulated robot, which is both the bridge and the operator.
+
+    Args:
+        robot: Robot, with the values of the files.
+        arguments: ``SEED`` or ``SEED;kp=60`` (seed of the perturbations, stated stiffness
+            [N m/rad]); empty for seed 0.
 
     Raises:
         ConfigurationError: If the seed or the stiffness is invalid.

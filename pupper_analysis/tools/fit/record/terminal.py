@@ -55,7 +55,7 @@ class Terminal:
             click.echo(f"  {' '.join(feet)}, or none", err=True)
 
     def stops(self) -> bool:
-        """Return True if a key was pressed; always False without a terminal."""
+        """Return True if a key was pressed since the last call; False without a terminal."""
         if not sys.stdin.isatty():
             return False
         # Terminals buffer lines; without buffering a key is available at once.
@@ -84,7 +84,7 @@ class TypedBridge(WallClock):
         self._names = robot.joint_names
 
     def read(self) -> tuple[float, Array]:
-        """Prompt for each joint position; return the time [s] and positions, shape (nu,) [rad]."""
+        """Prompt for each joint position in degrees; return time [s] and positions (nu,) [rad]."""
         degrees = [
             click.prompt(f"  position of {name} (deg)", type=float, err=True)
             for name in self._names
@@ -92,14 +92,14 @@ class TypedBridge(WallClock):
         return self.now(), np.radians(degrees)
 
     def send(self, command: Array) -> None:
-        """Print joint positions, shape (nu,) [rad], in degrees."""
+        """Print the commanded joint positions, shape (nu,) [rad], in degrees."""
         for name, value in zip(self._names, np.degrees(command).tolist(), strict=True):
             click.echo(f"  command {name} {value:.3f} deg", err=True)
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing: typed positions need no connection."""
 
 
 def open_typed(robot: Robot, _: str) -> tuple[TypedBridge, Terminal]:
-    """Open the bridge and the operator."""
+    """Return a bridge whose joint positions are typed by a person, and an operator's terminal."""
     return TypedBridge(robot), Terminal()
