@@ -1,6 +1,8 @@
 """Analysis of a robot: model data, nominal stand, simulation, gain sweep and cross-check.
 
-Input is a robot with a floating base and a task; output is an ``Analysis`` with all results.
+Input is a robot with a floating base and a stand task; output is an ``Analysis`` with all results.
+The stand is solved for MuJoCo's soft ground. Then two simulations, the gain sweep and the
+cross-check run in parallel threads.
 """
 
 from __future__ import annotations
@@ -71,17 +73,21 @@ class JointSummary(Result):
 
     @property
     def oblique(self) -> bool:
-        """True if the axis is parallel to none of the base's axes."""
+        """True if the joint axis is not parallel to x, y or z of the base, within 1 degree."""
         return self.motion in OBLIQUE_MOTIONS
 
     @property
     def slides(self) -> bool:
-        """True for a sliding joint."""
+        """True for a sliding (prismatic) joint, False for a revolute joint."""
         return self.motion.startswith("along ") or self.motion == OBLIQUE_MOTIONS[1]
 
 
 def summarise_joints(robot: Robot) -> tuple[JointSummary, ...]:
-    """List axis, limits and passive terms of each joint, in actuator order."""
+    """Return the axis, limits and passive terms of each joint, in actuator order.
+
+    Axes are those at zero angles, in the base frame. Limits are in rad, rad/s and N m, passive
+    terms in kg m^2, N m s/rad and N m; for a sliding joint in m, m/s, N, kg, N s/m and N.
+    """
     rest = Configuration(robot, robot.neutral())
     model, v = robot.pin_model, robot.pin_convention.v_index
     summaries = []
@@ -258,7 +264,12 @@ def analyze_variant(
 
 
 def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
-    """Compute the Jacobian of each foot with respect to the joints of the leg."""
+    """Compute the Jacobian of each foot with respect to the joints of its leg.
+
+    Returns:
+        {foot: Jacobian, shape (3, n) [m/rad], singular values and condition number}. The Jacobian
+        maps joint velocities to the velocity of the foot's centre, in world axes.
+    """
     robot = config.robot
     jacobians = {}
     for foot, full in config.foot_jacobians().items():
@@ -275,7 +286,7 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
 
 
 def _list_link_masses(robot: Robot) -> dict[str, float]:
-    """Return {base or joint: mass of the moved body [kg]}, including fixed links."""
+    """Return {base or joint: mass [kg] of the base or the moved body, including fixed links}."""
     model = robot.pin_model
     root = 1 if robot.floating else 0
     masses = {robot.base: float(model.inertias[root].mass)}

@@ -216,7 +216,10 @@ def _joint_rows(analysis: Analysis) -> dict[str, list[int]]:
 
 
 def _shared_name(names: Sequence[str]) -> str:
-    """Return the parts between underscores that all names have in common, as ``leg_1``."""
+    """Return the common parts of joint names, separated by underscores, or else the first name.
+
+    For ``leg_front_l_1`` and ``leg_back_r_1`` the result is ``leg_1``.
+    """
     parts = [name.split("_") for name in names]
     shared = [part for part in parts[0] if all(part in other for other in parts)]
     return "_".join(shared) or names[0]

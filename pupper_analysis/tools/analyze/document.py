@@ -1,4 +1,9 @@
-"""Document of an analysis, and the table that compares several robots."""
+"""Document of an analysis, and the table that compares several robots.
+
+Input is an ``Analysis``. The document contains the verdict and two key figures, then tables of
+joints, masses, loads, simulations, gains, Jacobians and the cross-check. The table has a row of key
+figures per robot.
+"""
 
 from __future__ import annotations
 
@@ -145,7 +150,10 @@ def _select_next_step(analysis: Analysis) -> doc.NextStep:
 
 
 def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[doc.Words]:
-    """Return the warnings, with the failure without feed-forward once."""
+    """Return the warnings of the verdict, and the failures of the run without feed-forward.
+
+    The failures are omitted if the verdict already contains them.
+    """
     yield from first
     alone = analysis.verdict.commands_alone
     if alone in (None, Ending.HOLDS):
@@ -153,7 +161,7 @@ def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[
 
 
 def _make_verdict_word(analysis: Analysis) -> doc.Text:
-    """Return the word of the verdict."""
+    """Return the word that is displayed as the verdict, such as VERIFIED or FAILED."""
     key = _get_verdict_key(analysis.verified, analysis.sagging.passed)
     return qualify_verdict_word(key, analysis.verdict.converted)
 
@@ -392,9 +400,9 @@ def _format_interval(values: doc.Array) -> str:
 
 
 def deviation_table(sweep: GainSweep) -> doc.Table:
-    """Create the table of height deviations [mm] by kp and kd.
+    """Create the table of base height deviations [mm] by kp [N m/rad] and kd [N m s/rad].
 
-    Gains without a lasting rest are marked.
+    Gains with which the undisturbed robot does not stay at rest are marked.
     """
     deviations = [
         [
@@ -473,7 +481,7 @@ class ComparisonRow(Result):
 def compare_with_base(
     analysis: Analysis, base: str, mass: float | None, thigh: float | None
 ) -> ComparisonRow:
-    """Compare an analysis with the base model.
+    """Return the key figures of an analysis, with ratios to the unscaled base model.
 
     Args:
         analysis: Analysis.
@@ -500,7 +508,10 @@ def compare_with_base(
 
 
 def _get_verdict_key(verified: bool, stands_without: bool) -> str:
-    """Return the catalogue key of a verdict, which states a robot that needs feed-forward."""
+    """Return the catalogue key of a verdict, for example "VERIFIED".
+
+    The key of a verified robot that falls without feed-forward is "VERIFIED with feed-forward".
+    """
     if not verified:
         return "FAILED"
     return "VERIFIED" if stands_without else "VERIFIED with feed-forward"

@@ -99,7 +99,11 @@ class Tile:
     centre: Array
 
     def pixels(self, points: Array) -> Array:
-        """Convert world points (n, 3) [m] to picture coordinates (n, 2) [pixels], y downwards."""
+        """Project points in the world frame, shape (n, 3) [m], into the picture.
+
+        Returns:
+            Shape (n, 2) [pixels]: x to the right and y downwards from the upper left corner.
+        """
         offset = self.scale * (project_points(points) - self.centre) * (1, -1)
         middle = (self.left + self.width / 2, self.top + self.height / 2)
         place: Array = middle + offset
@@ -122,10 +126,12 @@ def project_points(points: Array) -> Array:
 
 
 def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
-    """Assign a tile to each robot, all at the same scale, with a common baseline per row.
+    """Assign a tile of the picture to each robot, in rows, all at the same scale.
+
+    The lowest points of the robots in a row are at the same height of the picture.
 
     Args:
-        poses: (robot, qpos) pairs.
+        poses: (robot, configuration in MuJoCo's coordinates of shape (nq,)) pairs.
         width: Width of the picture [pixels].
         columns: Tiles in a row.
     """
@@ -211,10 +217,11 @@ def _compile_model(tile: Tile) -> mujoco.MjModel:
 
 
 def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
-    """Render each tile with the first OpenGL backend that works.
+    """Render the robot of each tile with the first OpenGL backend that works.
 
     Returns:
-        Images, name of the backend and None. Without OpenGL: no images, ``lines`` and the reason.
+        Images, shape (height, width, 3) of each tile, the name of the backend, and None. Without
+        OpenGL: no images, ``lines``, and the reason.
     """
     reasons = []
     for backend in _list_backends():
@@ -230,8 +237,9 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
 
 
 def _list_backends() -> tuple[str, ...]:
-    """Return the modules of ``mujoco`` that may provide OpenGL: MUJOCO_GL, or the usual ones.
+    """Return the modules of ``mujoco`` that may provide OpenGL, in the order in which to try them.
 
+    These are the module that MUJOCO_GL names, or the usual modules of the operating system.
     MuJoCo reads MUJOCO_GL on import, which is too early for a choice in this process.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()

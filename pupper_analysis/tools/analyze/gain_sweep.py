@@ -1,4 +1,9 @@
-"""Height deviation of a disturbed stand, for a grid of servo gains."""
+"""Height deviation of a disturbed stand, for a grid of servo gains.
+
+Inputs are a robot, a stand, and values of kp and kd. Each pair is simulated in MuJoCo under a
+sinusoidal vertical force on the base. Outputs are, for each pair, the standard deviation of the
+base height in the last second, and whether the robot stays at rest without the force.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +50,8 @@ GainPair = tuple[float, float]
 """kp and kd."""
 
 GAIN_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Gains of a sweep without arguments, relative to the median gain of the model.
-Chosen, not tuned."""
+"""Ratios between the default gains of a sweep (kp or kd) and the median gain of the model. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +83,7 @@ class GainSweep(Tabular):
     integrator: str
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return the columns of the table, with a row for each pair of kp and kd."""
         kp, kd = np.meshgrid(self.kp, self.kd, indexing="ij")
         return {
             "kp": kp.ravel(),
@@ -118,15 +124,17 @@ def sweep_gains(
         kd: Dampings [N m s/rad]. Default: `GAIN_FACTORS` times the median of the model's.
         amplitude: Amplitude of the force [N].
         frequency: Frequency of the force [Hz].
-        duration: Simulated time [s], at least 2.
-        integrator: MuJoCo's integrator.
+        duration: Simulated time [s], 2 to 600.
+        integrator: MuJoCo's integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``.
         progress: Show a progress bar if the sweep takes longer than a second.
 
     Returns:
-        Height deviations in the last second, for each pair.
+        For each pair the standard deviation of the base height in the last second [m], whether the
+        robot fell, and whether it stays at rest without the force.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, the base is fixed, or the stand belongs
+            to another robot.
         ModelError: If the model has no servos, and kp or kd is not passed.
     """
     robot = check_stand(robot, stand, duration)
@@ -186,10 +194,18 @@ class _SweepTrial:
     def run(
         self, cells: Sequence[GainPair], amplitude: float, frequency: float, *, progress: bool
     ) -> dict[GainPair, tuple[float, bool]]:
-        """Simulate pairs of gains, and evaluate the stability of each at rest.
+        """Simulate a stand with pairs of gains, and evaluate its stability at rest.
+
+        Args:
+            cells: (kp [N m/rad], kd [N m s/rad]) pairs.
+            amplitude: Amplitude of the vertical force on the base [N].
+            frequency: Frequency of the force [Hz].
+            progress: Show a progress bar.
 
         Returns:
-            {pair: (height deviation [m], True if the rest lasts)}.
+            {pair: (height deviation [m], rest)}. The deviation is the standard deviation of the
+            base height in the last second, infinite if the robot fell. ``rest`` is True if the
+            undisturbed robot stays at rest for `robot.stability.HOLD_DURATION`.
         """
         from rich.progress import track
 
@@ -251,14 +267,17 @@ class _SweepTrial:
         return stability.speed <= MAX_RESTING_SPEED and stability.lasts()
 
     def _deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
-        """Compute the height deviation in the last second [m]; infinite if the robot fell."""
+        """Compute the standard deviation of the base height in the last second [m].
+
+        The value is infinite if the robot fell. ``states`` are MuJoCo states, a row per time step.
+        """
         if not self._stands(watcher, states):
             return math.inf
         last = round(1.0 / self.timestep)
         return float(monitor.base_heights(self.robot, states)[-last:].std())
 
     def _stands(self, watcher: monitor.ContactSampler, states: Array) -> bool:
-        """Return whether a robot stands at the end of a rollout."""
+        """Return True if the robot stands in the last of ``states``, MuJoCo states of a rollout."""
         if monitor.has_diverged(states, self.timestep):
             return False
         upright = monitor.StandReference.of(self.robot, self.stand.qpos, self.stand.task.rotation())

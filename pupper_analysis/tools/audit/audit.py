@@ -1,4 +1,9 @@
-"""Audit of a model file: runs all rules for the format of the file."""
+"""Audit of a model file: runs all rules for the format of the file.
+
+Input is a URDF, an MJCF, a file of a registered format, or a robot in memory. The values that the
+file states are read into a ``RobotModel``, without the preparation that other commands apply.
+Output is an ``Audit`` with a finding for each violation, its line and its possible repairs.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +90,16 @@ def _run_rules(
     unwanted: tuple[str, ...],
     theirs: Mapping[str, Check],
 ) -> Audit:
-    """Run all rules that apply to a model; ``theirs`` contains the checks of a further format."""
+    """Run the rules that apply to the format of a model.
+
+    Args:
+        path: Path that the result states.
+        file: File of the model.
+        robot: Model of the file.
+        unwanted: Ids of rules that are not run.
+        theirs: {rule id: check} of a format that another package registers, such as USD; empty for
+            URDF and MJCF.
+    """
     findings, run = [], []
     for rule in RULES.values():
         if robot.format not in rule.formats or rule.id in unwanted:
@@ -127,6 +141,7 @@ def _run_rules(
 
 
 def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:
+    """Return the values that a file states, as the model that the rules check."""
     return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 

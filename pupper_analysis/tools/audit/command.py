@@ -127,6 +127,7 @@ def command(
 
 
 def _print_rules() -> None:
+    """Print the table of all rules."""
     from pupper_analysis.present.terminal import make_console, print_table
     from pupper_analysis.tools.audit.document import make_rules_table
 

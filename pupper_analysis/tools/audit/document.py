@@ -1,4 +1,9 @@
-"""Document of an audit: the findings in a file, with the lines concerned."""
+"""Document of an audit: the findings in a file, with the lines concerned.
+
+Input is an ``Audit``. Findings of a rule with equal messages form a group, with the quoted line of
+the first finding. The findings are also converted to annotations for CI systems, with the repairs
+as byte ranges.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +62,10 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
-    """Return the command that simulates a file without errors; None for other formats."""
+    """Return the command that simulates the audited file.
+
+    None if the file has errors, or is neither a URDF nor an MJCF by its suffix.
+    """
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
     if not audit.passed or not simulated:
         return None
@@ -65,13 +73,15 @@ def _select_next_step(audit: Audit) -> doc.NextStep | None:
 
 
 def _pluralise_severity(severity: str, count: int) -> str:
+    """Return the catalogue key of a severity, in the plural unless ``count`` is 1."""
     return severity if count == 1 else f"{severity}s"
 
 
 def _group_findings(audit: Audit) -> Iterable[doc.FileFinding]:
     """Yield findings with equal messages as groups, the most severe first.
 
-    Reason and repair are shown with the last group of a rule only.
+    The reason of a rule and its general repair are shown once for each rule and severity, with the
+    last group.
     """
     rules: dict[tuple[str, Severity], dict[str, list[Finding]]] = {}
     for finding in audit.findings:
@@ -151,13 +161,14 @@ def format_element(finding: Diagnostic) -> doc.Text:
 
 
 def _list_formats(rule: Rule) -> doc.Cell:
+    """Create a cell with the file formats to which a rule applies."""
     return (
         text("all-formats") if rule.formats == MODEL_FORMATS else doc.Name(", ".join(rule.formats))
     )
 
 
 def make_rules_table() -> doc.Table:
-    """Make the table of all rules."""
+    """Create the table of all audit rules: id, severity, file formats and title."""
     return doc.Table(
         text("count-rules-disable-rule-leaves", count=len(RULES)),
         (
@@ -182,7 +193,7 @@ def make_rules_table() -> doc.Table:
 
 
 def make_fix(repair: ValueRepair) -> Fix:
-    """Return a repair as byte ranges of the file with their new text."""
+    """Convert a repair to byte ranges of the file on disk, each with the text that replaces it."""
     splices = locate_repair(repair)
     return Fix(f"{_format_change(repair).text} ({repair.reason})", repair.file, splices)
 
@@ -192,7 +203,7 @@ ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Sever
 
 
 def make_audit_annotations(audit: Audit) -> list[Annotation]:
-    """Make an annotation for each finding."""
+    """Create an annotation for CI systems from each finding of an audit."""
     return [
         Annotation(
             ANNOTATION_LEVELS[finding.severity],

@@ -52,7 +52,7 @@ def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
 
 
 def _find_element(document: XmlDocument, repair: ValueRepair) -> Element | None:
-    """Return the element of a repair; None if the name is not unique."""
+    """Return the element that a repair changes; None if no or several elements fit the repair."""
     named = [
         element
         for element in document.elements
@@ -71,7 +71,12 @@ def _descend(element: Element, path: str) -> Element | None:
 
 
 def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
-    """Return start byte, number of bytes and new text of each value that a repair replaces."""
+    """Return the byte ranges that a repair replaces in the file on disk.
+
+    Returns:
+        (start [bytes], length [bytes], new text) of each value; empty if no or several elements
+        fit the repair.
+    """
     document = read_document(Path(repair.file))
     element = _find_element(document, repair)
     if element is None:
@@ -93,7 +98,7 @@ def make_patch(document: XmlDocument) -> str:
 
 
 def write_documents(documents: Iterable[XmlDocument]) -> None:
-    """Write changed files; all other bytes than the changed values are kept.
+    """Write changed files. Only the bytes of the changed attribute values differ from before.
 
     Raises:
         OutputError: If a file cannot be written, or has uncommitted changes in a git repository.

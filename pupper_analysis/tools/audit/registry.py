@@ -67,19 +67,26 @@ def _read_catalogue() -> dict[str, Rule]:
 
 
 def _merge_texts(own: Mapping[str, str], model: Mapping[str, str], space: str) -> dict[str, str]:
-    """Combine title, reason and repair of a rule with the texts of the rule named by ``like``."""
+    """Combine the texts of a rule with those of a similar rule, to which ``like`` refers.
+
+    Args:
+        own: Texts of the rule: ``title`` and, optionally, ``more`` to add to the reason.
+        model: Texts of the similar rule (or of the rule itself): ``why`` and ``todo``.
+        space: Separator between both parts of the reason: a space in English, none in Chinese.
+    """
     why = space.join([model["why"], *([own["more"]] if "more" in own else [])])
     return {"title": own["title"], "why": why, "todo": model["todo"]}
 
 
 _REGISTERED_CHECKS: dict[str, Check] = {}
-"""{rule: check}, filled by `rule`."""
+"""{id of a rule: function that yields its findings}, filled by the decorator `rule`."""
 
 RULES: Mapping[str, Rule] = MappingProxyType(_read_catalogue())
 """{id: rule} of all formats."""
 
 CHECKS: Mapping[str, Check] = MappingProxyType(_REGISTERED_CHECKS)
-"""{id: check} without the checks of further formats."""
+"""{id of a rule: function that yields its findings}, for URDF and MJCF. Formats that other packages
+register have their own."""
 
 
 def rule(check: Check) -> Check:
@@ -148,12 +155,12 @@ class Finding(Result):
 
     @property
     def message(self) -> str:
-        """Message in a single sentence, with the numbers."""
+        """Description of the finding in one English sentence, with numbers and units."""
         return str(self.diagnostic)
 
     @property
     def place(self) -> Place:
-        """File and line, or file and prim."""
+        """Place of the finding: file and line, or file and path of the prim in a USD."""
         return Place(Path(self.file), self.line, self.prim)
 
     def __str__(self) -> str:
@@ -187,6 +194,7 @@ class Audit(Tabular):
     floating: bool
 
     def _columns(self) -> dict[str, list[object]]:
+        """Return the columns of the table, with a row for each finding."""
         names = ("rule", "severity", "file", "line", "element", "message")
         return {name: [getattr(found, name) for found in self.findings] for name in names}
 
@@ -195,10 +203,10 @@ class Audit(Tabular):
 
 
 def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
-    """Return points with a convex hull that contains all shapes of some links, at zero angles.
+    """Return points whose convex hull contains all shapes of some links, at zero angles.
 
     Args:
-        bodies: Links.
+        bodies: Links with visual and collision shapes.
         frame: Link; the points are expressed in the frame of this link.
 
     Returns:
@@ -210,7 +218,9 @@ def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
 
 
 def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
-    """Return points with a convex hull that contains the shapes of some links, at zero angles.
+    """Return points whose convex hull contains the shapes of known size of some links.
+
+    The joints between the links have zero angles.
 
     Args:
         bodies: Links with visual and collision shapes.

@@ -26,7 +26,7 @@ from pupper_analysis.tools.audit.rules.mirror import find_mirror_plane, list_joi
 
 
 def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[ValueRepair, ...]:
-    """Return the repairs of a finding: one, several candidates, or none.
+    """Return the attribute values that would remove a finding: one repair, candidates, or none.
 
     Args:
         robot: Model of the file.
@@ -40,7 +40,11 @@ def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[Val
 def _make_urdf_repair(
     robot: UrdfModel, tag: str, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
 ) -> Iterator[ValueRepair]:
-    """Yield the repair of an element of a URDF; nothing if the element lacks an attribute."""
+    """Yield the repair of an element of a URDF.
+
+    Nothing is yielded if no or several elements fit, or if the element lacks one of the attributes
+    or already has the new values.
+    """
     element = _find_element(robot, tag, name, child)
     if element is None or any(element.get(attribute) is None for attribute in new):
         return
@@ -50,7 +54,7 @@ def _make_urdf_repair(
 
 
 def _find_element(robot: UrdfModel, tag: str, name: str, child: str) -> etree._Element | None:
-    """Return the element below a link or joint of a URDF; None if it is not unique."""
+    """Return the element ``child`` of a link or joint; None if absent or the name is not unique."""
     found = [one for one in robot.file.root.iterfind(tag) if one.get("name") == name]
     return found[0].find(child) if len(found) == 1 else None
 
@@ -90,7 +94,7 @@ def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Take the effort of the mirrored joint, if that of the joint is zero or negative."""
+    """Yield the effort of the mirrored joint, if the effort of the joint is zero or negative."""
     effort = robot.joints[found.name].stated.get("effort")
     if not isinstance(robot, UrdfModel) or effort is None or effort > 0:
         return
@@ -111,17 +115,22 @@ _SIDE_TOKENS: Final = frozenset(
 
 
 def strip_sides(name: str) -> str:
-    """Return a name without the words and digits that distinguish limbs."""
+    """Return a name in lower case without the words that distinguish limbs.
+
+    Underscores, hyphens, points, spaces and capitals separate words; underscores join the others:
+    ``FL_calf`` becomes ``calf``.
+    """
     words = re.split(r"[_\-. ]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
     return "_".join(word for word in words if word not in _SIDE_TOKENS)
 
 
 MIN_SIBLINGS = 2
-"""Smallest number of further limbs whose equal value decides which of two partners is wrong."""
+"""Smallest number of further limbs whose equal value decides which of two mirrored links or joints
+has the wrong value. Chosen, not tuned."""
 
 
 def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Take the mass of all other limbs; without other limbs, both masses are candidates."""
+    """Yield the repairs of the masses of two mirrored links (`_repair_number`)."""
     if isinstance(robot, UrdfModel):
         partner = str(found.message.values["other"])
         yield from _repair_number(
@@ -131,7 +140,7 @@ def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 def _repair_mirrored_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Take the effort of all other limbs; without other limbs, both efforts are candidates."""
+    """Yield the repairs of the efforts of two mirrored joints (`_repair_number`)."""
     if isinstance(robot, UrdfModel) and found.message.code == "mirror-effort":
         partner = str(found.message.values["other"])
         efforts = {
@@ -150,7 +159,11 @@ def _repair_number(
     attribute: str,
     values: Mapping[str, float],
 ) -> Iterator[ValueRepair]:
-    """Yield repairs of a number that differs between two partners.
+    """Yield repairs of a number that differs between two mirrored links or joints, the partners.
+
+    If at least `MIN_SIBLINGS` other limbs have the same number, only a partner that deviates from
+    it gets the number of the other partner. If the other limbs are fewer or disagree, there are two
+    candidates: each partner with the number of the other.
 
     Args:
         robot: Model of the URDF.
@@ -158,7 +171,7 @@ def _repair_number(
         tag: Tag of the partners.
         child: Path to the element with the number.
         attribute: Attribute with the number.
-        values: {name: number} of all elements of the kind.
+        values: {name: number} of all links or all joints.
     """
     kind = strip_sides(pair[0])
     others = [
@@ -185,7 +198,10 @@ def _repair_number(
 
 
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Mirror the tensor of the partner, or move the decimal point of one principal moment."""
+    """Yield the mirrored tensor of the partner, and tensors with one moved decimal point.
+
+    If exactly one moved decimal point agrees with the mirrored tensor, only this repair is yielded.
+    """
     if not isinstance(robot, UrdfModel):
         return
     moved, mirrored = (
@@ -204,7 +220,8 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 
 
 _MIRROR_RTOL = 0.02
-"""Relative difference up to which a moved decimal point is confirmed by the mirrored tensor."""
+"""Largest relative difference between a moment with a moved decimal point and the moment of the
+mirrored tensor, with which the latter confirms the former. Chosen, not tuned."""
 
 
 MAX_DECIMAL_SHIFT = 6
@@ -265,6 +282,7 @@ def _find_twin(robot: RobotModel, name: str) -> Link | None:
 
 
 def _rotate(tensor: Array, rotation: Array) -> Array:
+    """Rotate a tensor, shape (3, 3): R T R^T."""
     rotated: Array = rotation @ tensor @ rotation.T
     return rotated
 

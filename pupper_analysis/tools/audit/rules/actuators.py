@@ -45,7 +45,7 @@ class ActuatorDrive(ActuatorLaw):
 
     @property
     def servo(self) -> bool:
-        """True for a position servo: the force depends on the joint position."""
+        """True for a position servo: an actuator whose force depends on the joint position."""
         return self.stiffness != 0
 
 
@@ -66,6 +66,7 @@ def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
 
 
 def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
+    """Yield (model, drive) as `list_drives`; nothing if the model does not compile."""
     if robot.mj_model is not None:
         for drive in list_drives(robot.mj_model):
             yield robot.mj_model, drive
@@ -82,7 +83,7 @@ def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def servo_drives_away(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find forces that grow with the joint's motion: dF/dq > 0 or dF/dqdot > 0."""
+    """Find actuators whose force grows with joint position or speed: dF/dq > 0 or dF/dqdot > 0."""
     for _, drive in _list_robot_drives(robot):
         if drive.stiffness < 0:
             stiffness = Quantity(drive.stiffness, "N m/rad")
@@ -108,8 +109,8 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_SERVOS = 5
-"""Smallest number of position servos to report a single drive of another kind. Chosen.
-"""
+"""Smallest number of position servos beside which a single actuator of another kind is reported.
+Chosen, not tuned."""
 
 
 @rule
@@ -137,7 +138,10 @@ turns twice. Chosen, not tuned."""
 
 @rule
 def command_range_in_degrees(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find position servos of hinges with a ctrlrange that is the joint's range in degrees."""
+    """Find position servos of hinges with a ctrlrange that is the joint's range in degrees.
+
+    The ends may differ by `MAX_COMMAND_RANGE_ERROR` of the width of the joint's range.
+    """
     for model, drive in _list_robot_drives(robot):
         hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value
         ranged = model.jnt_limited[drive.joint] and model.actuator_ctrllimited[drive.control]
@@ -173,7 +177,7 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def forcerange_above_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find products of forcerange and gear more than 1 % above actuatorfrcrange."""
+    """Find actuators whose forcerange times gear is more than 1 % above actuatorfrcrange [N m]."""
     for model, drive in _list_robot_drives(robot):
         if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):
             continue

@@ -32,9 +32,9 @@ def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
 def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     """Report missing mesh files, grouped by package and folder.
 
-    The severity is ERROR if a link uses a mesh for collisions, and for each missing mesh of an
-    MJCF, which MuJoCo refuses. Pointers of Git LFS, URLs, and meshes in a package that is not found
-    are a WARNING, because the files may exist elsewhere.
+    The severity is ERROR for a mesh that a link of a URDF uses for collisions, and for a mesh of an
+    MJCF, which MuJoCo then refuses. It is WARNING for visual meshes of a URDF, and for pointers of
+    Git LFS, URLs and ``package://`` paths, because these files may exist elsewhere.
     """
     refused = isinstance(robot, MjcfModel)
     kind = "mesh" if refused else "link"
@@ -76,6 +76,7 @@ class _MissingMesh:
 
 
 def _list_missing_meshes(robot: UrdfModel | MjcfModel) -> Iterator[_MissingMesh]:
+    """Yield the mesh files of a model that do not exist or are pointers of Git LFS."""
     if isinstance(robot, MjcfModel):
         yield from _list_missing_in_mjcf(robot.file)
         return
@@ -155,6 +156,7 @@ _PROLOGUE_BYTES = 4096
 
 
 def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
+    """Yield the mesh files of an MJCF that are in none of the folders MuJoCo searches."""
     folders = [Path()]
     for attributes, _ in file.elements("compiler"):
         folders += [Path(attributes.get(what, "")) for what in ("meshdir", "assetdir")]

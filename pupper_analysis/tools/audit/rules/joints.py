@@ -1,4 +1,9 @@
-"""Rules about the axes and limits of joints."""
+"""Rules about the axes and limits of joints.
+
+Input is the model that a file states, with joint axes and positions in the base frame at zero
+angles. Each rule yields a finding per joint or per robot. `find_legs` derives hips and knees from
+names, axes and lengths, for the rule that checks which stances the limits allow.
+"""
 
 from __future__ import annotations
 
@@ -334,10 +339,10 @@ class Leg:
     def compute_reached_fraction(
         self, hip: tuple[float, float], knee: tuple[float, float]
     ) -> float:
-        """Compute the fraction of the knee range with a hip angle that puts the foot below the hip.
+        """Compute the fraction of the knee range at which a hip angle puts the foot below the hip.
 
-        Angles with a folded leg (foot closer to the hip than 20 % of the leg length) are
-        left out.
+        The knee angles are `NUM_KNEE_ANGLES` samples. Angles with a folded leg (foot closer to the
+        hip than 20 % of the leg length) are left out.
 
         Args:
             hip: Lower and upper limit of the hip [rad].
@@ -368,12 +373,13 @@ def _rotate_vector(vector: Array, axis: Array, angle: float) -> Array:
 
 
 def _project_across(vector: Array, axis: Array) -> Array:
+    """Return the component of a vector, shape (3,), perpendicular to a unit axis."""
     across: Array = vector - (vector @ axis) * axis
     return across
 
 
 def find_legs(robot: RobotModel) -> Iterator[Leg]:
-    """Yield the limbs that are legs, by their names, joint axes and lengths.
+    """Yield the hip and knee of each leg of a robot, found by names, joint axes and lengths.
 
     Hip and knee axes must be parallel and nearly horizontal. The shorter of thigh and shank must
     have more than 40 % of the length of the longer, both projected perpendicular to the hip axis.

@@ -108,8 +108,8 @@ ratios indicate a wrong unit or a missing mass. Chosen, not tuned."""
 def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find a CoM outside the convex hull of shapes and joints, including links fixed to the link.
 
-    Without shapes, the distance to the hull of the link's joints and frames is compared with the
-    length of the longest limb.
+    If a link has no shapes, or the size of one is unknown, a finding is a CoM whose distance from
+    the hull of the link's joints and frames exceeds the length of the longest limb.
     """
     span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
@@ -155,10 +155,11 @@ def _compute_reach(robot: RobotModel, name: str) -> float:
 
 @rule
 def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find a robot of which weight times longest lever between two joints exceeds all efforts.
+    """Find a robot that is too heavy for its motors.
 
-    ERROR instead of WARNING if it exceeds all efforts by `IMPOSSIBLE_FACTOR`. Skipped are robots
-    with fewer than two hinges, or with an effort that is unknown or 0.
+    A finding is a weight [N] times the longest distance between successive hinges [m] above the sum
+    of the efforts of all hinges [N m]. ERROR instead of WARNING above `IMPOSSIBLE_FACTOR` times the
+    sum. Skipped are robots with fewer than two hinges, or with an effort that is unknown or 0.
     """
     hinges = [
         joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT and joint.parent
@@ -196,7 +197,11 @@ error. Straight legs and unusual units explain smaller factors. Chosen, not tune
 
 @rule
 def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find visual geoms with default mass in bodies with mass computed from geoms."""
+    """Find visual geoms without stated mass that add to a mass which MuJoCo computes from geoms.
+
+    If no collision geom of the body has mass, only visual meshes of MuJoCo's default density are
+    reported.
+    """
     compiler = robot.file.spec.compiler
     low, high = compiler.inertiagrouprange
     for body in robot.file.spec.bodies:
@@ -249,8 +254,9 @@ def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
 # Rules about moments of inertia.
 
 MAX_INERTIA_FACTOR = 100.0
-"""Largest ratio of a moment to m R^2 if a link has no shapes, and of the moment of a solid box to
-the moment of the link. Wrong units change moments by 1000 or more."""
+"""Upper bound of two ratios in `inertia_implausible`: the largest moment of a link without shapes
+to m R^2, and the moment of a solid box around the shapes to the largest moment of the link. Chosen,
+not tuned: wrong units change moments by 1000 or more."""
 
 UNREAD_MESH_FACTOR = 8.0
 """Largest ratio of a moment of inertia to m R^2 that is not reported if a mesh was not read. R is
@@ -268,6 +274,7 @@ origins of the link, its frames and its children, which may be zero. Chosen, not
 
 
 def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:
+    """Yield the links with an inertial in the file and a positive mass."""
     for body in robot.links.values():
         if body.inertial is not None and body.inertial.stated and body.inertial.mass > 0:
             yield body, body.inertial
@@ -297,7 +304,7 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find inertias with a largest moment that exceeds the sum of the other moments.
+    """Find inertias whose largest principal moment exceeds the sum of the other two.
 
     The tolerance is the rounding error of the written digits, at least 1e-5 and at most 1 % of the
     largest moment. Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2.
@@ -323,7 +330,7 @@ def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find moments that are too large or too small for the mass and the size of the link.
+    """Find moments of inertia too large or too small for the mass and the size of the link.
 
     Upper limit: m R^2, with R the largest distance of a point from the CoM, times 2 (shapes may be
     simplified), 8 if a mesh was not read, or 100 without shapes. R includes the joints and frames
@@ -369,9 +376,10 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find round inertias of a ball on several links, and a round mass shared by all moving links.
+    """Find masses and inertias that are probably defaults of an exporter.
 
-    Round is a power of ten: 1, 0.1, 0.01, ... Exporters write such values as defaults.
+    A finding is an inertia with three equal moments of 1, 0.1, 0.01 ... kg m^2 (powers of ten) on
+    at least two moving links, or a mass of 1, 0.1, 0.01 ... kg that all moving links share.
     """
     moving = [
         (body, body.inertial)
@@ -405,9 +413,10 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find robots whose stated masses are the volumes of the shapes times one density.
 
-    The volume of a link is that of its visual shapes, or of its collision shapes if the volume of a
-    visual shape is unknown. Negligible links, links of unknown volume, and copies (links with the
-    mass and the volume of another link, as the four thighs of a quadruped) are not counted.
+    The volume of a link is that of its visual shapes, or of its collision shapes if it has no
+    visual shapes or the volume of one is unknown. Links below 1e-4 of the total mass, links of
+    unknown volume, and copies (links with the mass and the volume of another link, as the four
+    thighs of a quadruped) are not counted.
     Reported if at least `MIN_EQUAL_FRACTION` of at least `MIN_COMPARED_LINKS` links have one
     density within `DENSITY_RTOL`.
     """
@@ -468,8 +477,8 @@ def _compute_link_volume(body: Link) -> float | None:
 
 
 _MIN_REPEATED_LINKS = 2
-"""Smallest number of links with the same placeholder: a single link may have the value by
-chance."""
+"""Smallest number of moving links with the same inertia of a power of ten that are reported, since
+a single link may have the value by chance. An equal mass needs one link more."""
 
 
 def _is_round(value: float) -> bool:

@@ -47,13 +47,13 @@ class MirrorPlane:
 
     @property
     def matrix(self) -> Array:
-        """Reflection matrix S = S^T, shape (3, 3), for vectors."""
+        """Matrix S = S^T, shape (3, 3), that reflects vectors in the base frame at this plane."""
         matrix = np.eye(3)
         matrix[self.axis, self.axis] = -1.0
         return matrix
 
     def reflect_point(self, point: Array) -> Array:
-        """Reflect a point, shape (3,) [m], at the plane; expressed in the base frame."""
+        """Return the mirror image of a point at this plane, shape (3,) [m], in the base frame."""
         image: Array = self.matrix @ point
         image[self.axis] += 2 * self.offset
         return image
@@ -67,8 +67,9 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
         tolerance: Largest distance between a link and the mirror image [m].
 
     Returns:
-        Plane; None if less than a third of the pairs are mirror images in any plane. If both sides
-        of all pairs are at the same place, and all hinges are parallel, the plane of the motion.
+        Plane, normal to an axis of the base. If less than a third of the pairs are mirror images in
+        any such plane: the plane of the motion if both links of all pairs are at the same place and
+        all hinges are parallel to one axis of the base, otherwise None. None without pairs.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:
@@ -91,7 +92,10 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
 
 
 def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
-    """Return the plane in which a planar robot moves; None if the hinges are not parallel."""
+    """Return the plane in which a planar robot moves, normal to an axis of the base.
+
+    None if the robot has no hinges, or they are not all parallel to one axis of the base.
+    """
     axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE_JOINT])
     for axis in range(3):
         if len(axes) and (np.abs(axes[:, axis]) > MIN_PLANAR_COSINE).all():
@@ -101,7 +105,8 @@ def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
 
 
 MIN_PLANAR_COSINE = 0.9999
-"""Smallest cosine between a hinge and the normal of the plane of a planar robot. Chosen."""
+"""Smallest cosine between a hinge and the normal of the plane of a planar robot. Chosen, not
+tuned."""
 
 
 POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
@@ -123,13 +128,18 @@ def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
 
 
 def _get_anchor(body: Link) -> Array:
+    """Return the position of a link's joint, or of a fixed link's frame, in the base frame [m]."""
     return body.joints[0].position if body.moving else body.pose.position
 
 
 def _find_displaced_bodies(
     robot: RobotModel, mirror: MirrorPlane
 ) -> tuple[set[str], list[tuple[Link, Link]]]:
-    """Return all links that are not at the mirror image, and the first pair of each chain."""
+    """Return the names of links that are not mirror images, and the first pair of each chain.
+
+    The first pair is the pair without an ancestor that is displaced too. Links that neither move
+    nor have mass, and are no feet, are skipped.
+    """
     displaced: set[str] = set()
     first_pairs = []
     for first, second in _list_body_pairs(robot):
@@ -146,7 +156,7 @@ def _find_displaced_bodies(
 
 
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yield pairs of links with mirrored positions of links and children."""
+    """Yield left-right pairs of links that, with their children, are at mirrored positions."""
     mirror = find_mirror_plane(robot)
     if mirror is None:
         return
@@ -170,14 +180,15 @@ def _list_inertial_pairs(
 
 
 def _masses_agree(first: Link, second: Link) -> bool:
+    """Return True if the masses of two links differ by at most `MASS_RTOL`."""
     return not abs(first.mass - second.mass) > MASS_RTOL * max(abs(first.mass), abs(second.mass))
 
 
 @rule
 def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the positions of left and right joints, or of fixed links; tolerance 1 mm.
+    """Find joints, or fixed links, that are more than 1 mm from the mirror image of their partner.
 
-    Only the first pair of each chain is reported.
+    Of displaced pairs in a chain, only the pair nearest to the base is reported.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None:
@@ -200,7 +211,7 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the masses of left and right links; tolerance 1 %."""
+    """Find left-right pairs of links whose masses differ by more than 1 %."""
     for first, second in _list_body_pairs(robot):
         if not _masses_agree(first, second):
             message = diagnose(
@@ -214,9 +225,9 @@ def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare left and right CoM positions; tolerance 1 mm plus 1 % of the base distance.
+    """Find left-right pairs of links whose CoM positions are no mirror images at zero angles.
 
-    The base distance is the distance of the CoM from the origin of the base.
+    The tolerance is 1 mm plus 1 % of the distance between the CoM and the origin of the base.
     """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         image = mirror.reflect_point(first.pose.point(first_inertial.com))
@@ -275,7 +286,7 @@ _PRODUCTS = np.array([name[1] != name[2] for name in INERTIA_ENTRIES])
 
 
 def _find_wrong_sign(image: Array, entries: Array) -> bool:
-    """Return True if one or three products of inertia have the wrong sign, and all else is equal.
+    """Return True if one or three products of inertia have the wrong sign, and the rest is equal.
 
     An equal part that is mounted turned by 180 degrees, not mirrored, has two products of the other
     sign. The number of wrong signs is known only if no product is zero.
@@ -294,7 +305,10 @@ def _find_wrong_sign(image: Array, entries: Array) -> bool:
 
 
 def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
-    """Yield left-right pairs of joints of the same kind, if there is a mirror plane."""
+    """Yield (mirror plane, joint, joint) for left-right pairs of moving joints of the same kind.
+
+    Nothing is yielded if the robot has no mirror plane.
+    """
     mirror, joints = find_mirror_plane(robot), robot.joints
     if mirror is None:
         return
@@ -315,7 +329,7 @@ def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> flo
 
 @rule
 def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the axis directions of left and right joints, without sign; tolerance 1 degree."""
+    """Find left-right pairs of joints whose axes, up to sign, are no mirror images within 1 deg."""
     for mirror, first, second in list_joint_pairs(robot):
         if first.axis.any() and second.axis.any():
             cosine = abs(_compute_axis_sense(mirror, first, second))
@@ -332,7 +346,11 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare ranges, negated for opposite axis senses (0.02 rad or m), and efforts (1 %)."""
+    """Find left-right pairs of joints whose ranges differ by over 0.02 rad or m, or efforts by 1 %.
+
+    The range of a partner with the opposite axis sense is negated. Efforts are only compared if the
+    ranges agree.
+    """
     for mirror, first, second in list_joint_pairs(robot):
         sense = _compute_axis_sense(mirror, first, second)
         if abs(sense) < 0.9:
@@ -369,7 +387,11 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare damping, dry friction, armature and spring terms of left and right joints."""
+    """Find left-right pairs of joints with other damping, dry friction, armature or springs.
+
+    If a quantity is equal in fewer than three quarters of the pairs, only pairs with a large ratio
+    are findings (`find_unlike_pairs`).
+    """
     pairs = [(first.name, second.name) for _, first, second in list_joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
         stated = {
@@ -402,8 +424,9 @@ to a tenth of their size: left and right meshes are cut differently. Chosen, not
 def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with collision shapes that are no mirror images.
 
-    A finding is a link without shapes beside a link with shapes, or a difference between the
-    bounding boxes along the base axes, at zero angles.
+    A finding is a link without shapes beside a link with shapes, or a difference above
+    `SIMPLE_SHAPE_TOLERANCE` or `SHAPE_TOLERANCE` between the bounding boxes along the base axes, at
+    zero angles.
     """
     for mirror, first, second in _list_pairs_in_place(robot):
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
@@ -436,11 +459,12 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Compare the ground contact parameters of left and right links.
+    """Find left-right pairs of links with different contact parameters on the ground.
 
     MuJoCo combines the parameters of each geom with the parameters of the ground: condim, friction,
-    solref, solimp and margin. The combined values of both sides must be equal, if both sides have
-    as many colliding geoms. If the file has no ground, a ground with MuJoCo's defaults is assumed.
+    solref, solimp and margin. A finding is a difference of the combined values, which are compared
+    if as many geoms of both links can touch the ground, or a link that cannot touch the ground
+    beside a link that can. If the file has no ground, a plane with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:
@@ -486,7 +510,7 @@ _CONTACT_PARAMETERS = ("condim", "friction", "solref", "solimp", "margin")
 def _list_contacts(
     robot: MjcfModel, model: mujoco.MjModel, link: Link, ground: int | None
 ) -> list[ContactParameters]:
-    """Return the ground contacts of all shapes that move with a link."""
+    """Return the ground contact parameters of the geoms that move with a link and can touch it."""
     bodies = [robot.body_names.index(part.name) for part in robot.fixed_group(link.name)]
     return [
         combine_geoms(model, geom, ground)

@@ -1,4 +1,8 @@
-"""Rules about the position and the size of shapes, including wrong units of mass and length."""
+"""Rules about the position and the size of shapes, including wrong units of mass and length.
+
+The extent of points is the longest side of their bounding box along the axes of the frame in which
+they are expressed [m].
+"""
 
 from __future__ import annotations
 
@@ -49,6 +53,7 @@ def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
 
 
 def _is_foot(name: str) -> bool:
+    """Return True if a name contains "foot"."""
     return "foot" in name.lower()
 
 
@@ -173,12 +178,21 @@ def _measure_long_axis(shape: Shape) -> tuple[Array, float, float]:
 
 
 def _get_shape_tag(robot: RobotModel, shape: Shape) -> str:
+    """Return the tag of a shape: ``geom`` in an MJCF, else ``collision`` or ``visual``."""
     if robot.format == "mjcf":
         return "geom"
     return "collision" if shape.collides else "visual"
 
 
 def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
+    """Return True if a point is ahead on the axis of a rod that begins at a joint.
+
+    Args:
+        offset: Point relative to the joint, shape (3,) [m].
+        direction: Unit axis of the rod, shape (3,).
+        radius: Radius of the rod [m]. The point must be more than two radii ahead, and less than
+            half a radius, or `POSITION_TOLERANCE`, beside the axis.
+    """
     along = float(offset @ direction)
     across = float(np.linalg.norm(offset - along * direction))
     return along > 2 * radius and across < max(POSITION_TOLERANCE, 0.5 * radius)
@@ -343,6 +357,7 @@ def _list_moving_links(robot: RobotModel) -> Iterator[Link]:
 
 
 def _compute_extent(points: Array) -> float:
+    """Return the longest side of the axis-aligned bounding box of points, shape (n, 3) [m]."""
     return float(np.ptp(points, axis=0).max())
 
 

@@ -27,10 +27,10 @@ from pupper_analysis.tools.audit.rules.files import find_first_place
 
 @rule
 def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find a gravity more than 0.02 m/s^2 away from standard gravity.
+    """Find an MJCF whose gravity differs by more than 0.02 m/s^2 from (0, 0, -9.80665) m/s^2.
 
-    Common values differ in the third digit. NOTE if gravity points more down than sideways, since a
-    tilted gravity simulates a slope.
+    The values 9.8 and 9.81 are accepted. NOTE instead of the rule's severity if gravity points more
+    down than sideways, since a tilted gravity simulates a slope.
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
@@ -91,9 +91,10 @@ def _make_geom_finding(robot: MjcfModel, geom: int, message: Diagnostic) -> Chec
 
 
 def list_foot_geoms(robot: MjcfModel) -> list[int]:
-    """Return the collision geoms of feet: by name, by name of the body, or at the site of a foot.
+    """Return the indices of the collision geoms of feet in MuJoCo's model.
 
-    A name of a foot contains "foot".
+    A foot is a geom with "foot" in its name or the name of its body, or within 1 mm of a site of
+    its body with "foot" in its name. Empty if the model does not compile.
     """
     model = robot.mj_model
     if model is None:
@@ -115,7 +116,7 @@ def list_foot_geoms(robot: MjcfModel) -> list[int]:
 
 @rule
 def foot_softer_than_its_size(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find spherical feet whose contact reaches full impedance deeper than half the radius.
+    """Find spherical feet whose ground contact has full impedance only below half the foot radius.
 
     The width of ``solimp`` [m] is that of the contact with the ground, combined as in MuJoCo. It
     has an effect only if the impedance rises over the width (``solimp[0] < solimp[1]``). One
@@ -242,12 +243,17 @@ def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Arra
 
 
 def _round_depth(depth: float) -> Quantity:
+    """Round a depth [m] to three digits."""
     return Quantity(float(f"{depth:.3g}"), "m")
 
 
 @rule
 def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find floating robots without a shape that can touch the ground, or a default ground."""
+    """Find floating robots of which no shape can touch the ground.
+
+    In a file without ground, a plane with MuJoCo's default contact bits is assumed. Files with
+    <pair> elements or missing meshes are skipped.
+    """
     model = robot.mj_model
     if (
         model is None

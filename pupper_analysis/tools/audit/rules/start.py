@@ -1,4 +1,9 @@
-"""Rules about the initial configurations of a simulation: qpos0 and the keyframes."""
+"""Rules about the initial configurations of a simulation: qpos0 and the keyframes.
+
+Input is the model of a file. The rules compare joint positions with the limits and with the
+commands of keyframes, evaluate heights and penetrations with MuJoCo's kinematics, and simulate one
+keyframe.
+"""
 
 from __future__ import annotations
 
@@ -64,6 +69,7 @@ class StartPose:
 
 
 def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
+    """Yield qpos0 and up to `MAX_KEYFRAMES` keyframes; nothing if the model does not compile."""
     model = robot.mj_model
     if model is None or not robot.links:
         return
@@ -77,7 +83,10 @@ def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
 
 @rule
 def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find joints outside the limits by more than 1 mrad (1 mm); NOTE for zero angles and qpos0."""
+    """Find initial configurations with joints more than 1 mrad (1 mm) outside their limits.
+
+    NOTE for qpos0 of an MJCF and the zero angles of a URDF.
+    """
     for where, start, values in _list_start_angles(robot):
         excess = {
             joint.name: max(joint.lower - values[joint.name], values[joint.name] - joint.upper)
@@ -243,7 +252,8 @@ def keyframe_feet_in_air(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_FEET = 2
-"""Smallest number of feet with which a keyframe is checked for feet in the air."""
+"""Smallest number of foot geoms with which a keyframe is checked for feet in the air. Chosen, not
+tuned."""
 
 MAX_LEG_JOINTS = 4
 """Largest number of joints of a leg of which all combinations of signs are tried. Chosen, to bound
@@ -263,8 +273,9 @@ def _find_opposite_signs(
     hinges of the legs must then be inside their limits.
 
     Returns:
-        Joints, and the largest distance of a foot from the ground [m]; None if no set of joints, or
-        several sets of equal size, put all feet within `MIN_FOOT_CLEARANCE` of the ground.
+        Names of the joints, and the largest distance of a foot from the ground [m]. None if no set
+        of joints, or several sets of equal size, put all feet within `MIN_FOOT_CLEARANCE` of the
+        ground, or if the legs have different numbers of hinges, none, or over `MAX_LEG_JOINTS`.
     """
     model = robot.mj_model
     assert model is not None
@@ -335,11 +346,13 @@ def _compute_heights(
 
 @rule
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Simulate the keyframe ``home``, or the first keyframe, for 5 s with a nudge.
+    """Find a keyframe from which the robot falls, or MuJoCo's simulation diverges.
 
-    The actuators receive the ctrl of the keyframe. If no ctrl is specified, position servos are
-    commanded to the pose, provided that half of the joints have a servo; otherwise nothing is
-    simulated.
+    The keyframe ``home``, or else the first, is simulated by `simulate_keyframe`, with and without
+    a small velocity disturbance at the start. The actuators receive the ctrl of the keyframe. If no
+    ctrl is specified, position servos are commanded to the pose, provided that half of the joints
+    have a servo; otherwise nothing is simulated. Robots without a free base, and files without a
+    ground, are skipped.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
@@ -400,7 +413,10 @@ def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) 
 
 @rule
 def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find contacts with planes of the world deeper than `MAX_FLOOR_DEPTH`; one per start."""
+    """Find initial configurations with a body deeper than `MAX_FLOOR_DEPTH` in a world plane.
+
+    There is one finding per configuration, which names the deepest body.
+    """
     for start in _list_start_poses(robot):
         depths: dict[str, float] = {}
         for bodies, geoms, depth in _list_contacts(robot, start):

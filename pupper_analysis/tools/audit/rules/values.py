@@ -1,4 +1,8 @@
-"""Rules about values that are impossible for any robot."""
+"""Rules about values that are impossible for any robot.
+
+Input is the model of a file, or its elements. The rules check the signs of sizes and passive joint
+terms, the ranges of MuJoCo's options, and the units of rotations.
+"""
 
 from __future__ import annotations
 
@@ -33,10 +37,11 @@ _SHAPE_SIZES = {
 
 @rule
 def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find sizes <= 0, and negative damping, friction, armature, stiffness and limits.
+    """Find shapes of size <= 0, and negative damping, friction, armature, stiffness and limits.
 
-    A length of 0 is accepted for a cylinder (disc) and a capsule (ball). For MuJoCo's polynomials
-    the first coefficient is checked, because this coefficient dominates at small speeds.
+    Sizes are only checked in a URDF. A length of 0 is accepted for a cylinder (disc) and a capsule
+    (ball). For MuJoCo's polynomials the first coefficient is checked, because this coefficient
+    dominates at small speeds.
     """
     for joint in robot.joints.values():
         for joint_attribute in JOINT_ATTRIBUTES:
@@ -60,6 +65,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Yield the shapes of a URDF with a size or scale that is zero or, for a length, negative."""
     for link, _, shape in _list_shapes(robot):
         tag = str(shape.tag)
         if tag == "box":
@@ -162,12 +168,12 @@ def option_out_of_range(robot: MjcfModel) -> Iterator[CheckFinding]:
 # Rules about the notation of rotations.
 
 FULL_TURN = 2 * math.pi + 1e-3
-"""Largest angle of ``rpy`` [rad], with a tolerance."""
+"""Largest angle of ``rpy`` [rad] that is not reported: a turn, with a tolerance for rounding."""
 
 
 @rule
 def rpy_in_degrees(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find angles above 2 pi in magnitude in ``rpy``."""
+    """Find <origin> elements of a URDF with an ``rpy`` above 2 pi in magnitude [rad]."""
     for element in robot.file.root.iter("origin"):
         rpy = parse_numbers(element.get("rpy"), "0 0 0")
         if np.abs(rpy).max() > FULL_TURN:
