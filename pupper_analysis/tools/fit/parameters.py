@@ -108,8 +108,9 @@ KINDS: Mapping[str, ParameterKind] = {
 SURROUNDINGS_KINDS = (
     *("slope", "softness", "length", "moment", "deadband", "settling", "load", "added", "place"),
 )
-"""Kinds outside of the robot's files that are listed last in results. (``offset``, ``delay`` and
-``lag`` are outside of the files as well, but are listed with the robot.)"""
+"""Keys of `KINDS` for the ground, the servos' friction and known masses, which no robot file
+contains and results list last. (``offset``, ``delay`` and ``lag`` are in no robot file either, but
+are listed with the robot.)"""
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ class Parameter:
 
     @property
     def name(self) -> str:
-        """Name in tables, for example ``com.x base``."""
+        """Name of the parameter in tables, for example ``com.x base``."""
         kind = f"{self.kind}.{self.component}" if self.component else self.kind
         return f"{kind} {self.subject}"
 
@@ -174,10 +175,9 @@ _PRIOR_PATTERN = re.compile(
 
 
 _MIN_PRIOR_WIDTH = 1e-9
-"""Lower bound of the numbers that a prior's text may contain besides 0, in the unit of the text.
-
-The upper bound is the reciprocal; both bounds themselves are refused. Chosen, not tuned, so that
-squared widths stay within double precision."""
+"""Lower bound (excluded) of a nonzero width in the text of a prior, in the unit of the text. The
+upper bound is the reciprocal, so that squared widths stay within double precision. Chosen, not
+tuned."""
 
 
 def parse_prior(text: str) -> Prior:
@@ -222,13 +222,13 @@ def parse_priors(priors: Iterable[Prior | str]) -> list[Prior]:
 def apply_priors(
     stated: Iterable[tuple[str, str, str, float]], priors: Iterable[Prior] = ()
 ) -> tuple[Parameter, ...]:
-    """Return the parameters with prior widths.
+    """Return the parameters of a fit with prior standard deviations (widths).
 
     The width is that of the last matching prior, or the default of the kind. Candidates of width 0
     (``kp=0``, a mass of 0) are known exactly and are left out.
 
     Args:
-        stated: Kind, subject, component and stated value of each candidate.
+        stated: Kind, subject, component and stated value (in the kind's unit) of each candidate.
         priors: Priors that replace the defaults.
 
     Raises:
@@ -293,7 +293,7 @@ class ParameterTable:
         return iter(self.parameters)
 
     def find_index(self, kind: str, subject: str, component: str = "") -> int | None:
-        """Return the index of a parameter in the vector; None if not estimated."""
+        """Return the index of a parameter in the parameter vector; None if not estimated."""
         return self._indices.get((kind, subject, component))
 
     def with_scaled_widths(self, kind: str, factor: float) -> ParameterTable:
@@ -321,17 +321,19 @@ class ParameterTable:
         return default if index is None else float(vector[index])
 
     def get_inertial(self, vector: Array, link: str, stated: pin.Inertia) -> tuple[float, Array]:
-        """Return mass [kg] and CoM, shape (3,) [m], of a link's body.
+        """Return mass [kg] and CoM, shape (3,) [m], of a link's body from a parameter vector.
 
-        Values that are not estimated are taken from ``stated``, as is the frame of the CoM.
+        Values that are not estimated are taken from ``stated``. The CoM is in the frame of
+        ``stated``.
         """
         mass = self.get_value(vector, "mass", link, "", stated.mass)
         return mass, self.get_com(vector, link, stated.lever)
 
     def get_com(self, vector: Array, link: str, stated: Array) -> Array:
-        """Return the CoM of a link's body, shape (3,) [m].
+        """Return the CoM of a link's body from a parameter vector, shape (3,) [m].
 
-        ``stated``, shape (3,) [m], has the components that are not estimated.
+        ``stated``, shape (3,) [m], has the components that are not estimated. The CoM is in the
+        frame of ``stated``.
         """
         axes = zip(AXES, stated.tolist(), strict=True)
         return np.array(
@@ -339,9 +341,13 @@ class ParameterTable:
         )
 
     def get_values(self, vector: Array, kind: str, subjects: Iterable[str], stated: Array) -> Array:
-        """Return the values of a kind for k subjects, shape (k,).
+        """Return the values of a parameter kind for k joints or links, shape (k,), in its unit.
 
-        ``stated``, shape (k,), has the values of subjects that are not estimated.
+        Args:
+            vector: Parameters, shape (n,).
+            kind: Key of ``KINDS``.
+            subjects: Names of k joints or links.
+            stated: Values of subjects that are not estimated, shape (k,).
         """
         pairs = zip(subjects, stated.tolist(), strict=True)
         return np.array(

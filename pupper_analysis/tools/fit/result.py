@@ -40,10 +40,11 @@ interval is at least sqrt(0.9), 95 %, as wide as the prior's. Chosen, not tuned.
 
 
 def classify_determination(variance_ratio: float) -> Determined:
-    """Classify whether the data or the prior determine an estimate.
+    """Classify whether the data, the prior or both determine an estimate.
 
     Args:
-        variance_ratio: Posterior variance / prior variance of the parameter.
+        variance_ratio: Posterior variance / prior variance of the parameter: below 0.1 the data
+            determine the estimate, from 0.9 on the prior.
     """
     if variance_ratio < _MAX_DATA_RATIO:
         return Determined.DATA
@@ -107,7 +108,7 @@ class Fit(Result):
 
     @property
     def explained(self) -> bool:
-        """Whether the model explains the measurements: no failures."""
+        """Whether the fitted model explains the measurements: ``failures`` is empty."""
         return not self.failures
 
     @property
@@ -119,7 +120,7 @@ class Fit(Result):
 
 
 def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
-    """Yield the estimate of each parameter, parameters of the surroundings last."""
+    """Yield the estimate of each parameter of a fit, parameters of the surroundings last."""
     order = sorted(
         range(len(posterior.parameters)),
         key=lambda index: posterior.parameters[index].kind in SURROUNDINGS_KINDS,
@@ -164,8 +165,8 @@ def derive_estimate(
     Args:
         posterior: Distribution of the parameters.
         parameter: Name, unit and stated value of the quantity; the width is ignored.
-        mean: Most probable value.
-        gradient: Derivative g by the parameters, shape (n,).
+        mean: Most probable value of the quantity, in its unit.
+        gradient: Derivative g of the quantity by the parameters, shape (n,).
     """
     scaled_gradient = gradient * np.array([estimated.width for estimated in posterior.parameters])
     std = math.sqrt(float(gradient @ posterior.covariance @ gradient))
@@ -179,14 +180,18 @@ def derive_estimate(
 
 
 def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Estimate | None:
-    """Return the mean factor on kp over the factor on the carried mass; None if no kp is estimated.
+    """Estimate the ratio (mean factor on kp) / (factor on the carried mass), dimensionless.
 
-    The numerator is the geometric mean of estimated over stated kp. The denominator is the sum of
-    estimated over stated masses, times 1 plus the estimated load that no scale has shown.
+    The factor on kp is the geometric mean of estimated kp / stated kp over the joints. The factor
+    on the mass is (sum of estimated masses) / (sum of their stated values), times 1 + load. The
+    load is a force on the feet beyond the masses, as a fraction of the weight.
 
     Args:
         posterior: Distribution of the parameters.
-        kp_only: Whether to leave out the denominator.
+        kp_only: Return the factor on kp, without the factor on the mass.
+
+    Returns:
+        Estimate with a 95 % interval; None if no kp is estimated.
     """
     mean = posterior.mean
     stated = np.array([parameter.stated for parameter in posterior.parameters])

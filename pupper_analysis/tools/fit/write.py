@@ -1,4 +1,9 @@
-"""Write a fit to a folder: corrected models, encoder offsets, samples of the posterior and JSON."""
+"""Write a fit to a folder: corrected models, encoder offsets, samples of the posterior and JSON.
+
+Parameters are rounded by their standard deviations; a parameter that hardly changed keeps the
+value of the file. The models are copies of the original files in which only the changed values
+differ. Samples are drawn jointly from the posterior, for `study`.
+"""
 
 from __future__ import annotations
 
@@ -268,7 +273,7 @@ def write_fit(
             from which the robot was loaded are never replaced.
 
     Returns:
-        Values that were written.
+        Corrected models, rounded parameter values, and notes on estimates that no file can state.
 
     Raises:
         ModelError: If a value cannot be written to the file.

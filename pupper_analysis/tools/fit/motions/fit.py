@@ -472,11 +472,11 @@ class MotionResiduals:
         whitened = [
             series / np.array([noise.long_run_std for noise in self._noise]) for series in residuals
         ]
-        for places, rows, joint, run in self._iterate_derivatives():
+        for indices, rows, joint, run in self._iterate_derivatives():
             is_finite = np.isfinite(whitened[run][:, joint])
             scaled = rows[is_finite] / self._noise[joint].long_run_std
-            information[places[:, None], places] += scaled.T @ scaled
-            gradient[places] += scaled.T @ whitened[run][is_finite, joint]
+            information[indices[:, None], indices] += scaled.T @ scaled
+            gradient[indices] += scaled.T @ whitened[run][is_finite, joint]
         if moments is noise_point:
             width = self.table.width
             self._information = width[:, None] * information * width + self.table.precision
@@ -488,9 +488,9 @@ class MotionResiduals:
     def _iterate_derivatives(self) -> Iterator[tuple[IntArray, Array, int, int]]:
         """Yield k parameter indices, derivatives, shape (samples, k), joint index and run index."""
         for run, jacobians in enumerate(self._jacobians):
-            for group, (places, by_places) in jacobians.items():
+            for group, (indices, jacobian) in jacobians.items():
                 for column, joint in enumerate(self.simulator.groups[group][0]):
-                    yield places, by_places[:, column], joint, run
+                    yield indices, jacobian[:, column], joint, run
 
     def fit(self) -> Posterior:
         """Estimate the parameters by weighted least squares, and return their distribution.
@@ -515,11 +515,11 @@ class MotionResiduals:
             moments = posterior.mean
         width = self.table.width
         gradient_covariance = np.zeros((len(moments), len(moments)))
-        for places, rows, joint, run in self._iterate_derivatives():
+        for indices, rows, joint, run in self._iterate_derivatives():
             noise = self._noise[joint]
             weighted = np.where(self.fitted[run].counts[:, joint, None], rows, 0.0)
             propagated = noise.propagate_weights(weighted / noise.long_run_std**2)
-            gradient_covariance[places[:, None], places] += propagated @ propagated.T
+            gradient_covariance[indices[:, None], indices] += propagated @ propagated.T
         information = posterior.information + posterior.precision
         inverse = np.linalg.inv(information)
         gradient_covariance = width[:, None] * gradient_covariance * width + posterior.precision

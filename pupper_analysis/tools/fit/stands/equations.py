@@ -31,17 +31,19 @@ _TILT_HEIGHT_INDICES = [3, 4, 2]
 The measurements do not depend on the other base coordinates (horizontal position, yaw)."""
 
 _LAST_MOTION_FRACTION = 0.75
-"""Standard deviation of the friction that joints and feet keep from the last motion of the base,
-for each of six motions, as a fraction of the friction. Measured on v3 set down in MuJoCo: all
-feet of a stand keep moments of the same sign, and the fastest joints their full friction. With this
-value, and half of the variance independent, the residuals of exact robots have unit variance."""
+"""Standard deviation of the dry friction that remains in joints and feet when the base comes to
+rest, as a fraction of the friction, for each of six motions of the base. Measured on v3 set down in
+MuJoCo: all feet of a stand keep moments of the same sign, and the fastest joints their full
+friction. With this value, and the other half of the friction variance independent for each joint
+and foot, the whitened residuals of robots with exact parameters have unit variance."""
 
 _RANK_RTOL = 1e-6
-"""Relative singular value below which a motion of the base moves no joint. Chosen, not tuned."""
+"""Singular value of the contact Jacobian by the joints, relative to the largest, below which it
+counts as 0: these joint motions do not move the feet. Chosen, not tuned."""
 
 _VELOCITY_ATOL = 1e-9
-"""Rotation of joints or feet per motion of the base below which the motion is not scaled up.
-Chosen, not tuned."""
+"""Lower bound of the divisor that scales a motion of the base (1 m or 1 rad) by its fastest joint
+or foot rotation [rad]. Prevents a division by zero. Chosen, not tuned."""
 
 _BALANCE_RTOL = 1e-5
 """Standard deviation of the base's equations of balance, as a fraction of the weight, or of weight
@@ -55,7 +57,7 @@ joint torque."""
 
 _UNKNOWN_TORQUE_RATIO = 1e3
 """Standard deviation of the torque of a joint without a usable command, as a fraction of weight
-times height: large enough to determine nothing. Chosen, not tuned."""
+times height. It is so large that this torque has no effect on the fit. Chosen, not tuned."""
 
 _MIN_SIGN_BAND = 1e-3
 """Smallest servo error [rad] over which the sign of friction changes smoothly, so that derivatives
@@ -134,13 +136,14 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 
 _MIN_FORCE_SIGNAL = 1.0
-"""Smallest effect, in standard deviations, of an unknown force as large as the weight with which
-the force is eliminated. Smaller effects are the effects of force distributions within a sole.
-Chosen, not tuned."""
+"""Singular value of the whitened equations of a stand, times the weight, above which an unknown
+contact force (or tilt or height) is eliminated: a force equal to the weight then changes the
+residuals by more than one standard deviation. Smaller values belong to distributions of the force
+within a sole. Chosen, not tuned."""
 
 _MIN_READING_INFORMATION = 1e-4
-"""Lower bound of the information about a reading from all others, relative to the information of
-the joint's encoder noise. Prevents a division by zero. Chosen, not tuned."""
+"""Lower bound of the information that all other readings provide about a joint reading, relative to
+1 / (encoder noise)^2. Prevents a division by zero. Chosen, not tuned."""
 
 
 class StandRows:
@@ -241,7 +244,7 @@ class StandRows:
         self.set_noise(noise)
 
     def set_noise(self, noise: StandNoise) -> None:
-        """Set the standard deviations of the noise, which do not affect the residuals."""
+        """Set the noise levels for the covariance of the residuals; the residuals do not change."""
         normal_forces, height = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
         moment_std = math.sqrt(0.5) * noise.moment * np.repeat(normal_forces, 3)
         last_std = _LAST_MOTION_FRACTION * np.repeat([noise.friction, noise.moment], 6)
@@ -259,19 +262,20 @@ class StandRows:
         self.deviation: Array = np.concatenate([base, torque, flatness])
 
     def _compute_covariance(self) -> Array:
-        """Return the noise covariance of the residuals, shape (m, m)."""
+        """Return the noise covariance of the residuals, shape (m, m), in their units squared."""
         covariance: Array = self._sources**2 * self.by_noise @ self.by_noise.T
         return covariance + np.diag(self.deviation**2)
 
     def eliminate_own_unknowns(self) -> tuple[LinearisedResiduals, Array]:
-        """Eliminate the own unknowns of this stand: base tilt, base height and contact forces.
+        """Eliminate base tilt, base height and contact forces from the equations of a stand.
 
-        The residuals are whitened, and projected onto combinations that the own unknowns do not
-        affect.
+        The residuals are whitened, and projected onto combinations that these unknowns of the stand
+        do not affect.
 
         Returns:
             Projected residuals with the derivative by the parameters, as sums; and the
-            Gauss-Newton step of the own unknowns, shape (3 + 3 p,), for p contact points.
+            Gauss-Newton step of the unknowns of the stand, shape (3 + 3 p,), for p contact points:
+            rotations about the base x and y axes [rad], base height [m], forces [N].
         """
         projected, log_noise, step = self._project_out_unknowns(
             np.column_stack([self.residual, self.by_x])
@@ -281,9 +285,9 @@ class StandRows:
         ), step
 
     def _project_out_unknowns(self, columns: Array) -> tuple[Array, float, Array]:
-        """Project whitened columns onto the complement of the own unknowns.
+        """Project whitened columns onto the complement of the unknowns of a stand.
 
-        The first column contains the residuals.
+        The first column of ``columns``, shape (m, n), contains the residuals.
 
         Returns:
             Projected columns, log determinant of the noise covariance, and Gauss-Newton step of
@@ -304,13 +308,19 @@ class StandRows:
         return left_vectors[:, rank:].T @ whitened[:, :n], log_noise, step
 
     def find_contradictions(self, covariance: Array) -> tuple[Array, Array]:
-        """Return each joint's reading error and the standard deviation, shape (nu,) [rad] each.
+        """Estimate the error of each joint's measured position in a stand.
 
         The error of a single reading is estimated from all other readings, with the parameters
         integrated out. With projected residuals r and derivatives d by the reading and A by the
         parameters of covariance C:
 
             error = -d^T r / (d^T d - d^T A C A^T d)
+
+        Args:
+            covariance: Covariance C of the parameters, shape (n, n).
+
+        Returns:
+            Errors and standard deviations of the errors, shape (nu,) [rad] each.
         """
         columns = [self.residual, self.by_x, self.by_noise[:, : self._robot.nu]]
         projected = self._project_out_unknowns(np.column_stack(columns))[0]
@@ -323,7 +333,7 @@ class StandRows:
         return -(by_reading.T @ projected[:, 0]) / information, 1 / np.sqrt(information)
 
     def _add_derivative(self, rows: Array, derivative: Array | float, *key: str) -> None:
-        """Add the derivative of some rows, shape (k, n), by a parameter, if estimated."""
+        """Add to ``rows``, shape (k, n), the derivative by the parameter ``key``, if estimated."""
         index = self._table.find_index(*key)
         if index is not None:
             rows[..., index] += derivative
@@ -392,11 +402,11 @@ class StandRows:
         self.residual[:nv] = residual
 
     def _compute_last_motions(self) -> tuple[Array, Array]:
-        """Return rotations of joints (nu, 6) and feet (p, 3, 6) per motion of the base.
+        """Return rotations of joints, shape (nu, 6), and feet, shape (p, 3, 6), for base motions.
 
-        The feet stay in place. Each of the six motions is scaled by its fastest joint, and by its
-        fastest foot. A robot that comes to rest stops all motions together, so that friction of the
-        last motion remains in all of them.
+        The contact points do not move. Each of the six base motions is scaled such that its fastest
+        joint (for the feet: its fastest foot) has the value 1. When a robot comes to rest, all
+        joints and feet stop together, and dry friction against the last motion remains.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -410,7 +420,15 @@ class StandRows:
     def _fill_gravity(
         self, by_x: Array, by_mass: list[Array], by_com: list[Array], by_slope: list[Array]
     ) -> None:
-        """Add the derivatives of gravity by masses, CoM positions, known masses, slope and load."""
+        """Add the derivatives of the balance by masses, CoMs, known masses, slope and load.
+
+        Args:
+            by_x: Derivative of the balance residuals by the parameters, shape (nv, n); changed in
+                place.
+            by_mass: Derivatives of the gravity forces by each body's mass, shape (nv,).
+            by_com: Derivatives of the gravity forces by each body's CoM, shape (nv, 3).
+            by_slope: Derivatives of the gravity forces by the slope along x and y, shape (nv,).
+        """
         values = self._values
         for body, (link, *_) in enumerate(values.bodies):
             self._add_derivative(by_x, -by_mass[body], "mass", link)
@@ -432,10 +450,12 @@ class StandRows:
     def _scale_to_positions(
         self, residual: Array, by_x: Array, by_own: Array, by_noise: Array
     ) -> None:
-        """Express the rows of driven joints as position errors, times the kp of the noise.
+        """Multiply rows of driven joints by (noise kp) / kp, base rows by (noise mass) / mass.
 
-        The rows of the base are expressed as fractions of the robot's mass, times the mass of the
-        noise. Otherwise small kp and masses would decrease the residuals, and not the noise.
+        The noise is computed with a constant kp and mass (``StandValues.noise_kp``,
+        ``noise_mass``). Without the factors, small estimates of kp and masses would decrease the
+        residuals, but not the noise. All arrays have a row per balance equation and are changed in
+        place.
         """
         values = self._values
         driven = self._commanded & (values.kp > 0)
@@ -451,7 +471,10 @@ class StandRows:
             rows *= factors
 
     def _fill_contact(self) -> None:
-        """Fill in the contact equation z_p - r_p + softness depth(f_p) = 0 and the derivatives."""
+        """Fill in the contact equation z_p - r_p + softness depth(f_p) = 0 and the derivatives.
+
+        z_p is the height of the contact point, r_p its radius, depth(f_p) the penetration [m].
+        """
         points = self._reading.points
         heights = self._twists[:, 2]
         nv = self._robot.nv
@@ -551,7 +574,7 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return a copy for a stand, with the attached masses and the heading.
+        """Return a copy of these values for a stand, with attached masses and heading.
 
         Args:
             reading: Measurements of the stand.
@@ -602,7 +625,7 @@ def _compute_last_link(robot: Robot, point: str) -> Array:
 
 
 def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Array:
-    """Return base quaternion (w, x, y, z) and height [m], shape (5,), with the feet on the ground.
+    """Compute the base pose with the feet on the ground: quaternion (w, x, y, z) and height [m].
 
     The base is rotated such that the plane z = a x + b y + c through the contact points (least
     squares) is level and at height 0.
@@ -611,6 +634,9 @@ def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Ar
         robot: Robot.
         joints: Joint positions, shape (nu,) [rad].
         points: Contact points that carry.
+
+    Returns:
+        Quaternion and height of the base in the world frame, shape (5,).
     """
     positions = Configuration(robot, robot.posed(joints)).foot_places(points)
     positions[:, 2] -= [robot.contact_radius[point] for point in points]
@@ -637,10 +663,16 @@ class GravityRegressor:
     def evaluate(
         self, config: Configuration, values: StandValues
     ) -> tuple[Array, list[Array], list[Array], list[Array]]:
-        """Return the generalised forces of gravity, shape (nv,), and the derivatives.
+        """Compute the generalised forces of gravity and their derivatives.
 
-        The derivatives are by each body's mass, shape (nv,), by its CoM, shape (nv, 3), known
-        masses last, and by the slope along x and y, shape (nv,).
+        Args:
+            config: Configuration of the robot.
+            values: Masses, CoM positions, known masses and gravity.
+
+        Returns:
+            Generalised forces, shape (nv,) [N, N m]; derivatives by each body's mass, shape (nv,);
+            by each body's CoM in the joint frame, shape (nv, 3), known masses last; by the slope
+            along x and y, shape (nv,).
         """
         bodies = [(number, mass, com) for _, number, mass, com in values.bodies]
         bodies += [(load.number, load.mass, load.place) for load in values.loads]
@@ -662,8 +694,8 @@ class GravityRegressor:
 
 
 _UNKNOWN_STEPS = 2
-"""Newton steps of a stand's own unknowns for each evaluation. The equations are linear in the
-forces. Chosen, not tuned."""
+"""Number of Newton steps for a stand's own unknowns (base tilt and height, contact forces) in each
+evaluation. The equations are linear in the forces. Chosen, not tuned."""
 
 
 class StandEquations:
@@ -720,12 +752,12 @@ class StandEquations:
         """Linearise the whitened residuals of all stands, for ``estimate_parameters``.
 
         Base tilt, base height and contact forces of each stand (its own unknowns) are solved for
-        and eliminated. The values of the unknowns are kept only if ``x`` is ``noise_point``:
-        otherwise ``x`` is a trial.
+        and eliminated. The values of the unknowns are kept only if ``x`` and ``noise_point`` are
+        the same object: otherwise ``x`` is a trial.
 
         Args:
-            x: Parameters, shape (n,).
-            noise_point: Parameters at which the noise is evaluated, shape (n,).
+            x: Parameters, shape (n,), each in its unit.
+            noise_point: Only compared with ``x``; the noise is set by ``set_noise_point``.
             evaluations: Newton steps of the own unknowns.
 
         Returns:
@@ -760,7 +792,7 @@ class StandEquations:
     def linearise_stand(
         self, stand: int, values: StandValues, evaluations: int = _UNKNOWN_STEPS
     ) -> LinearisedResiduals:
-        """Linearise the whitened residuals of a stand, without the own unknowns.
+        """Linearise the whitened residuals of a stand with respect to the parameters.
 
         Base tilt, base height and contact forces are the own unknowns of a stand. They are solved
         for by Newton steps, stored, and eliminated.
@@ -799,7 +831,7 @@ class StandEquations:
         )
 
     def _make_values(self, x: Array) -> StandValues:
-        """Return the values for a parameter vector, before ``StandValues.for_reading``."""
+        """Return the values for a parameter vector, shape (n,), without masses of single stands."""
         robot, table = self.robot, self.table
         model, bodies = robot.pin_model.copy(), []
         for link, number, stated in self._bodies:
@@ -850,12 +882,15 @@ class StandEquations:
         )
 
     def _sum_masses(self, x: Array) -> float:
-        """Return the mass of the whole robot [kg]."""
+        """Return the mass of the whole robot [kg] for a parameter vector, shape (n,)."""
         masses = [index for index, parameter in enumerate(self.table) if parameter.kind == "mass"]
         return self.robot.total_mass + float((x - self.table.stated)[masses].sum())
 
     def _make_initial_unknowns(self, reading: StandReading) -> tuple[Array, Array]:
-        """Return initial own unknowns: feet on the ground by the encoders, equal normal forces."""
+        """Return an initial base pose (5,) and contact forces (p, 3) [N] of a stand.
+
+        The measured joint positions define the base pose; the normal forces are equal.
+        """
         robot, points = self.robot, reading.points
         forces = np.zeros((len(points), 3))
         forces[:, 2] = robot.weight / len(points)
@@ -933,10 +968,16 @@ class StandEquations:
         return [math.sqrt(stand_sums.chi2 / max(stand_sums.rows, 1)) for stand_sums in linearised]
 
     def find_contradictions(self, posterior: Posterior) -> tuple[Array, Array]:
-        """Return the error of each joint reading in each stand, and the standard deviation.
+        """Estimate the error of each joint's measured position in each stand.
 
-        The error is the reading minus the position that agrees best with all other readings. Both
-        arrays have the shape (stands, nu) [rad].
+        The error is the measured position minus the position that agrees best with all other
+        measurements.
+
+        Args:
+            posterior: Distribution of the parameters.
+
+        Returns:
+            Errors and standard deviations of the errors, shape (stands, nu) [rad] each.
         """
         contradictions = [
             rows.find_contradictions(posterior.covariance)
@@ -946,7 +987,7 @@ class StandEquations:
         return errors, stds
 
     def _apply_step(self, stand: int, step: Array) -> None:
-        """Apply a step of a stand's own unknowns."""
+        """Add a step (3 + 3 p,) to a stand's base tilt [rad], height [m] and contact forces [N]."""
         base, forces = self._unknowns[stand]
         half_x, half_y = step[:2] / 2
         rotation = pin.Quaternion(*base[:4]) * pin.Quaternion(1.0, half_x, half_y, 0.0)

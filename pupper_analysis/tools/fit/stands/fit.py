@@ -124,7 +124,7 @@ def _estimate_total_mass(robot: Robot, posterior: Posterior) -> Estimate:
 
 
 def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
-    """Yield the estimates of x, y, z of the robot's CoM, in the base frame.
+    """Yield the estimates of x, y, z of the robot's CoM [m], in the base frame.
 
     Joints are at their nominal positions. Body i has mass m_i, CoM c_i in the body frame, and pose
     R_i, p_i. With M = sum m_i and x_i = R_i c_i + p_i:
@@ -166,7 +166,7 @@ def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
 def check_scale(
     robot: Robot, posterior: Posterior, weight: float | None = None, *, level: bool = True
 ) -> Iterator[Diagnostic]:
-    """Yield a failure if all kp, the total mass and the load are jointly far from the file.
+    """Yield a failure if mean kp, total mass and load are jointly improbable, given the file.
 
     Positions determine the ratio of kp to mass; the weight determines both. An error of the weight
     shifts all parameters a little, and no parameter by itself is far from the stated value.
@@ -248,8 +248,8 @@ def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> I
 
     Args:
         posterior: Distribution of the parameters.
-        friction_error: Mean dry friction divided by the mean kp [rad]. A smaller dead band may be
-            an effect of friction, and is not reported.
+        friction_error: Mean dry friction divided by the mean kp [rad]. A dead band of the servos is
+            reported if its 95 % interval lies above this value: a smaller one may be friction.
     """
     loaded = "added" in posterior.kinds
     for index, parameter in enumerate(posterior.parameters):
@@ -264,8 +264,8 @@ def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> I
 
 
 _SURPRISE_PROBABILITY = 0.0027
-"""Probability of a chance result below which a deviation is reported: that of three standard
-deviations. Chosen, not tuned."""
+"""Probability of a chi2 test, if the priors are right, below which a deviation is reported: equal
+to that of three standard deviations. Chosen, not tuned."""
 
 _MIN_VARIANCE_REDUCTION = 0.02
 """Smallest reduction of the variance, as a fraction of the prior variance, with which a combination
@@ -276,12 +276,13 @@ _MIN_NAMED_STDS = 2.0
 foot with the largest deviation is named in any case. Chosen, not tuned."""
 
 _MAX_FLATNESS_RATIO = 5.0
-"""Upper bound of the estimated over the expected unevenness of the ground. Larger noise would hide
-an error. Chosen, not tuned."""
+"""Upper bound of the ratio of estimated to expected unevenness of the ground. Larger noise would
+hide an error. Chosen, not tuned."""
 
 _MAX_FRICTION_RATIO = 4.0
-"""Upper bound of the estimated over the expected dry friction, random and one-sided parts together.
-Half of this bound applies if the file's friction is replaced by a default. Chosen, not tuned."""
+"""Upper bound of the ratio of estimated to expected dry friction, random and one-sided parts
+together. Half of this bound applies if a default replaces the file's friction. Chosen, not
+tuned."""
 
 _MAX_PARAMETER_STDS = 4.5
 """Upper bound of the deviation of a parameter or a reading, in standard deviations. Among a hundred
@@ -304,9 +305,9 @@ def check_residuals(
 ) -> Iterator[Diagnostic]:
     """Yield a failure for each kind of evidence that the model does not explain the measurements.
 
-    The tests, in order: chi2 of all residuals; unevenness of the ground and dry friction, each
-    estimated over expected; change of each parameter from the stated value; surroundings
-    (`check_surroundings`).
+    The tests, in order: chi2 of all residuals; unevenness of the ground and dry friction (random
+    plus one-sided), each divided by the expected value; change of each parameter of the robot from
+    the stated value, or a mass or kp of nearly 0; surroundings (`check_surroundings`).
 
     Args:
         posterior: Distribution of the parameters.
@@ -350,9 +351,10 @@ def check_residuals(
 
 
 def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Iterator[Diagnostic]:
-    """Yield failures of the surroundings: load, slope, softness and leg length, kind by kind.
+    """Yield failures if estimated slope, softness, leg lengths or load contradict their priors.
 
-    All parameters of a kind are tested jointly, by a chi2 test of the changes.
+    All parameters of a kind are tested jointly, by a chi2 test of the changes. The load is tested
+    only with a known mass.
 
     Args:
         posterior: Distribution of the parameters.
@@ -522,10 +524,11 @@ tested."""
 def _fit_without_contradictions(
     fit: Callable[[MeasuredStands], StandFit], stands: MeasuredStands
 ) -> StandFit:
-    """Fit stands, leaving out those that contradict their own data one by one.
+    """Fit stands; leave out one by one the stands in which a foot contradicts the data.
 
     Raises:
-        MeasurementError: If more than a quarter would be left out; the first contradiction.
+        MeasurementError: If more than a quarter would be left out (the first contradiction is
+            raised), or for another error of the measurements.
         FitError: If the iteration does not converge.
     """
     notes: list[Diagnostic] = []
@@ -550,7 +553,7 @@ def _fit_without_contradictions(
 
 
 _CONTRADICTION_CODES = ("foot-in-the-air-touches", "foot-would-pull")
-"""Errors of ``_check_feet``, which contradict the row of a single stand."""
+"""Codes of the errors of ``_check_feet``, each of which contradicts the row of a single stand."""
 
 _MAX_EXCLUDED_FRACTION = 0.25
 """Largest fraction of stands that is left out. More contradictions have a common cause. Chosen, not
@@ -626,14 +629,14 @@ class _StandProblem:
         return 1.0 if ratio > _MIN_FRICTION_RATIO else _DEFAULT_FRICTION_RATIO / ratio
 
     def compute_log_evidence(self) -> float:
-        """Return the log evidence of the stands, linearised about the stated values."""
+        """Return the log marginal likelihood of the stands, linearised about the stated values."""
         linearised = self.make_equations()[0].linearise(self.table.stated, self.table.stated)
         return linearised.compute_log_evidence(self.table, np.zeros(len(self.table)))
 
     def make_equations(
         self, posterior: Posterior | None = None
     ) -> tuple[StandEquations, tuple[Diagnostic, ...]]:
-        """Create the equations, and notes on commands that are not used.
+        """Create the residual equations of the stands, and notes on commands that are not used.
 
         Args:
             posterior: Distribution of the encoder offsets; the prior by default.
@@ -645,7 +648,12 @@ class _StandProblem:
         return StandEquations(robot, used_stands, table, kp, self.friction, self.noise), notes
 
     def solve(self) -> StandFit:
-        """Estimate the parameters: with the expected noise, then with the estimated noise."""
+        """Estimate the parameters of the stands: with the expected, then with the estimated noise.
+
+        Raises:
+            FitError: If the iteration does not converge.
+            MeasurementError: If a foot contradicts the data of a stand.
+        """
         robot, stands, table = self.robot, self.stands, self.table
         (equations, _), scale_residual = (
             self.make_equations(),
@@ -711,12 +719,18 @@ class _StandProblem:
         log_evidence: float,
         fit_with_noise: Callable[[StandNoise], tuple[Posterior, float]],
     ) -> Iterator[Diagnostic]:
-        """Yield the reading that all others contradict, if noise explains less than its error.
+        """Yield a failure if a single wrong reading is more probable than the estimated noise.
 
-        A single wrong reading increases the estimated noise, which then hides the reading. Two
-        explanations are compared by the evidence: the estimated noise; and noise that is at most
-        as large as expected, together with a single reading that is wrong by any amount (normal
-        with ``_OUTLIER_STD``).
+        A wrong reading increases the estimated noise, which then hides the reading. Two
+        explanations are compared by the evidence: the estimated noise; or noise at most as large as
+        expected, together with a wrong reading of one joint in one stand, whose error is normal
+        with ``_OUTLIER_STD``. The reading must also deviate by `_MAX_PARAMETER_STDS`.
+
+        Args:
+            equations: Equations of the stands.
+            noise: Estimated noise levels.
+            log_evidence: Log evidence with these levels.
+            fit_with_noise: Function that returns posterior and log evidence for noise levels.
         """
         expected = vars(replace(self.noise, friction=self.friction_ratio))
         smaller_levels = {name: min(level, expected[name]) for name, level in vars(noise).items()}
@@ -808,7 +822,7 @@ def predict_noise(
 def list_parameters(
     robot: Robot, stands: MeasuredStands, kp: Array
 ) -> Iterator[tuple[str, str, str, float]]:
-    """Yield kind, subject, component and stated value of each parameter of stands.
+    """Yield kind, subject, component and stated value (in SI units) of each parameter of a fit.
 
     Args:
         robot: Robot.
@@ -839,7 +853,7 @@ def list_parameters(
 
 
 def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
-    """Yield kind, subject, component and stated value of masses and CoM components."""
+    """Yield kind, subject (link), component and stated value of link masses [kg] and CoMs [m]."""
     for link, number in list_bodies(robot):
         inertia = robot.structure.model.inertias[number]
         yield "mass", link, "", float(inertia.mass)
@@ -933,14 +947,17 @@ _COMMAND_NOTES = {True: "stands-at-stops", False: "stands-with-full-torque"}
 """{whether a joint is at a stop (otherwise the motor is at the torque limit): code of the note}."""
 
 _FULL_TORQUE_RATIO = 0.98
-"""Ratio of torque to torque limit above which a motor's torque is treated as saturated. Chosen, not
-tuned."""
+"""Ratio of torque to torque limit above which a motor counts as saturated, so that its command is
+not used. Chosen, not tuned."""
 
 
 def _make_scale_residual(
     robot: Robot, table: ParameterTable, weight: float | None
 ) -> Callable[[Array], LinearisedResiduals]:
-    """Return a function of the parameters: the residual of the weighed mass, if any."""
+    """Return a function that linearises the residual (total mass - ``weight`` [kg]) / std.
+
+    Its argument is a parameter vector, shape (n,). Without a weight the sums are 0.
+    """
     mass_gradient = np.array([float(parameter.kind == "mass") for parameter in table])
     # Mass of bodies that are not estimated.
     constant_mass = robot.total_mass - float(mass_gradient @ table.stated)
@@ -971,11 +988,12 @@ def _check_feet(
 ) -> None:
     """Check that no carrying foot has to pull, and no foot in the air is below the ground.
 
-    Encoder offsets are those of ``posterior``, or taken from the prior without a posterior.
+    The tolerances are `_MAX_PULL_RATIO` and `_MAX_DEPTH_STDS`. Encoder offsets are those of
+    ``posterior``, or taken from the prior without a posterior.
 
     Raises:
-        MeasurementError: If a foot contradicts: the worst contradiction, feet in the air first,
-            since a pulling foot may be a consequence of another error.
+        MeasurementError: For the foot in the air that is the deepest (in standard deviations) below
+            the ground; without such a foot, for the carrying foot with the largest pull.
     """
     table = equations.table
     mean = table.stated if posterior is None else posterior.mean
@@ -1066,7 +1084,7 @@ class LogCoordinates:
     def transform_linearised(
         self, linearised: LinearisedResiduals, coordinates: Array
     ) -> LinearisedResiduals:
-        """Convert a linearisation about the parameters x to one about the coordinates y.
+        """Convert residuals linearised in the parameters x to residuals linearised in y.
 
         Args:
             linearised: Residuals, linearised with respect to the parameters.
@@ -1077,9 +1095,10 @@ class LogCoordinates:
         return replace(linearised, information=information, gradient=rates * linearised.gradient)
 
     def transform_posterior(self, posterior: Posterior) -> Posterior:
-        """Return the distribution of the parameters, linearised about the mean of the coordinates.
+        """Convert a distribution of the coordinates y to a distribution of the parameters x.
 
-        The prior widths are scaled as well: twice the mass has twice the width.
+        The conversion is linearised about the mean. The prior widths are scaled as well: twice the
+        mass has twice the width.
         """
         rates = self.compute_rates(posterior.mean)
         return replace(
@@ -1126,11 +1145,16 @@ to about 10 %. Chosen, not tuned."""
 def scale_common_widths(
     table: ParameterTable, noise: StandNoise, expected: StandNoise
 ) -> ParameterTable:
-    """Return parameters whose widths of moments and settling follow the noise levels.
+    """Scale the prior widths of foot moments and of one-sided joint friction with the noise levels.
 
-    The parameters are the parts that are equal in all stands. The width of moments is
-    proportional to the noise of moments. The width of settling is at least the width of the stated
-    friction, since the evidence does not show one-sided friction.
+    Both kinds of parameters (``moment``, ``settling``) are parts of the noise that are equal in all
+    stands. The width of ``moment`` is multiplied by the ratio of estimated to expected noise, the
+    width of ``settling`` as well, but by at least 1: the evidence does not show one-sided friction.
+
+    Args:
+        table: Parameters.
+        noise: Estimated noise levels.
+        expected: Expected noise levels.
     """
     moments = table.with_scaled_widths("moment", noise.moment / expected.moment)
     return moments.with_scaled_widths("settling", max(1.0, noise.friction / expected.friction))
@@ -1142,7 +1166,7 @@ def estimate_noise(
     scale_residual: Callable[[Array], LinearisedResiduals],
     friction_ratio: float,
 ) -> StandNoise:
-    """Estimate the noise levels by maximum evidence: moments, flatness and friction.
+    """Estimate the noise levels of stands by maximum evidence: moments, flatness and friction.
 
     Maximises the evidence of the measurements, with the parameters integrated out, times a
     log-normal prior of the levels about the expected values (Nelder-Mead simplex).

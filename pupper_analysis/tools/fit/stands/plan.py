@@ -53,7 +53,7 @@ _MAX_STANDS = 1000
 """Upper bound of the number of planned stands. Chosen, not tuned: more than a day of work."""
 
 _CANDIDATES_PER_STAND = 6
-"""Number of candidates per planned stand. More hardly improve the plan."""
+"""Number of random candidates per planned stand. More candidates hardly improve the plan."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ def plan_stands(
     The candidates are random stands; ``choose_stands`` maximises the determinant of the information
     greedily, then by exchanges. Candidates are reachable, balanced, free of self-collision and
     within 60 % of the torque limits; the servos hold them with feed-forward for the file's masses.
-    If possible at most a third of the stands is on three feet. Half of the candidates is rotated by
-    180 deg. If there is a known mass, half of the candidates carries this mass.
+    If possible at most a third of the stands has a foot in the air. Half of the candidates is
+    rotated by 180 deg. If there is a known mass, half of the candidates carries this mass.
 
     Args:
         robot: Robot with a free base and feet.
@@ -183,7 +183,8 @@ def plan_stands(
             replace(candidate.planned, name=f"s{number:02d}")
             for number, candidate in enumerate(
                 sorted(
-                    (candidates[index] for index in chosen), key=lambda candidate: candidate.effort
+                    (candidates[index] for index in chosen),
+                    key=lambda candidate: candidate.sort_key,
                 ),
                 1,
             )
@@ -233,8 +234,12 @@ class _Candidate:
     height: float
 
     @property
-    def effort(self) -> tuple[float, int, float, float]:
-        """Sort key that groups stands by known mass, number of swing feet and heading."""
+    def sort_key(self) -> tuple[float, int, float, float]:
+        """Known mass [kg], number of swing feet, heading [rad] and base height [m] of a stand.
+
+        Stands of a plan are sorted by this key, so that the operator changes mass, feet and heading
+        rarely.
+        """
         stand = self.planned
         return stand.added, len(stand.swing), stand.heading, self.height
 
@@ -242,7 +247,16 @@ class _Candidate:
 def _make_candidate(
     robot: Robot, stand: Stand, sagged: SteadyState, kp: Array, heading: float, added: float
 ) -> _Candidate:
-    """Create a candidate whose servos hold the sagged joint positions of a stand."""
+    """Create a candidate: a stand in the steady state on its servos, with their commands.
+
+    Args:
+        robot: Robot.
+        stand: Stand before the static deflection of servos and ground.
+        sagged: Steady state of this stand, after the deflection.
+        kp: Servo stiffness, shape (nu,) [N m/rad].
+        heading: Rotation of the robot about the vertical [rad].
+        added: Known mass on the robot [kg].
+    """
     torque, position = sagged.joint_torques, sagged.qpos[7:]
     utilisation = peak_utilisation(utilise(robot, torque))
     command = (position + compute_command_lead(torque, kp)).tolist()
@@ -279,7 +293,7 @@ def choose_stands(
     chosen: list[int] = []
     rare_indices = set(np.flatnonzero(is_rare).tolist())
 
-    def open_ones(chosen_indices: Sequence[int]) -> list[int]:
+    def list_available(chosen_indices: Sequence[int]) -> list[int]:
         candidates = [index for index in range(len(informations)) if index not in chosen_indices]
         full = len(rare_indices & set(chosen_indices)) >= max_rare
         return [
@@ -289,7 +303,8 @@ def choose_stands(
     information = prior_information.copy()
     for _ in range(count):
         best_index = max(
-            open_ones(chosen), key=lambda index: _log_determinant(information + informations[index])
+            list_available(chosen),
+            key=lambda index: _log_determinant(information + informations[index]),
         )
         chosen.append(best_index)
         information = information + informations[best_index]
@@ -298,7 +313,7 @@ def choose_stands(
         for slot, index in enumerate(chosen_indices):
             information_without = information - informations[index]
             other_indices = [*chosen[:slot], *chosen[slot + 1 :]]
-            allowed = dict.fromkeys([*open_ones(other_indices), index])
+            allowed = dict.fromkeys([*list_available(other_indices), index])
             best_index = max(
                 allowed,
                 key=lambda candidate: _log_determinant(
@@ -316,7 +331,7 @@ _MAX_EXCHANGE_ROUNDS = 5
 
 
 def _log_determinant(information: Array) -> float:
-    """Return the logarithm of the absolute determinant."""
+    """Return the natural logarithm of the absolute determinant of a matrix."""
     return float(np.linalg.slogdet(information)[1])
 
 
@@ -365,8 +380,9 @@ _TRIES_PER_STAND = 8
 """Upper bound of the tries per requested stand. A stand results from every second to fourth try."""
 
 _MAX_FAILED_TRIES = 24
-"""Number of tries after which the search ends if none gave a stand. By then the range has shrunk
-nearly to the nominal stand. Chosen, not tuned."""
+"""Number of random tasks after which the search for stands ends if none has a stand. By then the
+range of the tasks has shrunk to 2 % (`_SHRINK_FACTOR`), nearly to the nominal stand. Chosen, not
+tuned."""
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
 """Factors on the range of random stands after a refused and after an accepted stand. The factors
@@ -458,7 +474,7 @@ class RandomStands:
         return stands
 
     def explain_shortage(self, requested: int) -> Diagnostic:
-        """Return a message with the most frequent reason for fewer stands than requested."""
+        """Return a diagnostic with the most frequent reason for fewer stands than requested."""
         code = max(self._refusal_counts, key=lambda code_name: self._refusal_counts[code_name])
         if code == "too-few-in-reach":
             offset_margin = Quantity(self._joint_margin, "rad")
@@ -521,7 +537,10 @@ class RandomStands:
 
 
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Return the sag [m] of the nominal stand without feed-forward; 0 if the stand is not held."""
+    """Return the lowering [m] of the base in the nominal stand without feed-forward.
+
+    ``kp`` is the servo stiffness [N m/rad]. 0 if the stand cannot be solved or is not held.
+    """
     try:
         stand = solve_stand(robot, explain=False)
         return float(max(0.0, stand.qpos[2] - steady_state(robot, stand, kp=kp).qpos[2]))

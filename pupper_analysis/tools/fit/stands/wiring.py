@@ -1,4 +1,9 @@
-"""Search for wrong wiring: servos that are exchanged, or rotate in the opposite direction."""
+"""Search for wrong wiring: servos that are exchanged, or rotate in the opposite direction.
+
+A `Wiring` assigns the measured columns to joints, with signs. `find_wiring` ranks all wirings with
+a single error by the evidence of the measurements, fits the most probable ones, and returns the
+first with which the model explains the stands.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +25,8 @@ from pupper_analysis.tools.fit.result import Fit
 Array = NDArray[np.float64]
 
 _MAX_FITTED_WIRINGS = 3
-"""Number of wirings that are fitted. Usually the true wiring is ranked first, or second if
-an encoder offset is large as well."""
+"""Maximum number of wirings that are fitted, since a fit is slow. Usually the true wiring is ranked
+first, or second if an encoder offset is large as well."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +96,11 @@ def find_wiring(
     evidence: Callable[[MeasuredStands], float],
     fit: Callable[[MeasuredStands], Fit],
 ) -> Wiring | None:
-    """Return the wiring with which the model explains the stands; None if there is none.
+    """Find the wiring with which the model explains the stands; None if there is none.
 
-    Wirings are ranked by the log evidence of the measurements, linearised about the stated values.
-    The first three of those that are more probable than the present wiring are fitted, and the
-    first wiring with which the model explains everything is returned.
+    Wirings with one error are ranked by the log evidence of the measurements, linearised about the
+    stated values. The three most probable wirings, as far as they are more probable than the
+    present wiring, are fitted; the first one whose fit has no failures is returned.
 
     Args:
         robot: Robot.
