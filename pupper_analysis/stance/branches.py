@@ -26,12 +26,12 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _NUM_STARTS = 32
-"""Number of random initial guesses per limb. Measured on 800 random goals of the legs of v3 and
-original: 32 find all but one of the branches that 256 find."""
+"""Number of random initial guesses per limb, the joints that move a foot. Measured on 800 random
+foot targets of three-joint legs: 32 guesses find all but one of the branches that 256 find."""
 
 _MAX_ITERATIONS = 14
-"""Upper bound of Levenberg-Marquardt iterations from an initial guess. Reachable feet converge in 6
-to 10. Chosen, not tuned."""
+"""Upper bound of Levenberg-Marquardt iterations from one initial guess. Reachable feet converge in
+6 to 10. Chosen, not tuned."""
 
 _MAX_FOLLOW_ITERATIONS = 5
 """Upper bound of Levenberg-Marquardt iterations when a branch is followed to another base position.
@@ -97,7 +97,10 @@ class Branch:
 
 
 def find_limbs(robot: Robot) -> tuple[Limb, ...]:
-    """Return the limbs of a robot; joints that move no foot, for example of a head, are in none."""
+    """Return the limbs of a robot: contact points with the indices of the joints that move them.
+
+    Joints that move no contact point, for example of a head, are in no limb.
+    """
     model = robot.pin_model
     groups: list[tuple[set[str], set[int]]] = []
     for foot, frame in robot.contact_frames.items():
@@ -121,22 +124,23 @@ def find_limbs(robot: Robot) -> tuple[Limb, ...]:
 def find_branches(
     robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
 ) -> dict[Limb, tuple[Branch, ...]]:
-    """Find the branches of each limb for a fixed base.
+    """Find the IK branches of each limb for a fixed base pose: postures with the feet at targets.
 
-    Bounded Levenberg-Marquardt iterations run from many starts, for all limbs at once: a
-    configuration contains a start of each limb.
+    Bounded Levenberg-Marquardt iterations run from `_NUM_STARTS` random initial guesses, for all
+    limbs at once.
 
     Args:
         robot: Robot.
-        qpos: Configuration, shape (nq,); the base and the joints outside of limbs stay.
-        targets: {contact point: target of its sphere centre, shape (3,) [m]}.
+        qpos: Configuration, shape (nq,). The pose of the base and the positions of joints outside
+            of limbs are not changed.
+        targets: {contact point: target of its sphere centre, shape (3,) [m], in the world frame}.
         lower: Lower joint limits, shape (nu,) [rad, m].
         upper: Upper joint limits, shape (nu,) [rad, m].
 
     Returns:
-        {limb: its branches}, smallest foot error first; empty without feet. Whole turns of a joint
-        give no other branch. For an unreachable target, the branches are local minima of the foot
-        error.
+        {limb: at most `_MAX_BRANCHES` branches}, smallest foot error first; empty for a robot
+        without feet. Positions that differ by whole turns of a joint are one branch. For an
+        unreachable target, the branches are local minima of the foot error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.
@@ -169,7 +173,7 @@ def find_branches(
 def _sort_branches(
     robot: Robot, qpos: Array, limb: Limb, branches: tuple[Branch, ...]
 ) -> tuple[Branch, ...]:
-    """Sort branches by foot error, then by how far back the joints are.
+    """Sort branches by foot error, then by the limb's joint origins along base x, rearmost first.
 
     Legs with equivalent branches thus all bend in the same direction.
     """
@@ -177,7 +181,7 @@ def _sort_branches(
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
 
     def sort_key(branch: Branch) -> tuple[int, float]:
-        """Return rounded foot error, and sum of the forward joint positions [m]."""
+        """Return the foot error [1e-6 m], rounded, and the sum of the joint origins' base x [m]."""
         bent = qpos.copy()
         bent[robot.nq - robot.nu + limb.joints] = branch.positions
         pin.forwardKinematics(model, data, robot.pin_convention.q(bent))
@@ -197,16 +201,16 @@ def follow_branches(
     found: Mapping[Limb, tuple[Branch, ...]],
     moves: Array,
 ) -> dict[Limb, list[tuple[Branch, ...]]]:
-    """Follow the branches of all limbs to other base positions.
+    """Follow the IK branches of all limbs to displaced base positions, with constant foot targets.
 
     Args:
         robot: Robot.
-        qpos: Configuration, as in `find_branches`.
-        targets: Targets, as in `find_branches`.
-        lower: Lower joint limits, as in `find_branches`.
-        upper: Upper joint limits, as in `find_branches`.
-        found: Branches at the base of ``qpos``.
-        moves: Displacements of the base, shape (n, 3) [m].
+        qpos: Configuration, shape (nq,), as in `find_branches`.
+        targets: {contact point: target of its sphere centre, shape (3,) [m], in the world frame}.
+        lower: Lower joint limits, shape (nu,) [rad, m].
+        upper: Upper joint limits, shape (nu,) [rad, m].
+        found: {limb: branches at the base pose of ``qpos``}.
+        moves: Displacements of the base, shape (n, 3) [m], in the world frame.
 
     Returns:
         {limb: its branches at each of the n base positions}.
@@ -254,10 +258,10 @@ def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tup
 
 
 def _remove_turns(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
-    """Remove whole turns from joint positions (k, nu) [rad], relative to home.
+    """Subtract whole turns from joint positions (k, nu) [rad], to be within half a turn of home.
 
-    Joints with a range of more than a turn reach the same leg posture several times. Positions stay
-    if the result would be out of range.
+    Joints with a range of more than a turn reach the same leg posture several times. Slides,
+    continuous joints, and positions whose result would be out of range are not changed.
     """
     model, convention = robot.pin_model, robot.pin_convention
     sliding = [
@@ -317,11 +321,11 @@ class _Descent:
     def run(
         self, starts: Array, moves: Array, iterations: int = _MAX_ITERATIONS
     ) -> tuple[Array, dict[Limb, Array]]:
-        """Iterate from several starts.
+        """Reduce the foot errors from several initial guesses by Levenberg-Marquardt iterations.
 
         Args:
             starts: Initial joint positions, shape (k, nu) [rad, m].
-            moves: Displacements of the base, shape (k, 3) or (3,) [m].
+            moves: Displacements of the base in the world, shape (k, 3) or (3,) [m].
             iterations: Upper bound of iterations.
 
         Returns:
@@ -382,7 +386,7 @@ class _Descent:
         return step
 
     def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
-        """Return foot errors (k, f, 3) [m] and Jacobians (k, f, 3, n)."""
+        """Return position errors of the f contact points, (k, f, 3) [m], and Jacobians."""
         convention, model, data = self._robot.pin_convention, self._model, self._data
         ends = np.empty((len(joints), len(self._last), 3, 4))
         columns = np.empty((len(joints), 1, 6, len(self._joints)))
@@ -400,10 +404,10 @@ class _Descent:
 
 
 def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:
-    """Yield joint positions (nu,) for each combination of a branch per limb, best first.
+    """Yield joint positions (nu,) [rad, m] for each combination of a branch per limb, best first.
 
-    The cost is the sum over limbs of foot error (1 um counts like 1 rad) and joint distance to
-    ``near``.
+    The cost of a combination is a sum over limbs: the absolute joint distances to ``near``, plus
+    the foot error beyond 1 um, of which 1 um counts like 1 rad.
 
     Args:
         found: {limb: its branches}.

@@ -84,7 +84,7 @@ def measure_distance(
     other: coal.CollisionGeometry,
     there: coal.Transform3s,
 ) -> coal.DistanceResult:
-    """Compute the distance [m] of two collision shapes, with nearest points and direction.
+    """Compute the distance [m] of two collision shapes, with nearest points, in the world frame.
 
     Args:
         one: First shape.
@@ -98,8 +98,8 @@ def measure_distance(
 
 
 _NO_FLOOR = 1e3
-"""Depth [m] below the origin of a half-space that replaces the floor if the file has none, so that
-no part of a robot is near it. Chosen, not tuned."""
+"""Depth [m] below the world origin of the half-space that replaces the floor if the MJCF has none:
+far below each part of a robot. Chosen, not tuned."""
 
 
 class ClearanceShapes:
@@ -127,7 +127,7 @@ class ClearanceShapes:
         self._heights = [(part.shape.form.height, part.shape.link) for part in self.parts]
 
     def move_to(self, qpos: ArrayLike) -> Kinematics:
-        """Evaluate the kinematics of the robot at a configuration, shape (nq,).
+        """Compute the poses of links, CoM and feet at a configuration ``qpos``, shape (nq,).
 
         Returns:
             ``kinematics``, which the next call overwrites.
@@ -220,14 +220,14 @@ class ClearanceShapes:
         ]
 
     def distance_jacobian(self, at: Configuration, most: int) -> Array:
-        """Return the derivative of the distances of `nearest_pairs` by steps along qvel.
+        """Return the Jacobian of the distances of the nearest pairs of links by qvel.
 
         Args:
             at: Configuration.
             most: Maximum number of pairs.
 
         Returns:
-            Shape (n, nv) [m per m or rad], for n pairs.
+            Shape (n, nv) [m per m or rad], for the n pairs of `nearest_pairs` in their order.
         """
         found = self.nearest_pairs(at.qpos, most)
         rates = np.zeros((len(found), self.robot.nv))
@@ -242,21 +242,22 @@ class ClearanceShapes:
         self,
         at: Kinematics,
         ground: Ground,
-        places: Mapping[str, Array],
+        targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Return the height [m] of the lowest of ``parts`` above the ground, and this part's link.
+        """Return the lowest collision shape that is no foot: height [m] above the ground, and link.
 
         Args:
             at: Kinematics of the configuration.
-            ground: Ground.
-            places: {contact point: target of the centre, shape (3,) [m]}, which locates the steps.
+            ground: Ground: slope, steps and planes of feet.
+            targets: {contact point: target of the sphere centre, shape (3,) [m], in the world}. A
+                step is below the target of its foot.
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
-            Clearance; None without parts or ground.
+            Smallest of the `part_heights`; None if these are empty.
         """
-        heights = self.part_heights(at, ground, places, depths)
+        heights = self.part_heights(at, ground, targets, depths)
         if not heights:
             return None
         lowest = min(heights)
@@ -266,19 +267,24 @@ class ClearanceShapes:
         self,
         at: Kinematics,
         ground: Ground,
-        places: Mapping[str, Array],
+        targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> list[float]:
-        """Return the height of each of ``parts`` above slope and steps [m]; empty without ground.
+        """Return the height [m] of each collision shape in ``parts`` above slope and steps.
 
-        A part that intersects the sphere of the foot, such as a calf, may penetrate the ground as
-        deep as the foot.
+        The penetration of a foot is added to the height of a part that intersects the sphere of
+        this foot, such as a calf: the part may be in the ground as deep as the foot.
 
         Args:
             at: Kinematics of the configuration.
-            ground: Ground.
-            places: {contact point: target of the centre, shape (3,) [m]}, which locates the steps.
+            ground: Ground: slope, steps and planes of feet.
+            targets: {contact point: target of the sphere centre, shape (3,) [m], in the world}. A
+                step is below the target of its foot.
             depths: {contact point: penetration of the ground [m]}.
+
+        Returns:
+            Heights in the order of ``parts``; empty if the robot's model has no floor and the
+            ground has no steps or planes of feet.
         """
         if self._is_floorless(ground):
             return []
@@ -287,7 +293,7 @@ class ClearanceShapes:
             heights = [height(at.links[link], normal) for height, link in self._heights]
         else:
             heights = [
-                float(near.min_distance) for near in self._measure_above_steps(at, ground, places)
+                float(near.min_distance) for near in self._measure_above_steps(at, ground, targets)
             ]
         return [
             height if part.sunk is None else height + depths.get(part.sunk, 0.0)
@@ -295,11 +301,12 @@ class ClearanceShapes:
         ]
 
     def height_jacobian(
-        self, at: Configuration, ground: Ground, places: Mapping[str, Array]
+        self, at: Configuration, ground: Ground, targets: Mapping[str, Array]
     ) -> Array:
-        """Return the derivative of `part_heights` by steps along qvel, shape (n, nv), for n parts.
+        """Return the Jacobian of the heights of ``parts`` above the ground by qvel, shape (n, nv).
 
-        The nearest point of a part is treated as fixed to the link.
+        The lowest point of a part is treated as fixed to the link. The arguments are those of
+        `part_heights`.
         """
         there = self.move_to(at.qpos)
         if self._is_floorless(ground):
@@ -309,7 +316,7 @@ class ClearanceShapes:
             shapes = [part.shape for part in self.parts]
             ends = [(s.form.lowest(there.links[s.link], normal), normal) for s in shapes]
         else:
-            steps = self._measure_above_steps(there, ground, places)
+            steps = self._measure_above_steps(there, ground, targets)
             ends = [(near.getNearestPoint1(), -near.normal) for near in steps]
         rates = [
             out @ at.point_jacobian(part.shape.link, point)
@@ -322,15 +329,15 @@ class ClearanceShapes:
         return not self._has_floor and _is_plane(ground)
 
     def _measure_above_steps(
-        self, at: Kinematics, ground: Ground, places: Mapping[str, Array]
+        self, at: Kinematics, ground: Ground, targets: Mapping[str, Array]
     ) -> Iterator[coal.DistanceResult]:
-        """Yield the smallest distance of each of ``parts`` to slope and steps."""
+        """Yield the smallest distance [m] of each of ``parts`` to the slope and all steps."""
         where = self._shape_poses(at)
         floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_NO_FLOOR)
         obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
             ("", floor, coal.Transform3s())
         ]
-        for foot, step in ground.steps(places).items():
+        for foot, step in ground.steps(targets).items():
             wide, _, high = (2 * step.half).tolist()
             box = coal.Cylinder(wide / 2, high) if step.round else coal.Box(2 * step.half)
             obstacles.append((foot, box, coal.Transform3s(step.rotation, step.centre)))
@@ -378,7 +385,7 @@ class ClearanceShapes:
 
 
 def _to_index_pairs(pairs: Iterable[tuple[int, int]]) -> IntArray:
-    """Convert index pairs to an array, shape (n, 2)."""
+    """Convert pairs of indices to an array, shape (n, 2)."""
     return np.array([*pairs], dtype=np.int64).reshape(-1, 2)
 
 

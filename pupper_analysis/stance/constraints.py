@@ -29,12 +29,13 @@ TASK_TOLERANCE = 1e-9
 tuned: far below any manufacturing tolerance."""
 
 CLEARANCE_TOLERANCE = 1e-6
-"""Violation of a clearance that counts as rounding [m]. A search aims at half of this value, since
-the limit of reach leaves no more."""
+"""Violation of a required clearance [m] that counts as rounding and is accepted. The nonlinear
+program permits half of it, since the program is inexact at the limit of reach. Chosen, not
+tuned."""
 
 _NUM_NEAREST_PAIRS = 12
-"""Number of nearest pairs of links in the self clearance. Of the 300 pairs of a quadruped no more
-touch at once."""
+"""Number of nearest pairs of links whose distances a search constrains. Of the 300 pairs of a
+quadruped, no more than these are close to each other at once. Chosen, not tuned."""
 
 
 class Constraint:
@@ -60,25 +61,28 @@ class Constraint:
         self._shapes, self._goal = shapes, goal
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the residual, shape (n,) [m, rad]: zero, or not negative for an inequality.
+        """Return the residual of this constraint, shape (n,) [m, rad].
+
+        A satisfied equality has a residual of zero, a satisfied inequality none below zero.
 
         Args:
-            goal: The goal, or a goal with other numbers.
+            goal: The goal of the constructor, or a copy with relaxed values, such as foot targets,
+                base pose, CoM target or margins.
             at: Kinematics of the configuration.
         """
         raise NotImplementedError
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the derivative of the residual by steps in the directions of qvel, shape (n, nv).
+        """Return the Jacobian of the residual by qvel, shape (n, nv).
 
         Args:
-            goal: The goal, or a goal with other numbers.
+            goal: The goal of the constructor, or a copy with relaxed values.
             at: Configuration.
         """
         raise NotImplementedError
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the largest violation [m, rad]; 0 if satisfied."""
+        """Return the largest violation of this constraint [m, rad]; 0 if it is satisfied."""
         left = self.residual(goal, at)
         return float((np.abs(left) if self.is_equality else -left).max(initial=0.0))
 
@@ -89,11 +93,11 @@ class BaseHeight(Constraint):
     name, is_equality, is_presatisfied = "base-height", True, True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the base height minus the required height, shape (1,) [m]."""
+        """Return the height of the base frame in the world minus the required height, (1,) [m]."""
         return at.qpos[2:3] - goal.height
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the difference from the required height [m], not negative."""
+        """Return the distance of the base frame from the required height [m], at least 0."""
         return abs(float(at.qpos[2]) - goal.height)
 
 
@@ -138,13 +142,13 @@ class Footholds(Constraint):
     name, is_equality = "footholds", True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the displacements of all contact points from the targets, shape (3 n,) [m]."""
+        """Return the positions of all contact points minus the targets, (3 n,) [m], world frame."""
         feet = at.feet
         apart = [feet[foot] - there for foot, there in goal.targets.items()]
         return np.concatenate([*apart, np.zeros(0)])
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the contact point positions by qvel, shape (3 n, nv)."""
+        """Return the Jacobian of the contact points' world positions by qvel, shape (3 n, nv)."""
         jacobians = at.foot_jacobians()
         return np.concatenate(
             [*map(jacobians.__getitem__, goal.targets), np.zeros((0, at.robot.nv))]
@@ -167,7 +171,10 @@ class Loops(Constraint):
         self._closure = closure
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the openings of the loops, minus the static deflection, shape (m,) [m, rad]."""
+        """Return the openings of closed loops minus their static deflection, shape (m,) [m, rad].
+
+        Entries are the equations of the closed loops and joint couplings.
+        """
         left = self._closure.residual(at.qpos)
         return left if goal.give is None else left - goal.give
 
@@ -177,9 +184,9 @@ class Loops(Constraint):
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the largest opening beyond the static deflection [m, rad].
+        """Return the largest opening of a closed loop beyond the static deflection [m, rad].
 
-        Infinite in another assembly mode.
+        Infinite if the loop is closed in another assembly mode than in the MJCF.
         """
         if not self._closure.as_built(at.qpos):
             return math.inf
@@ -192,15 +199,15 @@ class PlaceConstraint(Constraint):
     name, is_equality = "com-place", True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the horizontal position (CoM or base) minus the target, shape (2,) [m], world."""
+        """Return the horizontal position of CoM or base minus the target, (2,) [m], world frame."""
         return (at.qpos[:2] if goal.by_base else np.array(at.com[:2])) - goal.place
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the horizontal position by qvel, shape (2, nv)."""
+        """Return the Jacobian of the horizontal position of CoM or base by qvel, shape (2, nv)."""
         return np.eye(2, at.robot.nv) if goal.by_base else at.com_jacobian()[:2]
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the horizontal distance from the target [m]."""
+        """Return the horizontal distance of the CoM, or of the base, from the target [m]."""
         here = at.qpos[:2].tolist() if goal.by_base else at.com[:2]
         return math.dist(here, goal.place.tolist())
 
@@ -217,9 +224,9 @@ class SupportMargin(Constraint):
     name = "support-margin"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the distance of the CoM from each side of the support polygon minus the margin.
+        """Return the CoM's distances from the sides of the support polygon minus the margin.
 
-        Shape (m,) [m]; positive inside. All values are >= 0 if the margin is kept.
+        Shape (m,) [m], horizontal, positive inside. All values are >= 0 if the margin is kept.
         """
         sides, com = self._polygon_sides(goal), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
@@ -253,12 +260,15 @@ class JointLimits(Constraint):
     name = "joint-limits"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the distances to the finite lower limits, then to the upper limits [rad, m]."""
+        """Return the distances of the joints to finite lower, then to upper limits [rad, m].
+
+        Distances are negative beyond a limit.
+        """
         joints, low, high = at.qpos[-len(goal.lower) :], *self._has_limits
         return np.concatenate([(joints - goal.lower)[low], (goal.upper - joints)[high]])
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the distances to the finite limits by qvel, shape (n, nv)."""
+        """Return the Jacobian of the distances to finite joint limits by qvel, shape (n, nv)."""
         rows = np.eye(at.robot.nu, at.robot.nv, k=at.robot.nv - at.robot.nu)
         low, high = self._has_limits
         return np.concatenate([rows[low], -rows[high]])
@@ -292,8 +302,11 @@ class GroundClearance(Constraint):
         """Return the Jacobian of the heights of the parts by qvel, shape (n, nv)."""
         return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 
-    def nearest(self, goal: Goal, at: Kinematics) -> Clearance | None:
-        """Return the clearance of the lowest part; None without parts."""
+    def smallest_clearance(self, goal: Goal, at: Kinematics) -> Clearance | None:
+        """Return the height [m] above the ground and the link of the lowest part that is no foot.
+
+        None without such parts or without ground.
+        """
         return self._shapes.lowest_part(at, goal.task.ground, goal.rigid_targets, goal.depths)
 
 
@@ -303,7 +316,7 @@ class SelfClearance(Constraint):
     name = "self-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the distances of the nearest pairs of links minus the required distance [m].
+        """Return the distances of the nearest pairs of links minus the required distance, (n,) [m].
 
         Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
         """
@@ -315,8 +328,8 @@ class SelfClearance(Constraint):
         """Return the Jacobian of the distances of the nearest pairs by qvel, shape (n, nv)."""
         return self._shapes.distance_jacobian(at, _NUM_NEAREST_PAIRS)
 
-    def nearest(self, _: Goal, at: Kinematics) -> Clearance | None:
-        """Return the smallest distance between links; None without such pairs."""
+    def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:
+        """Return the smallest distance [m] between links that are not neighbours; None if none."""
         return self._shapes.closest_links(at.qpos)
 
 
@@ -351,7 +364,7 @@ class ConstraintEvaluation(NamedTuple):
 def evaluate_constraints(
     shapes: ClearanceShapes, goal: Goal, at: Kinematics
 ) -> ConstraintEvaluation:
-    """Evaluate the constraints of a goal at a configuration.
+    """Compute the violations and clearances of a configuration for the constraints of a goal.
 
     Args:
         shapes: Robot with collision shapes.
@@ -359,13 +372,13 @@ def evaluate_constraints(
         at: Kinematics of the configuration.
 
     Returns:
-        Violations [m, rad], CoM margin [m], and nearest clearances.
+        Violations [m, rad], CoM margin [m], and smallest clearances.
     """
     violation: dict[str, float] = {}
     near: dict[str, Clearance | None] = {}
     for constraint in make_constraints(shapes, goal):
         if isinstance(constraint, _CLEARANCE_TYPES):
-            near[constraint.name] = constraint.nearest(goal, at)
+            near[constraint.name] = constraint.smallest_clearance(goal, at)
         elif not isinstance(constraint, SupportMargin):  # the CoM margin is a result
             violation[constraint.name] = constraint.violation(goal, at)
     x, y, _ = at.com
@@ -374,7 +387,10 @@ def evaluate_constraints(
 
 
 def make_constraints(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
-    """Yield the constraints of a goal, which remain valid if the goal's numbers change."""
+    """Yield the constraints of a goal.
+
+    The constraints can also be evaluated for copies of the goal with relaxed values.
+    """
     closure = shapes.robot.closure
     yield BaseHeight(shapes, goal)
     yield BaseOrientation(shapes, goal)

@@ -1,8 +1,9 @@
-"""Demands of a stand task: the numbers that a refusal may relax, as a vector.
+"""Demands: the requirements of a stand task that may be relaxed if the stance is out of reach.
 
-A demand is an attribute of `StandTask` whose field has ``gives`` other than ``"no"``.
-`DemandVector` converts demands of a task to a vector with bounds and back; other functions relax,
-round and describe demands.
+A demand is an attribute of `StandTask` whose field has ``gives`` other than ``"no"``, for example
+the base height, a foot position or a margin. `DemandVector` converts demands of a task to a vector
+[m, rad] with bounds and back. Other functions relax a demand further, reset it to its value in the
+nominal stand (the stand of the default `StandTask`), round it for a report, and describe it.
 """
 
 from __future__ import annotations
@@ -36,29 +37,29 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 _FIELDS_BY_DEMAND: dict[str, list[Field]] = {}
-"""{demand: fields of the demand}."""
+"""{demand (attribute of `StandTask`): its fields in ``fields.toml``}."""
 for _field in FIELDS.values():
     if _field.gives != "no":
         _FIELDS_BY_DEMAND.setdefault(_field.attribute, []).append(_field)
 
 DEMANDS = tuple(_FIELDS_BY_DEMAND)
-"""Attributes of a task that can make a stance unreachable. Fields of the ground form one demand."""
+"""Demands: attributes of `StandTask` that may be relaxed. The fields of the ground form one
+demand."""
 
 _MAX_RELAXATION = 3.0
-"""Upper bound of the change of a length by relaxation [stand heights]. Chosen, not tuned: no leg
-reaches further."""
+"""Upper bound of the change of a length by relaxation [stand heights]. Chosen, not tuned."""
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Lower bound of a quantity that must stay positive (an open interval) after relaxation, relative
-to its requested value. Chosen, not tuned."""
+"""Lower bound of a relaxed value that must stay above 0, relative to the requested value. Chosen,
+not tuned."""
 
 _ROUNDING = 1e-12
 """Difference from the requested value [m, rad] below which a relaxed value is set to the requested
 value: rounding error."""
 
 _ROUNDING_SHARE = 0.005
-"""Largest change by rounding of a reported value, relative to its difference from the nominal
-value. It determines the number of decimals. Chosen, not tuned."""
+"""Largest change of a reported value by rounding, relative to its difference from the nominal
+value. It determines the number of decimals in mm or deg. Chosen, not tuned."""
 
 _MAX_DIGITS = 12
 """Largest number of decimals of a reported value in mm or deg. Chosen, not tuned."""
@@ -87,13 +88,13 @@ class DemandVector:
     Args:
         robot: Robot.
         task: Task.
-        demands: Some of `DEMANDS`.
+        demands: Names of relaxable requirements, from `DEMANDS`.
 
     Attributes:
         keys: Key of each number.
         demands: Demand of each number.
-        values: Values of the task, shape (n,) [m, rad].
-        nominal: Values of the nominal stand, shape (n,) [m, rad].
+        values: Values in the task, shape (n,) [m, rad].
+        nominal: Values in the nominal stand, shape (n,) [m, rad].
         low: Lower bounds, shape (n,) [m, rad].
         high: Upper bounds, shape (n,) [m, rad].
         angles: 1 for angles, 0 for lengths, shape (n,).
@@ -120,10 +121,10 @@ class DemandVector:
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Return the numbers of the same demands in another task, shape (n,) [m, rad].
+        """Return the values that another task has for the numbers of this vector, (n,) [m, rad].
 
         Args:
-            task: Task with the same feet.
+            task: Task with the same feet and contacts.
         """
         fields = task.values()
         values = [
@@ -135,10 +136,10 @@ class DemandVector:
         return np.array([part[key.axis] for part, key in zip(parts, self.keys, strict=True)])
 
     def make_task(self, values: Array) -> StandTask:
-        """Return a copy of the task with other numbers.
+        """Return a copy of the task with other values of its relaxable requirements.
 
         Args:
-            values: Numbers in the order of ``keys``, shape (n,) [m, rad].
+            values: Values in the order of ``keys``, shape (n,) [m, rad].
         """
         changed: dict[str, dict[str, list[float]]] = {}
         for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):
@@ -156,20 +157,20 @@ class DemandVector:
         )
 
     def _make_value(self, field: str, foot: str, parts: list[float]) -> Any:
-        """Convert the numbers of a field, or of a foot in a field, to a value of the task."""
+        """Convert numbers [m, rad] of a field, or of a foot in a field, to a value of the task."""
         contact = self._task.contacts.get(foot)
         if FIELDS[field].kind == "contact" and contact is not None:
             return contact.moved(parts)
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def clip(self, values: Array) -> Array:
-        """Clip values, shape (n,), to the bounds."""
+        """Clip values in the order of ``keys``, shape (n,) [m, rad], to the relaxation's bounds."""
         inside: Array = np.clip(values, self.low, self.high)
         return inside
 
 
 def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
-    """Yield axis, value and nominal value of each number of a field."""
+    """Yield axis ("" for a scalar), value and nominal value [m, rad] of each number of a field."""
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
     elif isinstance(value, Contact | Weld):  # distance or position of the surface
@@ -188,7 +189,7 @@ def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
 
 
 def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
-    """Return the value of the nominal stand for a field."""
+    """Return the value of a field [m, rad], for a foot or joint, in the stand of a default task."""
     if field.kind == "contact":
         contact = task.contacts[foot]
         if not contact.numbers:
@@ -235,6 +236,7 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
     """Return the lower and upper bound of a number of a task under relaxation [m, rad].
 
     Margins, lifts, slopes and steps may only decrease; other numbers may change in both directions.
+    ``turns`` is True for an angle.
     """
     far = _MAX_RELAXATION * robot.stand_height
     if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
@@ -246,13 +248,27 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
 
 
 def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
-    """Return True if some demands differ from the nominal stand."""
+    """Return True if a value of some relaxable requirements differs from the nominal stand.
+
+    Args:
+        robot: Robot.
+        task: Task.
+        demands: Names of relaxable requirements, from `DEMANDS`.
+    """
     numbers = DemandVector(robot, task, demands)
     return bool((numbers.values != numbers.nominal).any())
 
 
 def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Return a task with the nominal stand's values for some demands, within bounds."""
+    """Return a copy of a task with the nominal stand's values for some relaxable requirements.
+
+    The values are clipped to the bounds of the relaxation.
+
+    Args:
+        robot: Robot.
+        task: Task.
+        demands: Names of relaxable requirements, from `DEMANDS`.
+    """
     numbers = DemandVector(robot, task, demands)
     return numbers.make_task(numbers.clip(numbers.nominal))
 
@@ -260,7 +276,18 @@ def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> S
 def relax_further(
     robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str], share: float
 ) -> StandTask:
-    """Return a task in which some demands are relaxed further, by a share of the relaxation."""
+    """Change the relaxed values of a task further away from the requested values, by a factor.
+
+    The new value is ``relaxed + share * (relaxed - requested)``, clipped to the relaxation's
+    bounds.
+
+    Args:
+        robot: Robot.
+        task: Task with relaxed values.
+        requested: Task with the requested values.
+        demands: Names of the relaxable requirements to change, from `DEMANDS`.
+        share: Factor; negative to change the values back towards the requested values.
+    """
     now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
     return now.make_task(before.clip(now.values + share * (now.values - before.values)))
 
@@ -268,10 +295,16 @@ def relax_further(
 def round_outward(
     robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str]
 ) -> StandTask:
-    """Round relaxed demands to reporting precision, away from the requested values.
+    """Round relaxed values of a task to reporting precision, away from the requested values.
 
     The reported stand is thus at least as relaxed as the computed stand. A value changes by at most
     0.5 % of its distance from the nominal value, and by at most 0.1 mm or 0.1 deg.
+
+    Args:
+        robot: Robot.
+        task: Task with relaxed values.
+        requested: Task with the requested values.
+        demands: Names of the relaxable requirements to round, from `DEMANDS`.
     """
     now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
     numbers = zip(now.angles, now.values, now.nominal, before.values, strict=True)
@@ -280,7 +313,7 @@ def round_outward(
 
 
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
-    """Round a number away from the requested value.
+    """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
 
     Unchanged at the nominal value, or if the rounded number would reach the nominal value.
     """
@@ -302,13 +335,13 @@ def _round_number(number: float, usual: float, requested: float, *, angle: bool)
 def describe_limit(
     robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
 ) -> Diagnostic:
-    """Describe how far some demands of an unreachable task can be fulfilled, for a message.
+    """Create the message that lists the reachable values of the relaxed requirements of a task.
 
     Args:
         robot: Robot.
         task: Unreachable task.
-        possible: Reachable task with relaxed demands.
-        demands: Names of the relaxed demands.
+        possible: Reachable task with relaxed values.
+        demands: Names of the relaxed requirements, from `DEMANDS`.
     """
     limits = [_describe_demand(robot, possible, demand, task) for demand in demands]
     return diagnose("demands-can-go", demands=limits)
@@ -317,7 +350,7 @@ def describe_limit(
 def _describe_demand(
     robot: Robot, task: StandTask, demand: str, requested: StandTask
 ) -> Diagnostic:
-    """Describe the value of a demand; for contacts, the values that differ from the request."""
+    """Describe the value of a relaxed requirement; of contacts, only the values that differ."""
     name = Term(demand)
     if demand == "ground":
         slope = Quantity(task.ground.slope, "rad")

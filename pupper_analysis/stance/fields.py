@@ -142,9 +142,9 @@ class Field:
 
     @property
     def attribute(self) -> str:
-        """Attribute of `StandTask` that stores the value: ``name``, or ``"ground"``.
+        """Name of the attribute of `StandTask` that stores the value of this field.
 
-        The part is ``"ground"`` if the value is part of the ground description of the task.
+        ``"ground"`` for a field of the ground (`Ground`), else the ``name`` of the field.
         """
         return self.name if self.part == "task" else self.part
 
@@ -156,11 +156,11 @@ class Field:
         return None if self.optional else 0.0
 
     def words(self, language: str) -> Words:
-        """Return the texts in a language, ``"en"`` or ``"zh"``."""
+        """Return the texts of this field (label, hint) in a language, ``"en"`` or ``"zh"``."""
         return self.zh if language == "zh" else self.en
 
     def check_value(self, value: Any) -> Any:
-        """Check and convert a value: points to tuples, mappings to frozen mappings.
+        """Check a value of this field; convert points to tuples and mappings to frozen mappings.
 
         Raises:
             ConfigurationError: If the value is invalid. The field of the error is, for example,
@@ -203,7 +203,7 @@ class Field:
         return number
 
     def check_range(self, name: str, number: float, unit: str = "", factor: float = 1.0) -> None:
-        """Reject a number out of range.
+        """Raise an error if a number is outside of the range of this field.
 
         Args:
             name: Name of the field in the error.
@@ -240,7 +240,7 @@ class Field:
 
 
 def read_table(package: str, file: str) -> Mapping[str, Field]:
-    """Read the fields of a TOML file of a package, {name: field} in the order of the file."""
+    """Read the field definitions in a TOML file of a package: {name: field}, in file order."""
     stated = tomllib.loads(files(package).joinpath(file).read_text(encoding="utf-8"))
     return MappingProxyType({name: _make_field(name, facts) for name, facts in stated.items()})
 

@@ -123,7 +123,10 @@ class Stand(Pictured, Tabular):
         return self._statics[-1][2]
 
     def _columns(self) -> dict[str, Any]:
-        """Return a row per foot: target [m], load or not, penetration [m]."""
+        """Return the columns of a table with one row per contact point: {column: values}.
+
+        Columns: name, x, y and z of the target [m, world frame], carries load, penetration [m].
+        """
         feet = list(self.foot_targets)
         places = np.array([self.foot_targets[foot] for foot in feet]).reshape(-1, 3)
         return {
@@ -134,9 +137,11 @@ class Stand(Pictured, Tabular):
         }
 
     def lift_directions(self, robot: Robot) -> dict[str, Array]:
-        """Return the lift-off direction, shape (3,), of each stance foot and contact point.
+        """Return the lift-off direction of each foot and contact point that carries load.
 
-        Upward, or along the normal of a separate plane of the foot.
+        Returns:
+            {foot or contact point: unit vector, shape (3,), in the world frame}: upward, or the
+            normal of the separate plane of the foot.
         """
         apart, found = self.task.ground.planes, dict[str, Array]()
         for foot in robot.feet_with(self.stance_feet):
@@ -148,7 +153,7 @@ class Stand(Pictured, Tabular):
     def centre(self, robot: Robot) -> Array:
         """Return the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
-        Hands and steep planes are left out, unless nothing remains (`Goal.centre`).
+        Hands and feet on steep planes are left out, unless nothing remains (`Goal.centre`).
         """
         return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
@@ -171,7 +176,7 @@ class Stand(Pictured, Tabular):
         return float(plane @ (1.0, self.qpos[0], self.qpos[1]))
 
     def corners(self, robot: Robot) -> Array:
-        """Return the corners of the support region, shape (n, 2) [m]."""
+        """Return the corners of the support region, shape (n, 2) [m], x and y in the world."""
         points = np.array([*self.contact_points.values()])
         normals = np.array([*self.normals.values()])
         friction = [
@@ -183,15 +188,16 @@ class Stand(Pictured, Tabular):
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the sphere centres on rigid ground, shape (3,) each [m].
+        """Targets of the sphere centres, with which steps and planes of feet are located.
 
-        Without planes of single feet these are the ``foot_targets``, including the
-        penetration; see `raise_feet`.
+        {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
+        penetration is removed (`raise_feet`). Otherwise these are the ``foot_targets``, since the
+        position of a level step does not depend on the penetration.
         """
         return raise_feet(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
-        """Return a copy with another task, which the stand satisfies as well."""
+        """Return a copy of this stand with another task, which the stand must satisfy as well."""
         other = replace(
             self, task=task.replace_unchecked(ground=self.task.ground)
         )  # with its planes
@@ -226,7 +232,8 @@ class Stand(Pictured, Tabular):
     def com_shortfall(self) -> float:
         """Required minus actual CoM margin [m], at least 0.
 
-        0 with an offset and without a required margin, since the CoM is then a result.
+        0 for a task with an ``offset`` of the base and without a required margin: the position of
+        the CoM is then a result.
         """
         if self.task.offset is not None and self.task.com_margin == 0.0:
             return 0.0
@@ -244,7 +251,7 @@ class Stand(Pictured, Tabular):
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
     def check(self, robot: Robot) -> Robot:
-        """Check that the stand belongs to a robot, and return the robot with the task's contacts.
+        """Check that this stand belongs to a robot, and return the robot with the task's contacts.
 
         Raises:
             ConfigurationError: If the stand belongs to another robot.
@@ -256,13 +263,13 @@ class Stand(Pictured, Tabular):
         return touching(robot, self.task.contacts)
 
     def joint_positions(self, robot: Robot) -> Array:
-        """Return the joint positions, shape (nu,) [rad, m]."""
+        """Return the joint positions of this stand in actuator order, shape (nu,) [rad, m]."""
         return self.qpos[robot.nq - robot.nu :]
 
     def with_robot(self, robot: Robot) -> Stand:
-        """Return a copy that references its robot, for `ctrl` and `q_pin`.
+        """Return a copy of this stand that references its robot, for `ctrl` and `q_pin`.
 
-        `solve_stand` returns such a stand. A stand from another process has no robot.
+        `solve_stand` returns such a stand. A stand from another process references no robot.
 
         Raises:
             ConfigurationError: If the stand belongs to another robot.
@@ -288,7 +295,7 @@ class Stand(Pictured, Tabular):
 
     @property
     def q_pin(self) -> Array:
-        """Configuration in Pinocchio's convention, shape (pin_model.nq,).
+        """Configuration of this stand in Pinocchio's convention, shape (pin_model.nq,).
 
         Raises:
             ConfigurationError: If the stand has no robot; see `with_robot`.
@@ -316,7 +323,7 @@ class Stand(Pictured, Tabular):
 
 
 def attach_robot(stand: Stand, robot: Robot | None) -> Stand:
-    """Set the robot of a stand that nobody else has yet, in place; return the stand."""
+    """Set the robot of a new, not yet shared stand in place, and return the stand."""
     vars(stand)["_robot"] = robot
     return stand
 
@@ -338,13 +345,13 @@ def _describe_clearance(near: Clearance) -> Diagnostic:
 
 
 def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
-    """Create the stand of a configuration, with errors and clearances.
+    """Create the `Stand` of a configuration: compute its errors [m, rad] and clearances [m].
 
     Args:
         shapes: Robot with collision shapes.
         goal: Goal.
         qpos: Configuration, shape (nq,).
-        iterations: Number of QPs so far.
+        iterations: Number of quadratic programs that were solved for the configuration.
 
     Raises:
         ConfigurationError: If the task requires a clearance that the robot does not have.
@@ -381,10 +388,10 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
 
 
 def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
-    """Return True if a part of the base is too low in every stand.
+    """Return True if a shape of the base link is below the required ground clearance in each stand.
 
-    Height and orientation of the base are given, so that no search is needed.
-    Always False on a slope and for welded robots. Steps are above the plane and need no test.
+    The goal fixes height and orientation of the base, so that no search is needed. False on a slope
+    and for robots with a weld, which are not tested. Steps are not tested either.
     """
     if goal.task.ground.slope or shapes.robot.welds:
         return False

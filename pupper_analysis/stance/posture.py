@@ -67,7 +67,7 @@ class Posture(Result):
 
 
 def check_held(robot: Robot) -> None:
-    """Check that the base of a robot is fixed to the world.
+    """Check that the base of a robot is fixed to the world; raise an error otherwise.
 
     Raises:
         ConfigurationError: If the base is free.
@@ -77,7 +77,7 @@ def check_held(robot: Robot) -> None:
 
 
 def joint_units(robot: Robot) -> tuple[str, ...]:
-    """Return the unit of each joint position: rad, or m for a slide."""
+    """Return the unit of each joint position, ``"rad"`` or ``"m"``, in actuator order."""
     return tuple(joint_unit(robot, name) for name in robot.joint_names)
 
 
@@ -85,17 +85,17 @@ def joint_units(robot: Robot) -> tuple[str, ...]:
 def find_posture(
     robot: Robot, joints: Mapping[str, float] | None = None, *, keyframe: str | None = None
 ) -> Posture:
-    """Complete given joint positions to a posture.
+    """Complete given joint positions to a posture of all joints of a robot with a fixed base.
 
     Other joints are taken from a keyframe, or are in the middle of the ranges (with an infinite
-    limit: zero, or the limit that is nearest to zero). Coupled joints follow.
+    limit: zero, or the limit that is nearest to zero). Coupled joints are changed to close loops.
 
     Args:
         robot: Robot with a fixed base.
         joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}; if several patterns
             match a joint, the last counts.
-        keyframe: Keyframe of the MJCF for other joints. Default: ``home``, else the first, if it is
-            within the joint ranges.
+        keyframe: Keyframe of the MJCF for other joints. Default: ``home``, or the first keyframe if
+            there is no ``home``; no keyframe if its positions are outside of the joint ranges.
 
     Raises:
         ConfigurationError: If the base is free, a position is out of range, or closed loops and
@@ -121,9 +121,9 @@ def find_posture(
 
 
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
-    """Close loops and couplings near a posture (nu,), without moving the given joints.
+    """Close loops and couplings near joint positions (nu,), without moving the joints ``placed``.
 
-    Given joints move by up to `_MAX_CLOSING_DISPLACEMENT` if necessary.
+    Joints ``placed`` (indices) move by up to `_MAX_CLOSING_DISPLACEMENT` if necessary.
 
     Raises:
         ConfigurationError: If the loops cannot be closed.
@@ -145,11 +145,11 @@ def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
 
 @check_arguments
 def held_stand(robot: Robot, posture: Posture) -> Stand:
-    """Return a posture as a stand without feet, for the functions that simulate and judge stands.
+    """Convert a posture to a stand without feet, for the functions that simulate and judge stands.
 
     Args:
-        robot: A robot whose base is fixed to the world.
-        posture: The commanded joint positions.
+        robot: Robot with a fixed base.
+        posture: Commanded joint positions, from `find_posture`.
 
     Raises:
         ConfigurationError: If the base is free, or an argument has another type.

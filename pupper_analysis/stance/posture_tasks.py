@@ -37,10 +37,10 @@ class WholeBody(Protocol):
     """Poses of a robot in the world frame, by the kinematics of one engine."""
 
     def pose(self, frame: str) -> tuple[Array, Array]:
-        """Return rotation (3, 3) and position (3,) [m] of a link."""
+        """Return rotation (3, 3) and position (3,) [m] of a link in the world frame."""
 
     def com(self) -> Array:
-        """Return the CoM (3,) [m]."""
+        """Return the position of the CoM in the world frame, shape (3,) [m]."""
 
     def joint(self, name: str) -> float:
         """Return the position [rad, m] of a joint."""
@@ -85,16 +85,16 @@ class PostureTask(ABC):
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links that the task refers to; none by default."""
+        """Names of the links that this posture task refers to; none by default."""
         return ()
 
     @abstractmethod
     def residual(self, body: WholeBody) -> float:
-        """Return the error of the task in its unit, at least 0."""
+        """Return the error of this posture task at a posture, at least 0 [``unit``: m or rad]."""
 
     @abstractmethod
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add the task to a PlaCo solver, with a weight of the squared error."""
+        """Add this posture task to a PlaCo solver, with a weight of the squared error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class PositionTask(PostureTask):
         return (self.frame,)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the distance [m] to the target along ``axes``."""
+        """Return the distance [m] of the link's origin from its world target along ``axes``."""
         gap = body.pose(self.frame)[1] - np.asarray(self.position)
         return float(np.linalg.norm(gap[_select_axes(self.axes)]))
 
@@ -156,7 +156,7 @@ class OrientationTask(PostureTask):
         return (self.frame,)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the angle [rad] between the orientation and the target."""
+        """Return the angle [rad] between the orientation of the link and its target."""
         return _angle_of(np.asarray(self.rotation).T @ body.pose(self.frame)[0])
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
@@ -190,7 +190,7 @@ class RelativePositionTask(PostureTask):
         return (self.frame, self.target)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the distance [m] to the required position."""
+        """Return the distance [m] of ``target`` from the required position in axes of ``frame``."""
         (rotation, origin), (_, place) = body.pose(self.frame), body.pose(self.target)
         return float(np.linalg.norm(rotation.T @ (place - origin) - np.asarray(self.position)))
 
@@ -227,7 +227,7 @@ class CoMTask(PostureTask):
         _check_axes(self.axes)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the distance [m] of the CoM to the target along ``axes``."""
+        """Return the distance [m] of the CoM from its world target along ``axes``."""
         return float(
             np.linalg.norm((body.com() - np.asarray(self.position))[_select_axes(self.axes)])
         )
@@ -282,7 +282,7 @@ class AxisAlignTask(PostureTask):
         return unit
 
     def residual(self, body: WholeBody) -> float:
-        """Return the angle [rad] between the axis and its required direction."""
+        """Return the angle [rad] between the axis of the link and its required direction."""
         axis = body.pose(self.frame)[0] @ np.asarray(self.axis)
         required = self._required(body)
         return float(np.arctan2(np.linalg.norm(np.cross(axis, required)), axis @ required))
@@ -319,7 +319,7 @@ class JointsTask(PostureTask):
     unit: ClassVar[str] = "rad or m"
 
     def residual(self, body: WholeBody) -> float:
-        """Return the largest distance [rad, m] of a joint to its target."""
+        """Return the largest distance [rad, m] of a joint position from its target."""
         gaps = [abs(body.joint(name) - target) for name, target in self.positions.items()]
         return max(gaps, default=0.0)
 
@@ -351,14 +351,18 @@ class SelfClearanceTask(PostureTask):
             raise ConfigurationError("distance", problem)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the missing distance [m] of the nearest links."""
-        return self._missing(body.self_clearances())
+        """Return the required minus the smallest distance between links [m], at least 0."""
+        return self._shortfall(body.self_clearances())
 
-    def _missing(self, distances: Array) -> float:
+    def _shortfall(self, distances: Array) -> float:
+        """Return the required minus the first of ascending distances [m]; 0 if there is none."""
         return max(0.0, self.distance - float(distances[0])) if len(distances) else 0.0
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add half-spaces of the joint positions, the linearised distances, to PlaCo."""
+        """Add PlaCo's soft constraint for the distances between links, linearised in q [m].
+
+        The constraint is linearised again before each iteration.
+        """
         constraint = solver.add_joint_space_half_spaces_constraint(np.zeros((0, 1)), np.zeros(0))
         constraint.configure("self clearance", "soft", _CLEARANCE_WEIGHT * weight)
         measured = _MeasuredClearance()
@@ -369,7 +373,7 @@ class SelfClearanceTask(PostureTask):
             # distance + derivative (q' - q) >= required distance
             constraint.A = -derivatives
             constraint.b = distances - self.distance - derivatives @ q
-            measured.residual = self._missing(distances)
+            measured.residual = self._shortfall(distances)
 
         return PlacoTask(measured, update)
 
@@ -380,10 +384,10 @@ class _MeasuredClearance:
     residual = 0.0
 
     def update(self) -> None:
-        """Do nothing: the residual is measured with the target of the constraint."""
+        """Do nothing; `PlacoTask.update_target` sets the violation."""
 
     def error_norm(self) -> float:
-        """Return the violation [m]: required clearance minus smallest distance, at least 0.
+        """Return the required distance between links minus the smallest distance [m], at least 0.
 
         The value is 0 before the first update of the constraint.
         """

@@ -35,8 +35,8 @@ Array = NDArray[np.float64]
 
 
 _MIN_SUPPORT_WIDTH = 1e-3
-"""Extent of the support region [m] below which the contacts count as collinear, and the task is
-rejected: such a stand would tip. Chosen, not tuned."""
+"""Extent of the support region [m], a singular value of its centred corners, below which the
+contacts count as collinear, and the task is rejected: the stand would tip. Chosen, not tuned."""
 
 
 _FIXED_COORDINATES = {1: 3, 2: 5}
@@ -45,24 +45,24 @@ A line of two points may rotate about itself."""
 
 
 _NUM_RANDOM_POSES = 3
-"""Number of random poses at which the mobility of the CoM is tested; a single pose may be singular.
-Chosen, not tuned."""
+"""Number of random joint positions at which `can_move_com` tests the mobility of the CoM; a single
+configuration may be singular. Chosen, not tuned."""
 
 _MIN_COM_RATE = 1e-6
 """Smallest horizontal CoM displacement per joint displacement [m/rad], with planted feet, above
 which the robot can move the CoM in a direction. Chosen, not tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
-"""Smallest CoM mobility in a horizontal direction, relative to the direction of largest mobility,
-above which the robot can move the CoM in this direction. Soles that are a microradian off level
-permit less. Chosen, not tuned."""
+"""Smallest CoM displacement per joint displacement in a horizontal direction, relative to the
+direction of the largest one, above which the robot can move the CoM in this direction. Soles that
+are a microradian off level permit less. Chosen, not tuned."""
 
 
 def has_spare_joints(robot: Robot) -> bool:
-    """Return True if joints can move while the base and all feet keep the same poses.
+    """Return True if the robot has redundant joints while the base and all feet keep their poses.
 
-    Each foot fixes as many coordinates as `_FIXED_COORDINATES` states for the number of contact
-    points.
+    Degrees of freedom are counted: 6 of the base, and those that `_FIXED_COORDINATES` lists for the
+    number of contact points of each foot.
     """
     fixed = sum(_FIXED_COORDINATES.get(len(points), 6) for points in robot.feet.values())
     return 6 + fixed < robot.nv
@@ -71,9 +71,9 @@ def has_spare_joints(robot: Robot) -> bool:
 def can_move_com(robot: Robot) -> bool:
     """Return True if the robot can move the CoM in x and y with planted feet.
 
-    The base keeps height and orientation. Also True without contact points. Legs with three
-    joints suffice; legs with two joints
-    in one plane cannot move the CoM sideways, unless arms or a waist do.
+    The base keeps height and orientation. Legs with three joints suffice. Legs with two joints in
+    one plane cannot move the CoM sideways, unless arms or a waist do. Also True for a robot without
+    contact points.
     """
     return robot.once(_compute_com_mobility)
 
@@ -110,9 +110,9 @@ class Support:
     Args:
         contacts: Contact points, shape (n, 3) [m].
         normals: Unit normals out of the ground, shape (n, 3).
-        friction: Friction coefficients, shape (n,); empty if unknown.
-        stated: Stated contact forces, as for `support_corners`.
-        grips: Positions and force limits of grips, as for `support_corners`.
+        friction: Sliding friction coefficients, shape (n,); empty if unknown.
+        stated: Prescribed contact forces and their positions, as for `support_corners`.
+        grips: Positions and force limits of grippers that hold a bar, as for `support_corners`.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Support:
 
     @cached_property
     def corners(self) -> tuple[Corner, ...]:
-        """Corners (x, y) of the support region [m]."""
+        """Corners (x, y) of the support region of these contacts [m], in the world frame."""
         return support_corners(*self._arguments)
 
 
@@ -177,21 +177,22 @@ class Goal:
 
     @property
     def corners(self) -> tuple[Corner, ...]:
-        """Corners (x, y) of the support region [m]."""
+        """Corners (x, y) of the support region of this goal [m], in the world frame."""
         return self.support.corners
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the sphere centres on rigid ground, shape (3,) each [m].
+        """Targets of the sphere centres, with which steps and planes of feet are located.
 
-        Without planes of single feet these are the ``targets``, including the penetration;
-        see `raise_feet`.
+        {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
+        penetration is removed (`raise_feet`). Otherwise these are the ``targets``, since the
+        position of a level step does not depend on the penetration.
         """
         return raise_feet(self.task.ground, self.targets, self.depths, self.normals)
 
     @property
     def com_is_free(self) -> bool:
-        """Whether the CoM may be at any place inside the support region."""
+        """Whether the task permits any CoM position inside the support region."""
         return self.task.com == "inside" and not self.by_base
 
 
@@ -203,15 +204,15 @@ def make_goal(
     *,
     checked: bool = True,
 ) -> Goal:
-    """Convert a task to numbers for a robot.
+    """Convert a stand task to the numerical `Goal` for a robot: targets [m], base pose and limits.
 
     Args:
         robot: Robot.
         task: Stand task. Default: the nominal stand.
         depths: {stance point: penetration of the ground [m]}; 0 for points that are not included.
-        like: Goal of the same robot with the same depths. Foot targets and joint
-            limits of this goal are reused if the task requires equal values. Default: the nominal
-            stand if ``depths`` is empty and the joint limits have not changed.
+        like: Goal of the same robot with the same depths. Foot targets and joint limits of this
+            goal are reused if the task requires equal values. Default: the goal of the nominal
+            stand, if ``depths`` is empty and the robot's joint limits have not changed.
         checked: Reject tasks that no stand can satisfy, for example with a CoM outside the support
             region.
 
@@ -271,7 +272,7 @@ def _build_goal(
     *,
     checked: bool = True,
 ) -> Goal:
-    """Build the goal of a task; the arguments are those of `make_goal`, ``com`` is the default."""
+    """Build the goal of a task, as `make_goal`; ``com`` is used if the task specifies no CoM."""
     if task.contacts:
         task = _add_planes(robot, task)
     if like is not None and _have_equal_feet(like.task, task):
@@ -337,9 +338,16 @@ def feet_centre(
 ) -> Array:
     """Compute the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
-    Hands and steep planes are left out, unless nothing remains (`Goal.centre`). Welded feet count
-    as contacts. For an arm, the point at z = 0 below the base of the home pose; if all feet are
-    lifted, the horizontal mean of all targets, at z = 0.
+    Hands and feet on steep planes are left out, unless nothing remains (`Goal.centre`). Welded feet
+    count as contacts. For a welded robot without feet (an arm), the result is the point at z = 0
+    below the base in the home pose; if all feet are lifted, the horizontal mean of all targets, at
+    z = 0.
+
+    Args:
+        robot: Robot.
+        ground: Ground.
+        contact_by_foot: {stance point: position of the contact, shape (3,) [m]}.
+        targets: {contact point: target of the sphere centre, shape (3,) [m]}.
     """
     if robot.welds:
         if len(robot.hands) == len(robot.feet):
@@ -447,7 +455,7 @@ def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]
 
 
 def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
-    """Check a task against the robot, and return the contact points that carry load."""
+    """Check robot and names of a task, and return the contact points that carry load."""
     robot.check_floating()
     if not (robot.contact_points or robot.welds):
         raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))
@@ -491,9 +499,10 @@ count as collinear. Chosen, not tuned."""
 
 
 def nominal_point_positions(robot: Robot) -> dict[str, Array]:
-    """Return {contact point: default centre of the sphere, shape (3,) [m]} in the world frame.
+    """Return {contact point: default position of its sphere centre, shape (3,) [m]}.
 
-    The base is upright at the origin, and the joints are at nominal positions.
+    Positions are in the world frame, for the base upright at the origin and the joints at
+    ``robot.nominal``.
     """
     return {point: place.copy() for point, place in robot.once(_compute_nominal_points)}
 
@@ -523,8 +532,8 @@ def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
 def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Return {foot: horizontal position that a task requires, shape (2,) [m]} in the world frame.
 
-    The position is that in ``task.feet`` or the default position, plus the offset of the foot in
-    ``task.foot_offsets``.
+    This is the position in ``task.feet``, or else the default position, plus the offset of the foot
+    in ``task.foot_offsets``.
     """
     nominal = nominal_foot_positions(robot)
     return {
@@ -536,11 +545,9 @@ def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
 def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Compute the targets of the sphere centres on rigid ground: {contact point: (3,) [m]}.
 
-    Targets are in the world frame.
-
-    A sole lies flat on the plane or slope, rotated from the default orientation by the shortest
-    rotation. A swing foot is translated by the swing height: upward, or along the normal if the
-    foot has a separate plane.
+    Targets are in the world frame. A sole lies flat on the plane or slope, rotated from the default
+    orientation by the shortest rotation. A swing foot is translated by the swing height: along the
+    normal if the foot has a separate plane, otherwise upward.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     targets: dict[str, Array] = {}
@@ -586,7 +593,7 @@ def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> d
 
 
 def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) -> Array:
-    """Return the position, shape (3,) [m], near which a foot or hand is to touch the plane.
+    """Return the position, (3,) [m], near which a foot or hand must touch its separate plane.
 
     Args:
         robot: Robot.
@@ -615,14 +622,18 @@ def _add_planes(robot: Robot, task: StandTask) -> StandTask:
 
 
 def default_contact_position(robot: Robot, foot: str) -> Array:
-    """Return the default contact of a foot, or the home position of a hand, shape (3,) [m]."""
+    """Return the default contact position of a foot, or the home position of a hand, (3,) [m].
+
+    Positions are in the world frame. The contact of a foot is at z = 0; the position of a hand is
+    its sphere centre in the home pose at the default base height.
+    """
     if foot in robot.hands:
         return robot.once(_compute_home_points)[robot.feet[foot][0]].copy()
     return np.array((*nominal_foot_positions(robot)[foot], 0.0))
 
 
 def _compute_home_points(robot: Robot) -> dict[str, Array]:
-    """Compute the sphere centres of the home pose at the default base height."""
+    """Compute the sphere centres (3,) [m] of the home pose at the default base height."""
     qpos = robot.posed(robot.home[robot.nq - robot.nu :])
     qpos[2] = robot.base_height
     return Configuration(robot, qpos).foot_positions()
@@ -655,7 +666,7 @@ def _fit_upward_normal(points: Array) -> Array:
 
 
 def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
-    """Return the unit normal of the ground under each contact point, shape (3,), outward."""
+    """Return {contact point: outward unit normal of the ground below it, (3,), world frame}."""
     if not ground.planes:
         return dict.fromkeys(robot.contact_points, ground.normal())
     out = {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
@@ -668,15 +679,18 @@ def sink_feet(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Move the targets of sphere centres into the ground by the penetration depths.
+    """Move targets of sphere centres into the ground by the penetration depths [m].
 
-    A sole moves as a rigid body, by the least-squares fit to the depths of the contact points.
+    A sole moves as a rigid body, by the least-squares fit to the depths of its contact points.
 
     Args:
         robot: Robot.
         targets: {contact point: target on rigid ground, shape (3,) [m]}.
         depths: {contact point: penetration [m]}; 0 for points that are not included.
         normals: {contact point: unit normal out of the ground, shape (3,)}.
+
+    Returns:
+        {contact point: moved target, shape (3,) [m]}.
     """
     sunk = {point: targets[point] - depths.get(point, 0.0) * normals[point] for point in targets}
     for points in robot.feet.values():
@@ -693,14 +707,16 @@ def raise_feet(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
-    """Move the targets of sunk feet back to rigid ground, by the penetration along the normals.
+    """Return the targets with which steps and planes of feet are located: without penetration.
 
-    The targets are returned unchanged if no foot has a separate plane: the horizontal position of
-    a level step does not depend on the penetration.
+    If a foot has a separate plane, each target is moved out of the ground along the normal by the
+    penetration. Otherwise the targets are returned unchanged: the horizontal position of a level
+    step does not depend on the penetration.
 
     Args:
         ground: Ground.
-        targets: {contact point: target in the ground, shape (3,) [m]}.
+        targets: {contact point: target of the sphere centre, shape (3,) [m]}, which includes the
+            penetration.
         depths: {stance point: penetration [m]}.
         normals: {stance point: unit normal out of the ground, shape (3,)}.
     """
@@ -713,7 +729,7 @@ def raise_feet(
 
 
 def move_rigidly(before: Array, after: Array) -> Array:
-    """Move points as a rigid body, to fit other points by least squares.
+    """Rotate and translate points as a rigid body, to fit other points by least squares.
 
     Args:
         before: Points to be moved, shape (n, 3) [m].

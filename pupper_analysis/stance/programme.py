@@ -1,8 +1,8 @@
-"""A stand as a nonlinear program: all constraints at once, with demands that can be relaxed.
+"""A stand as a nonlinear program: all constraints at once, with relaxable requirements (demands).
 
-Variables are the horizontal base position, the joint positions, and for each number of a relaxed
-demand a decrease and an increase (slacks). The sum of the slacks is minimised; a sum of absolute
-values leaves most slacks at zero. The solver is SciPy's SLSQP.
+Variables are the horizontal base position, the joint positions, and for each number of a relaxable
+requirement a decrease and an increase (slacks). The sum of the slacks is minimised; a sum of
+absolute values leaves most slacks at zero. The solver is SciPy's SLSQP.
 
 Source: Gill, Murray and Saunders, "SNOPT: an SQP algorithm for large-scale constrained
 optimization", 2005, section 1.2 (elastic mode).
@@ -30,36 +30,36 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _DIFFERENCE_STEP = 1e-7
-"""Step of the difference quotients of the residuals by a relaxed number [stand heights, rad].
-Truncation errors dominate with longer steps, rounding errors with shorter ones. Chosen, not
-tuned."""
+"""Finite-difference step of the residuals' derivative by a relaxable value of the task, such as the
+base height [stand heights for lengths, rad for angles]. Truncation errors dominate with longer
+steps, rounding errors with shorter ones. Chosen, not tuned."""
 
 _SATISFIED_VIOLATION = 1e-6
-"""Violation [m, rad] up to which a constraint of an elastic program counts as satisfied. The
-following IK solve removes the rest. Chosen, not tuned."""
+"""Violation [m, rad] up to which the constraints of a program with slacks count as satisfied. The
+following IK solve reduces it further. Chosen, not tuned."""
 
 _SOLVE_ITERATIONS = (20, 50)
-"""Upper bounds of iterations without and with relaxed demands. Measured: all of 1,500 solves
-without that led to a stand took 12 or fewer; 90 % of 350 solves with took 45 or fewer."""
+"""Upper bounds of SLSQP iterations: (without slacks, with slacks). Measured on solves that led to a
+stand: without slacks, all of 1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or fewer."""
 
 _FINE_UNIT = 200.0
-"""Stand height divided by the smallest length unit in which foot distances are minimised again.
-Measured in flat valleys of the cost: in whole stand heights SLSQP ends on the slope of the valley;
-in thousandths of a stand height, SLSQP ends on the way."""
+"""Stand height divided by the lower bound of the length unit in which foot distances are minimised
+a second time. Measured with flat minima of the cost: in both larger units (stand heights) and
+smaller units (a thousandth), SLSQP stops before the minimum."""
 
 _MAX_ITERATIONS = 100
-"""Upper bound of the SLSQP iterations that minimise foot distances in the small length unit. About
-45 are needed if the feet are at the limit of reach."""
+"""Upper bound of the SLSQP iterations that minimise foot distances a second time. About 45 are
+needed if the feet are at the limit of reach. Chosen, not tuned."""
 
 _MIN_PROGRESS_RATIO = 0.9
-"""Largest ratio of the violation after a step to the smallest violation of earlier steps, with
-which the step makes progress. Steps without progress end the solve (`_PATIENCE`). Chosen, not
+"""Upper bound of the ratio ``violation after a step / smallest violation of earlier steps`` with
+which a step counts as progress. Steps without progress end the solve (`_PATIENCE`). Chosen, not
 tuned."""
 
 _PATIENCE = (4, 32)
-"""Successive steps without progress after which a solve ends, without and with relaxed demands.
-Measured: of 138 and 350 solves that led to a stand, one each took more; of 206 that led to none two
-thirds did, and of 633 one in eight."""
+"""Successive steps without progress after which a solve ends: (without slacks, with slacks).
+Measured without slacks: of 138 solves that led to a stand, one made more such steps; of 206 solves
+that led to none, two thirds did. With slacks: one of 350, and one eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
 """Diagonal of the pivoted QR factor of the equalities' Jacobian, relative to the largest, below
@@ -69,7 +69,7 @@ not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """Relaxed demands, with the configuration of the smallest violation.
+    """Relaxed values of a task, with the configuration at which they are satisfied best.
 
     Attributes:
         task: Task with relaxed numbers.
@@ -85,12 +85,12 @@ class Relaxation:
 
     @property
     def is_met(self) -> bool:
-        """Whether the constraints are satisfied up to `_SATISFIED_VIOLATION`."""
+        """Whether the configuration satisfies the relaxed task to 1e-6 [m, rad]."""
         return self.violation <= _SATISFIED_VIOLATION
 
     @property
     def slack(self) -> float:
-        """Sum of the relaxations of all demands [stand heights, rad mixed]."""
+        """Sum of the changes of all relaxed values [stand heights and rad mixed]."""
         return sum(self.relaxations.values())
 
 
@@ -162,8 +162,8 @@ class StanceProgram:
     Args:
         shapes: Robot with collision shapes.
         goal: Goal.
-        demands: Demands that can be relaxed.
-        without: Names of constraints that are left out.
+        demands: Names of requirements that can be relaxed, from `DEMANDS`.
+        without: Names of constraints that are left out of the program.
     """
 
     def __init__(
@@ -200,11 +200,14 @@ class StanceProgram:
         self._jacobian_there: tuple[Array, Array] | None = None
 
     def solve(self, qpos: Array, task: StandTask | None = None) -> Relaxation:
-        """Find the smallest relaxation from a start.
+        """Minimise the relaxation of the task's values, from an initial configuration.
 
         Args:
             qpos: Initial configuration, shape (nq,).
-            task: Initial values of the demands. Default: the requested values.
+            task: Task with the initial relaxed values. Default: the requested values.
+
+        Returns:
+            Relaxed task and configuration; a local minimum, possibly with violated constraints.
         """
         gives = bool(self._demands)
         progress = _Progress(_SATISFIED_VIOLATION if gives else TASK_TOLERANCE, _PATIENCE[gives])
@@ -225,11 +228,11 @@ class StanceProgram:
             numbers.make_task(values), self._point(x).qpos, given, self._max_violation(x)
         )
 
-    def nearest(self, qpos: Array) -> Array:
+    def minimise_foot_distances(self, qpos: Array) -> Array:
         """Return the configuration, shape (nq,), with the contact points nearest to the targets.
 
-        Minimises the sum of squared distances subject to the constraints that are not left out:
-        first with distances in stand heights, then scaled by the remaining distance.
+        Minimises the sum of squared distances subject to the constraints of this program: first
+        with distances in stand heights, then in units of the remaining distance.
 
         Args:
             qpos: Initial configuration, shape (nq,).
@@ -241,7 +244,7 @@ class StanceProgram:
         return self._point(x).qpos
 
     def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
-        """Return the scaled sum of squared foot distances, and the gradient."""
+        """Return ``scale`` times the sum of squared foot distances [m^2], and the gradient."""
         at = self._configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
         total, gradient = 0.0, np.zeros(self._robot.nv)
@@ -261,12 +264,12 @@ class StanceProgram:
         iterations: int,
         progress: _Progress | None = None,
     ) -> Array:
-        """Minimise a function from a start by SLSQP; the result is within the bounds.
+        """Minimise a function under the constraints by SLSQP; the result is within the bounds.
 
         Args:
             function: Returns value and gradient.
-            start: Initial variables.
-            tolerance: Tolerance of the value.
+            start: Initial guess of the variables.
+            tolerance: Tolerance of the function value (``ftol`` of SLSQP).
             iterations: Upper bound of iterations.
             progress: Monitor that ends the solve early.
         """
@@ -312,7 +315,7 @@ class StanceProgram:
         return float(max(off, -left[equal:].min(initial=0.0)))
 
     def _make_start(self, qpos: Array, task: StandTask | None) -> Array:
-        """Return the initial variables of a configuration and a task."""
+        """Return the variables of an initial configuration (nq,) and an initial relaxed task."""
         numbers = self._numbers
         had = numbers.values if task is None else numbers.read_task(task)
         given = (had - numbers.values) / numbers.units
@@ -321,7 +324,7 @@ class StanceProgram:
         return start
 
     def _demand_values(self, x: Array) -> Array:
-        """Return the relaxed numbers of the demands at the variables [m, rad]."""
+        """Return the relaxed values of the task at the variables, shape (n,) [m, rad]."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
         numbers = self._numbers
         return numbers.clip(numbers.values + numbers.units * (more - less))
@@ -337,26 +340,26 @@ class StanceProgram:
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _make_goal(self, values: Array, like: Goal) -> Goal:
-        """Create the goal of relaxed numbers; equal foot targets of ``like`` are reused."""
+        """Create the goal of relaxed values [m, rad]; equal foot targets of ``like`` are reused."""
         return make_goal(
             self._robot, self._numbers.make_task(values), self._goal.depths, like, checked=False
         )
 
     def _point(self, x: Array) -> _Point:
-        """Return the evaluated point; the latest is cached for all constraints."""
+        """Return the evaluated point of the variables; the latest is cached."""
         if self._last is None or not (x == self._last.x).all():
             self._last = self._evaluate(x)
         return self._last
 
     def _configuration(self, x: Array) -> Configuration:
-        """Return the configuration object; the latest is cached."""
+        """Return the `Configuration` at the variables; the latest is cached."""
         there = self._point(x)
         if self._at is None or self._at[0] is not there:
             self._at = there, Configuration(self._robot, there.qpos)
         return self._at[1]
 
     def _residuals(self, x: Array) -> Array:
-        """Return the independent residuals."""
+        """Return the independent equality residuals and all inequality residuals [m, rad]."""
         joined: Array = _stack(self._point(x).residuals, 0)[self._rows[0]]
         return joined
 
@@ -369,9 +372,9 @@ class StanceProgram:
     def _derivative(self, x: Array) -> Array:
         """Compute the derivative of all residuals by the variables.
 
-        Derivatives by robot motion are exact. The derivative by a relaxed number is the sum of the
-        effect of the base motion, and a difference quotient of the residuals with the robot at
-        rest.
+        Derivatives by robot motion are analytic. The derivative by a relaxable value is the effect
+        of the resulting base motion, plus a difference quotient of the residuals at a constant
+        configuration.
         """
         there, values = self._point(x), self._demand_values(x)
         config = self._configuration(x)
@@ -402,7 +405,7 @@ class StanceProgram:
 
     @cached_property
     def _rows(self) -> tuple[IntArray, int]:
-        """Indices of independent equalities and of all inequalities, and number of the former."""
+        """Row indices of independent equalities, then of all inequalities; number of equalities."""
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._goal.lower, -np.pi), np.minimum(self._goal.upper, np.pi)
@@ -422,7 +425,10 @@ def _stack(blocks: Sequence[Array], columns: int) -> Array:
 
 
 def _base_motion(goal: Goal, other: Goal) -> Array:
-    """Return the base displacement, shape (6,), between two goals' heights and orientations."""
+    """Return the small base displacement between two goals, shape (6,), in the order of qvel.
+
+    Translation [m] along world axes, vertical only; rotation vector [rad] along base axes.
+    """
     (w, x, y, z), (a, b, c, d) = goal.base_quaternion, other.base_quaternion
     turned = (  # vector part of the relative quaternion
         w * b - x * a - y * d + z * c,

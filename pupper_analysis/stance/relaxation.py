@@ -1,9 +1,9 @@
-"""Explanation of an unreachable stance: demands that can be relaxed, and the smallest relaxation.
+"""Explanation of an unreachable stance: requirements to relax (demands), and the smallest change.
 
-`explain_refusal` first tests each demand alone. If no demand suffices alone, the search continues
-with a small set of demands that suffices together. The elastic program (`stance.programme`)
-computes the relaxation; the rounded result is solved again, so that a reported value can be typed
-as a task.
+`explain_refusal` first relaxes each requirement alone. If none suffices alone, the search continues
+with a small set of requirements that suffices together. The nonlinear program with slacks
+(`stance.programme`) computes the relaxation, which is the smallest change that makes the stance
+reachable. The rounded result is solved again, so that a reported value can be typed as a task.
 """
 
 from __future__ import annotations
@@ -43,40 +43,41 @@ and without closed loops, below which a dead point of the loops is reported. 1 m
 point the ratio is about 1e-3. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
-"""Foot error [m] below which a foot is not reported as missing the target, if the loops are at a
+"""Foot error [m] below which a foot is not reported as out of reach, if the closed loops are at a
 dead point: the error is then due to the tolerance of the search. Chosen, not tuned."""
 
 _EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
-"""Factors by which a relaxation is increased, in order, until the rounded task has a stand. A
-search without an initial guess may fail at the limit of reach. Chosen, not tuned."""
+"""Fractions by which a relaxation is increased, in order, until the rounded task has a stand. A
+search that does not start near the stand may fail at the limit of reach. Chosen, not tuned."""
 
 _NONZERO_DEMANDS = ("swing", "com_margin")
-"""Demands whose value cannot be close to zero: a foot that is not lifted carries load, and without
-a margin a CoM with an offset may be outside the support polygon."""
+"""Relaxable requirements whose value must not become close to zero: a foot that is not lifted
+carries load, and without a margin a CoM with an offset may be outside the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
-"""Value [stand heights] of a demand in `_NONZERO_DEMANDS` below which the value counts as zero, and
-the relaxation is rejected. Chosen, not tuned."""
+"""Value [stand heights] of a requirement in `_NONZERO_DEMANDS` below which the value counts as
+zero, and the relaxation is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
-"""Shares by which a relaxation is reduced, in order, as long as a stand exists: v3's slope ended at
-two edges, 6 % and 1 % before the result of the program."""
+"""Fractions by which a relaxation is reduced, in order, as long as a stand exists: the program may
+end in a local minimum. Measured on the slope of Pupper v3: reductions of 6 % and then 1 % led to
+better minima."""
 
 _MIN_RELAXATION = 1e-6
-"""Relaxation [stand heights, rad] up to which a demand counts as unchanged and is not reported.
-Chosen, not tuned."""
+"""Relaxation [stand heights, rad] up to which a requirement counts as unchanged and is not
+reported. Chosen, not tuned."""
 
 
 def explain_refusal(
     context: SearchContext, goal: Goal, nearest: Stand, *, explain: bool
 ) -> StanceUnreachableError:
-    """Create the error for a goal without stand.
+    """Create the error for a goal without stand: foot errors [m], joints at limits, relaxations.
 
     Args:
         context: Search context of the robot.
         goal: Goal.
         nearest: Configuration of the search with the smallest violation.
-        explain: Determine which demands to relax, and how far.
+        explain: Compute the requirements to relax, and the smallest relaxation.
     """
     robot = context.robot
     feet = Configuration(robot, nearest.qpos).foot_positions()
@@ -95,28 +96,28 @@ def explain_refusal(
         blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _MIN_FOOT_ERROR}
     basis = _Search(context, goal, nearest).find_relaxations() if explain else []
-    named = {" and ".join(way.demands): way for way in basis}
-    least = min(basis, key=lambda way: way.slack, default=None)
+    named = {" and ".join(relaxation.demands): relaxation for relaxation in basis}
+    least = min(basis, key=lambda relaxation: relaxation.slack, default=None)
     return StanceUnreachableError(
         goal.task.phrase(),
         missed,
         at_limit,
         {
-            name: describe_limit(robot, goal.task, way.stand.task, way.demands)
-            for name, way in named.items()
+            name: describe_limit(robot, goal.task, relaxation.stand.task, relaxation.demands)
+            for name, relaxation in named.items()
         },
         None if least is None else least.stand,
         blocked,
         {
-            name: {demand: getattr(way.stand.task, demand) for demand in way.demands}
-            for name, way in named.items()
+            name: {demand: getattr(relaxation.stand.task, demand) for demand in relaxation.demands}
+            for name, relaxation in named.items()
         },
         find_missing_joints(robot, goal),
     )
 
 
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
-    """Return True if closed loops block a direction in which joints could move a foot.
+    """Return True if closed loops block a direction in which the joints could move a foot.
 
     At such a dead point a motor rotates while the coupled joints stay at rest, to first order.
     """
@@ -136,11 +137,11 @@ def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _StatedRelaxation:
-    """Relaxed demands, and a stand of the relaxed task.
+    """Relaxed requirements, and a stand of the relaxed task.
 
     Attributes:
-        demands: Relaxed demands.
-        slack: Sum of the relaxations [stand heights, rad mixed].
+        demands: Names of the relaxed requirements, from `DEMANDS`.
+        slack: Sum of the relaxations [stand heights and rad mixed].
         stand: Stand of the relaxed task.
     """
 
@@ -165,25 +166,26 @@ class _Search:
         self.starts = [nearest.qpos, home]
 
     def find_relaxations(self) -> list[_StatedRelaxation]:
-        """Return each demand that suffices alone, or else a small set that suffices together.
+        """Return the relaxation of each requirement that suffices alone, with its stand.
 
-        Empty if no set of demands suffices.
+        If none suffices alone: the relaxation of a small set of requirements that suffices
+        together. Empty if no set is found.
         """
         robot, task = self.context.robot, self.goal.task
         differing = [demand for demand in DEMANDS if differs_from_nominal(robot, task, [demand])]
         alone = [self._verify(self._relax_one(demand)) for demand in differing]
-        if stated := [way for way in alone if way is not None]:
+        if stated := [relaxation for relaxation in alone if relaxation is not None]:
             return stated
         least = self._find_smallest(differing, self.starts)
         fewest = self._verify(self._reduce_demands(least)) or self._verify(least)
         return [] if fewest is None else [fewest]
 
     def _find_smallest(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
-        """Return the smallest relaxation of demands from several starts; None if none is feasible.
+        """Return the smallest relaxation of demands from several initial configurations (nq,).
 
-        An additional start is a stand without the demands, if such a stand exists: the demands are
-        increased from there. If several demands must be relaxed, this start gave the best result in
-        27 of 28 refusals.
+        The stand of the task with nominal values of these demands is an additional one, if it
+        exists. If several demands must be relaxed, it gave the best result in 27 of 28 refusals.
+        None if no relaxation is feasible.
         """
         elastic = StanceProgram(self.context.shapes, self.goal, demands)
         basis = [elastic.solve(start) for start in starts]
@@ -191,87 +193,95 @@ class _Search:
         stand = search_stand(self.context, self._make_goal(without), usual_starts_only=True)
         if stand.solved:
             basis.append(elastic.solve(stand.qpos, without))
-        return min((way for way in basis if way.is_met), key=lambda way: way.slack, default=None)
+        return min(
+            (relaxation for relaxation in basis if relaxation.is_met),
+            key=lambda relaxation: relaxation.slack,
+            default=None,
+        )
 
     def _relax_one(self, demand: str) -> Relaxation | None:
-        """Return the smallest relaxation of a demand; None without a feasible relaxation.
+        """Return the smallest relaxation of one demand; None without a feasible relaxation.
 
-        The program may end in a local minimum. Stands with less relaxation are tried; the program
-        starts again from such a stand.
+        The program may end in a local minimum. If a stand with less relaxation exists, the program
+        starts again from this stand.
         """
-        way = self._find_smallest([demand], self.starts)
+        relaxation = self._find_smallest([demand], self.starts)
         shares = list(_REDUCTION_SHARES)
-        while way is not None and shares:
-            less = relax_further(self.context.robot, way.task, self.goal.task, [demand], -shares[0])
+        while relaxation is not None and shares:
+            less = relax_further(
+                self.context.robot, relaxation.task, self.goal.task, [demand], -shares[0]
+            )
             stand = search_stand(self.context, self._make_goal(less), com_at_centre_only=True)
             if not stand.solved:
                 shares.pop(0)
                 continue
             better = StanceProgram(self.context.shapes, self.goal, [demand]).solve(stand.qpos, less)
-            if not better.is_met or better.slack > (1 - shares[0] / 2) * way.slack:
+            if not better.is_met or better.slack > (1 - shares[0] / 2) * relaxation.slack:
                 break
-            way = better
-        return way
+            relaxation = better
+        return relaxation
 
-    def _reduce_demands(self, way: Relaxation | None) -> Relaxation | None:
-        """Remove demands that need no relaxation, beginning with the smallest relaxation."""
-        if way is None:
+    def _reduce_demands(self, relaxation: Relaxation | None) -> Relaxation | None:
+        """Leave out demands one by one, smallest relaxation first, if the rest suffices."""
+        if relaxation is None:
             return None
         given = {
-            demand: slack for demand, slack in way.relaxations.items() if slack > _MIN_RELAXATION
+            demand: slack
+            for demand, slack in relaxation.relaxations.items()
+            if slack > _MIN_RELAXATION
         }
         for demand in sorted(given, key=given.__getitem__):
             rest = [
                 name
                 for name in given
-                if name != demand and way.relaxations.get(name, 0.0) > _MIN_RELAXATION
+                if name != demand and relaxation.relaxations.get(name, 0.0) > _MIN_RELAXATION
             ]
-            if way.relaxations.get(demand, 0.0) > _MIN_RELAXATION and len(rest) > 1:
-                way = self._find_smallest(rest, (way.qpos,)) or way
-        return way
+            if relaxation.relaxations.get(demand, 0.0) > _MIN_RELAXATION and len(rest) > 1:
+                relaxation = self._find_smallest(rest, (relaxation.qpos,)) or relaxation
+        return relaxation
 
-    def _verify(self, way: Relaxation | None) -> _StatedRelaxation | None:
-        """Return the rounded relaxation and the stand; None if the rounded task has no stand."""
-        if way is None:
+    def _verify(self, relaxation: Relaxation | None) -> _StatedRelaxation | None:
+        """Return the rounded relaxation with its stand; None if the rounded task has no stand."""
+        if relaxation is None:
             return None
         robot = self.context.robot
         demands = tuple(
-            demand for demand, slack in way.relaxations.items() if slack > _MIN_RELAXATION
+            demand for demand, slack in relaxation.relaxations.items() if slack > _MIN_RELAXATION
         )
         if not demands:
             return None
         for share in _EXTRA_RELAXATIONS:
-            task = self._round_task(way, demands, share)
+            task = self._round_task(relaxation, demands, share)
             if task is None or any(_is_degenerate(robot, task, demand) for demand in demands):
                 continue
             if (stand := self._solve_task(task)) is not None:
-                return _StatedRelaxation(demands, way.slack, stand)
+                return _StatedRelaxation(demands, relaxation.slack, stand)
         return None
 
     def _round_task(
-        self, way: Relaxation, demands: Sequence[str], share: float
+        self, relaxation: Relaxation, demands: Sequence[str], share: float
     ) -> StandTask | None:
-        """Return the task of a relaxation with rounded demands, relaxed further by a share.
+        """Return the task of a relaxation with rounded values, relaxed further by a fraction.
 
         Demands are rounded one after another, the largest relaxation first; after each, the
-        relaxation of the remaining demands is computed again. None if that becomes infeasible.
+        relaxation of the remaining demands is computed again. None if it becomes infeasible.
         """
         robot, left = self.context.robot, [*demands]
         requested = task = self.goal.task
-        while way.is_met:
-            demand = max(left, key=way.relaxations.__getitem__)
+        while relaxation.is_met:
+            demand = max(left, key=relaxation.relaxations.__getitem__)
             left.remove(demand)
-            there = relax_further(robot, way.task, requested, [demand], share)
+            there = relax_further(robot, relaxation.task, requested, [demand], share)
             end = round_outward(robot, there, requested, [demand])
             task = replace(task, **{demand: getattr(end, demand)})
             if not left:
                 return task
             elastic = StanceProgram(self.context.shapes, self._make_goal(task), left)
-            way = elastic.solve(way.qpos, way.task)
+            relaxation = elastic.solve(relaxation.qpos, relaxation.task)
         return None
 
     def _solve_task(self, task: StandTask) -> Stand | None:
-        """Return the stand that a user of this task would get; None without stand."""
+        """Return the stand of a task by the search of `solve_stand`; None without stand."""
         try:
             goal = self._make_goal(task, checked=True)
         except ConfigurationError:
@@ -286,7 +296,7 @@ class _Search:
 
 
 def _is_degenerate(robot: Robot, task: StandTask, demand: str) -> bool:
-    """Return True if the relaxed value is close to zero for a demand that cannot be 0."""
+    """Return True if a relaxed value of a demand in `_NONZERO_DEMANDS` is close to zero."""
     least = _NEGLIGIBLE_VALUE * robot.stand_height
     return demand in _NONZERO_DEMANDS and bool(
         (DemandVector(robot, task, [demand]).values < least).any()

@@ -378,7 +378,7 @@ def find_nearest(context: SearchContext, goal: Goal, qpos: Array, iterations: in
     this minimum. ``iterations`` is the number of QPs so far.
     """
     feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
-    return evaluate_stand(context.shapes, goal, feet.nearest(qpos), iterations)
+    return evaluate_stand(context.shapes, goal, feet.minimise_foot_distances(qpos), iterations)
 
 
 def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stand:

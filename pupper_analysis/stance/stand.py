@@ -44,17 +44,17 @@ def solve_stand(
 ) -> Stand:
     """Solve a stand task within the joint limits.
 
-    PlaCo solves a sequence of QPs on the floating base, from the task's ik_seed, from home, from
-    the middle of the joint ranges, and then from the IK branches of the legs (`stance.branches`).
-    With a free CoM or redundant joints, a nonlinear program of all constraints follows
-    (`stance.programme`).
+    PlaCo solves a sequence of QPs on the floating base. The initial guesses are the task's
+    ``ik_seed``, home, the middle of the joint ranges, and then the IK branches of the legs
+    (`stance.branches`). With a free CoM or redundant joints, a nonlinear program of all constraints
+    follows (`stance.programme`).
 
     Args:
         robot: Robot with a floating base.
         task: Stand task. Default: the nominal stand.
-        explain: If the stance is unreachable, determine the smallest foot error, the demands to
-            relax, and the smallest relaxation (a second, or some if the CoM is free). Otherwise
-            the reported foot errors are results of the IK, and may be larger.
+        explain: If the stance is unreachable, compute the smallest foot error, the requirements to
+            relax, and their smallest change. Takes about a second, longer with a free CoM. If
+            False, the reported foot errors are results of the IK, and may be larger.
 
     Returns:
         The stand; each error is below 1e-9 m or rad.
@@ -64,8 +64,8 @@ def solve_stand(
             robot has no feet, or the margins are too large.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
         ModelError: If the mass or inertia of a body is invalid.
-        StanceUnreachableError: If the stance is unreachable. The error contains the foot errors and
-            the demands to relax.
+        StanceUnreachableError: If the stance is unreachable. The error contains the foot errors [m]
+            and the requirements to relax.
     """
     owner, robot = robot, touching(robot, task.contacts) if task is not None else robot
     with lend(robot, SearchContext) as context:
@@ -74,12 +74,12 @@ def solve_stand(
 
 
 def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
-    """Search for the stand of a goal.
+    """Search for the stand of a goal, a stand task in numbers for one robot.
 
     Args:
         context: Search context of the robot.
         goal: Goal.
-        explain: Whether the error states which demands to relax, and how far; takes longer.
+        explain: Compute the requirements to relax, for the error, as in `solve_stand`.
 
     Raises:
         StanceUnreachableError: If the goal is unreachable.
@@ -100,7 +100,7 @@ def stand_statics(
     *,
     distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
 ) -> GravityCompensation:
-    """Compute motor torques and contact forces of a stand.
+    """Compute joint torques [N m] and contact forces [N] that balance gravity in a stand.
 
     Args:
         robot: Robot.
@@ -122,7 +122,7 @@ def stand_statics(
 
 
 def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
-    """Return the contacts of the stance feet, with the normals and depths of a stand."""
+    """Return the contacts of the stance feet, with normals and depths [m] of a stand."""
     # Contacts on level, rigid ground are cached by the robot.
     level = all(normal.tolist() == _UP for normal in stand.normals.values())
     normals, depths = None if level else stand.normals, stand.depths
@@ -154,15 +154,15 @@ def solve_stands(
     Each search starts at an extrapolation of up to four previous stands. If this does not lead to a
     stand near the previous one, `solve_stand` solves the task. `solve_stand` is always used for
     tasks with an ``ik_seed``, a free CoM or ``self_clearance``, and for robots with redundant
-    joints, since the result then depends on the start.
+    joints, since the result then depends on the initial guess.
 
-    The stands equal the stands of `solve_stand` to rounding, unless a leg has several IK branches:
-    a sequence keeps the branch of the first stand as long as possible.
+    The stands agree with those of `solve_stand` to the tolerance of 1e-9 m or rad, unless a leg has
+    several IK branches: a sequence keeps the branch of the first stand as long as possible.
 
     Args:
         robot: Robot with a floating base.
         tasks: Stand tasks.
-        explain: As in `solve_stand`, for an unreachable task (a second).
+        explain: As in `solve_stand`, for an unreachable task; takes about a second.
 
     Returns:
         The stands, in the order of the tasks.

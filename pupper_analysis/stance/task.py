@@ -67,8 +67,8 @@ class StandTask:
         posture: {joint that carries no foot, or a pattern such as ``*elbow*``: position (rad, m)}.
             If several patterns match a joint, the last counts. A search starts other joints of this
             kind at ``home``, and changes the positions by some milliradians at most.
-        ik_seed: Initial joint positions, shape (nu,) (rad), which select a branch of the legs.
-            Default: the robot's ``home``.
+        ik_seed: Initial guess of the joint positions, shape (nu,) (rad), which selects an IK branch
+            of the legs. Default: the robot's ``home``.
     """
 
     height: float | None = field(default=None, metadata={"unit": "m"})
@@ -125,11 +125,11 @@ class StandTask:
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> StandTask:
-        """Create a task from plain data, for example from JSON or TOML.
+        """Create a stand task from a mapping with plain data, for example from JSON or TOML.
 
         Args:
-            given: {field: value}. The values of the ground are in a mapping ``ground``, or beside
-                the others.
+            given: {field in ``stance/fields.toml``: value in m or rad}. The fields of the ground
+                are in a mapping ``ground``, or at the same level as the other fields.
 
         Raises:
             ConfigurationError: If a field is unknown, or a value is invalid.
@@ -145,7 +145,7 @@ class StandTask:
         return cls(ik_seed=seed).with_values(values)
 
     def replace_unchecked(self, **values: Any) -> StandTask:
-        """Return a copy with other attributes, without checking the values.
+        """Return a copy of this task with other attributes, without checking the values.
 
         In a sequence of stands the checks would take an eighth of the time.
 
@@ -157,15 +157,15 @@ class StandTask:
         return task
 
     def values(self) -> dict[str, Any]:
-        """Return all requirements as {name of the field: value}, including the ground.
+        """Return all requirements of this task: {field in ``stance/fields.toml``: value [m, rad]}.
 
-        The fields are listed in ``stance/fields.toml``.
+        Fields of the ground are included.
         """
         owners = {"task": self, "ground": self.ground}
         return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}
 
     def with_values(self, values: Mapping[str, Any]) -> StandTask:
-        """Return a copy with other values.
+        """Return a copy of this task with other values of its requirements.
 
         Args:
             values: {name of the field in ``stance/fields.toml``: value}; other fields are kept.
@@ -180,12 +180,12 @@ class StandTask:
         return replace(self, **own)
 
     def rotation(self) -> Array:
-        """Return the rotation matrix from base axes to world axes, shape (3, 3)."""
+        """Return the required rotation matrix from base axes to world axes, shape (3, 3)."""
         rotation: Array = pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw)
         return rotation
 
     def base_quaternion(self) -> tuple[float, float, float, float]:
-        """Return the rotation of the base in the world as unit quaternion (w, x, y, z)."""
+        """Return the required rotation of the base in the world, a unit quaternion (w, x, y, z)."""
         a, b, c = self.roll / 2, self.pitch / 2, self.yaw / 2
         cx, sx, cy, sy = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
         cz, sz = math.cos(c), math.sin(c)
@@ -201,11 +201,11 @@ class StandTask:
         return self.describe("en")
 
     def phrase(self) -> Phrase:
-        """Return the requirements with units, in both languages."""
+        """Return a text of the task's requirements with units, in English and Chinese."""
         return Phrase(self.describe("en"), self.describe("zh"))
 
     def describe(self, language: str) -> str:
-        """Return the requirements with units, in ``"en"`` or ``"zh"``."""
+        """Return a text of the task's requirements with units, in ``"en"`` or ``"zh"``."""
         parts = []
         values = {
             name: FIELDS[name].quantity(value)
@@ -223,7 +223,7 @@ class StandTask:
         return _SEPARATORS[language].join(parts)
 
     def _list_requirements(self) -> Iterator[tuple[Field, str, Any]]:
-        """Yield each requirement: field, foot or joint (or empty), value."""
+        """Yield each requirement of the text: field, foot or joint (or empty), value [m, rad]."""
         inside = self.com == "inside" or (self.offset is not None and self.com_margin != 0.0)
         for name, value in self.values().items():
             field = FIELDS[name]
