@@ -40,7 +40,7 @@ class PupperAnalysisError(Exception):
         self.diagnostic = as_diagnostic(problem)
         super().__init__(str(self.diagnostic))
 
-    def at(self, where: Problem) -> Self:
+    def with_location(self, where: Problem) -> Self:
         """Return a copy of the error whose message starts with the failed part of the computation.
 
         Args:

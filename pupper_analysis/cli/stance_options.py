@@ -310,7 +310,7 @@ def _match_joints(option: str, pattern: str, robot: Robot) -> list[bool]:
     matches = [fnmatchcase(name, pattern) for name in robot.joint_names]
     if not any(matches):
         unknown = UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
-        raise unknown.at(f"--{option}")
+        raise unknown.with_location(f"--{option}")
     return matches
 
 

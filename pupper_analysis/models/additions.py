@@ -33,7 +33,7 @@ class Addition:
 
     reason: Diagnostic
 
-    def put(self, model: object) -> None:
+    def apply_to(self, model: object) -> None:
         """Apply the addition to a model, by calling the model's method ``verb``.
 
         Args:
@@ -149,4 +149,4 @@ class StartKeyframe(Addition):
 def apply_additions(additions: Iterable[Addition], model: object) -> None:
     """Apply additions to a model (`SpecTree`, or a new file), in the given order."""
     for addition in additions:
-        addition.put(model)
+        addition.apply_to(model)

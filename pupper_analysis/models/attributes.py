@@ -58,7 +58,7 @@ class JointAttribute:
         """Return the unit for a slide or a hinge."""
         return self.units[slides]
 
-    def compiled(self, model: MjModel, joint: int) -> float:
+    def read_compiled_value(self, model: MjModel, joint: int) -> float:
         """Return the value in a compiled MuJoCo model. The parameter must have an array of MuJoCo.
 
         Args:
@@ -70,7 +70,7 @@ class JointAttribute:
         return float(getattr(model, self.of_joints)[joint])
 
     @property
-    def in_both(self) -> bool:
+    def is_in_both_formats(self) -> bool:
         """Whether both URDF and MJCF can specify the parameter."""
         return self.urdf is not None and bool(self.mjcf)
 

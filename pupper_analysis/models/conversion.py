@@ -66,19 +66,19 @@ class MujocoTree:
         self._bodies = {name: int(self.model.jnt_bodyid[j]) for name, j in self._joints.items()}
         self._bodies[parameters.base] = self._base
         self._last_parameters = replace(parameters, bodies={}, joints={})
-        self.take(parameters)
+        self.copy_parameters(parameters)
 
-    def fits(self, parameters: MultibodyTree) -> bool:
+    def has_structure_of(self, parameters: MultibodyTree) -> bool:
         """Return True if a tree has the parents and joint types of this model.
 
         The parameters can then be set without compiling a new model.
         """
         return self._structure == _structure_key(parameters)
 
-    def take(self, parameters: MultibodyTree) -> None:
+    def copy_parameters(self, parameters: MultibodyTree) -> None:
         """Copy masses, inertias, joints, gravity and frames of a tree into the model, in place.
 
-        The tree must have the same structure (``fits``).
+        The tree must have the same structure (``has_structure_of``).
         """
         model, previous = self.model, self._last_parameters
         bodies = _select_changed(parameters.bodies, previous.bodies)

@@ -128,7 +128,7 @@ def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
         if getattr(model, count):
             raise ModelError(source, diagnose("model-not-written", element=element))
     try:
-        spec = _Writer(model).write()
+        spec = _Writer(model).build_spec()
         made, shells, _ = compile_with_shells(spec.copy)
         put_shells(spec, shells)
     except (ValueError, RuntimeError, TypeError, KeyError, AttributeError) as error:
@@ -164,7 +164,7 @@ class _Writer:
         for joint in free_joints(model):
             self._names["joint", joint] = str(model.joint(joint).name)  # may have none
 
-    def write(self) -> mujoco.MjSpec:
+    def build_spec(self) -> mujoco.MjSpec:
         """Return the spec."""
         self._set_options()
         self._add_assets()

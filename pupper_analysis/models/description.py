@@ -72,7 +72,7 @@ class Description:
         apply_additions(additions, SpecTree(spec))
         return replace(self, mjcf=spec, added=(*self.added, *additions))
 
-    def replaced_soles(self) -> tuple[Diagnostic, ...]:
+    def report_replaced_soles(self) -> tuple[Diagnostic, ...]:
         """Report the number of spheres that replace the soles, if any."""
         balls = [addition for addition in self.added if isinstance(addition, Ball)]
         count = sum(ball.reason.code == "balls-for-soles" for ball in balls)

@@ -111,12 +111,12 @@ class EffortStatement(Result):
         return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
 
     @property
-    def greatest(self) -> float:
+    def max_torque(self) -> float:
         """Largest torque in either direction [N m]."""
         return max(abs(self.lower), abs(self.upper))
 
     @property
-    def least(self) -> float:
+    def symmetric_torque(self) -> float:
         """Torque that is available in both directions [N m]; 0 if one end of the range is 0."""
         return max(0.0, min(-self.lower, self.upper))
 
@@ -161,11 +161,11 @@ class EffortLimit(Result):
     @property
     def positive_statement(self) -> EffortStatement | None:
         """Statement with the smallest positive limit; None if there is none."""
-        positive = [statement for statement in self.stated if statement.least > 0]
-        return min(positive, key=lambda statement: statement.least, default=None)
+        positive = [statement for statement in self.stated if statement.symmetric_torque > 0]
+        return min(positive, key=lambda statement: statement.symmetric_torque, default=None)
 
     @property
-    def least(self) -> float:
+    def symmetric_torque(self) -> float:
         """Torque that is available in both directions [N m]."""
         return max(0.0, min(-self.lower, self.upper))
 
@@ -204,7 +204,7 @@ def resolve_effort_limit(
         joint=name or own,
         lower=max((statement.lower for statement in stated), default=-math.inf),
         upper=min((statement.upper for statement in stated), default=math.inf),
-        origin=min(stated, key=lambda statement: statement.least, default=None),
+        origin=min(stated, key=lambda statement: statement.symmetric_torque, default=None),
         stated=tuple(stated),
     )
 
@@ -224,7 +224,7 @@ def _list_statements(
         lower = sum(max(statement.lower for statement in own) for own in by_drive)
         upper = sum(min(statement.upper for statement in own) for own in by_drive)
         names = ", ".join(own[0].name for own in by_drive)
-        least = min(by_drive[0], key=lambda statement: statement.least)
+        least = min(by_drive[0], key=lambda statement: statement.symmetric_torque)
         statements.append(
             EffortStatement.of("MJCF", "actuator", names, least.attribute, (lower, upper))
         )
@@ -285,7 +285,7 @@ def _is_empty(
     low, high = (float(end) for end in range_)
     if switch != mujoco.mjtLimited.mjLIMITED_AUTO or low < high:
         return False
-    return low > high or file.stated(kind, name, (attribute,)) is not None
+    return low > high or file.find_attribute(kind, name, (attribute,)) is not None
 
 
 def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:

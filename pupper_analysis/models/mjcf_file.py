@@ -556,7 +556,7 @@ class MjcfFile:
             Place(self.path) if node is None else innermost_element(node, child, _find_child).place
         )
 
-    def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
+    def find_attribute(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
         """Return the location at which an attribute is set: in the element, or in a default class.
 
         Args:
@@ -573,7 +573,9 @@ class MjcfFile:
         setting_node = stating_element(self._roots[0], node, attributes)
         return None if setting_node is None else setting_node.place
 
-    def nth(self, body: str, tag: str, number: int, attributes: Collection[str] = ()) -> Place:
+    def place_of_nth(
+        self, body: str, tag: str, number: int, attributes: Collection[str] = ()
+    ) -> Place:
         """Return the location of an element without a name: the n-th with a tag in a body, from 0.
 
         Args:
@@ -599,12 +601,12 @@ class MjcfFile:
         return (setting_node or elements[number]).place
 
     @property
-    def lacking(self) -> tuple[str, ...]:
+    def missing_collision_meshes(self) -> tuple[str, ...]:
         """Missing files of collision meshes."""
         return self._list_missing("touching")
 
     @property
-    def bare(self) -> tuple[str, ...]:
+    def bodies_with_missing_meshes(self) -> tuple[str, ...]:
         """Bodies with removed geoms, because the files of the meshes are missing."""
         return self._list_missing("bodies")
 
@@ -622,7 +624,7 @@ class MjcfFile:
                 if node.tag == tag:
                     yield node.attributes, node.place
 
-    def numbered(self, section: str, number: int) -> Place:
+    def place_by_number(self, section: str, number: int) -> Place:
         """Return the location of an element without a name, by the number in a section.
 
         Args:

@@ -46,11 +46,11 @@ class TreeBody:
         return TreeBody(float(inertia.mass), np.array(inertia.lever), tensor, link)
 
     @property
-    def rigid(self) -> pin.Inertia:
+    def spatial_inertia(self) -> pin.Inertia:
         """Spatial inertia, in the frame of the body."""
         return make_inertia(self.mass, self.com, self.inertia)
 
-    def moved(self, pose: pin.SE3) -> TreeBody:
+    def transform(self, pose: pin.SE3) -> TreeBody:
         """Return the body, expressed in another frame.
 
         Args:
@@ -98,7 +98,7 @@ class TreeJoint:
         """Pose of the body in the frame of the parent body, at a joint position of zero."""
         return pin.SE3(self.rotation, self.position)
 
-    def placed(self, placement: pin.SE3) -> TreeJoint:
+    def with_placement(self, placement: pin.SE3) -> TreeJoint:
         """Return a copy of the joint, with another pose of the body in the frame of the parent."""
         position, rotation = np.array(placement.translation), np.array(placement.rotation)
         return replace(self, position=position, rotation=rotation)
@@ -145,7 +145,7 @@ class MultibodyTree:
             found.setdefault(joint.parent, []).append(name)
         return found
 
-    def carried_by(self, body: str) -> list[str]:
+    def list_frames(self, body: str) -> list[str]:
         """Return the names of the frames that are fixed to a body.
 
         Args:
@@ -162,9 +162,9 @@ class MultibodyTree:
 
     def parents_first(self) -> list[str]:
         """Return all joints in depth-first order, as required by Pinocchio."""
-        return self.below(self.base)
+        return self.list_descendants(self.base)
 
-    def below(self, body: str) -> list[str]:
+    def list_descendants(self, body: str) -> list[str]:
         """Return all joints below a body, in depth-first order."""
         order: list[str] = []
         pending = self.children(body)[::-1]
@@ -173,9 +173,9 @@ class MultibodyTree:
             pending += self.children(order[-1])[::-1]
         return order
 
-    def part(self, names: Collection[str]) -> MultibodyTree:
+    def select_joints(self, names: Collection[str]) -> MultibodyTree:
         """Return the tree with a subset of the joints, their bodies, and the frames on these."""
-        frames = [frame for name in names for frame in self.carried_by(name)]
+        frames = [frame for name in names for frame in self.list_frames(name)]
         return replace(
             self,
             bodies={name: self.bodies[name] for name in names},

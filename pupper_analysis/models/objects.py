@@ -64,7 +64,7 @@ class ObjectFiles:
     source: pin.Model | None
     folder: Path
 
-    def complete(self, mjcf: MjcfFile) -> MjcfFile:
+    def add_pinocchio_values(self, mjcf: MjcfFile) -> MjcfFile:
         """Return an MJCF that was made of the URDF, with armature, gravity and meshes in memory.
 
         Raises:

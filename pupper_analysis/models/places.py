@@ -30,10 +30,10 @@ class Place:
     element: str | None = None
 
     def __str__(self) -> str:
-        return f"{self.file.name}{self.within}"
+        return f"{self.file.name}{self.location_in_file}"
 
     @property
-    def within(self) -> str:
+    def location_in_file(self) -> str:
         """Location within the file, to be appended to the file name.
 
         Examples: ``":7"`` for line 7, ``":</Robot/base>"`` for an element in a file without lines,
@@ -46,7 +46,7 @@ class Place:
     @property
     def path(self) -> str:
         """Full path with line or element; CI services find the file by this text."""
-        return f"{self.file}{self.within}"
+        return f"{self.file}{self.location_in_file}"
 
     @property
     def source(self) -> Source:
@@ -110,7 +110,9 @@ def make_element_error(path: Path, element: etree._Element, problem: Diagnostic)
 def make_file_error(place: Place, problem: Diagnostic) -> ModelError:
     """Return the error for a problem of a file, or of a location in the file."""
     sources = problem.sources or (place.source,)
-    name = source_name(place.file, place.line) + (place.within if place.element is not None else "")
+    name = source_name(place.file, place.line) + (
+        place.location_in_file if place.element is not None else ""
+    )
     return ModelError(name, replace(problem, sources=sources))
 
 

@@ -49,7 +49,7 @@ class Pose:
         return transformed
 
     @property
-    def placed(self) -> pin.SE3:
+    def placement(self) -> pin.SE3:
         """The pose as Pinocchio's type."""
         return pin.SE3(self.rotation, self.position)
 
@@ -80,7 +80,7 @@ class Mesh:
     vertices: Array
     faces: Integers
 
-    def part(self, numbers: Array | Integers, faces: Array | Integers) -> Mesh:
+    def select(self, numbers: Array | Integers, faces: Array | Integers) -> Mesh:
         """Return a mesh of some vertices and triangles.
 
         Args:
@@ -99,7 +99,7 @@ class Mesh:
             hull = ConvexHull(self.vertices)
         except (QhullError, ValueError):
             return self
-        return self.part(hull.vertices, hull.simplices)
+        return self.select(hull.vertices, hull.simplices)
 
 
 class Terms(NamedTuple):
@@ -184,7 +184,7 @@ class Shape:
         return diagnose("shape", kind=Term(self.kind), sizes=sizes, x=x, y=y, z=z)
 
     @cached_property
-    def terms(self) -> Terms | None:
+    def minkowski_terms(self) -> Terms | None:
         """Terms of the Minkowski sum; None if the extent is unknown (missing mesh, plane)."""
         rotation, size, hull = self.pose.rotation, self.size, None
         bars, radii, ball = list[tuple[int, float]](), list[tuple[int, float]](), 0.0
@@ -232,9 +232,9 @@ class Shape:
         Returns:
             Values (n,) [m]; None if the extent is unknown.
         """
-        if self.terms is None:
+        if self.minkowski_terms is None:
             return None
-        centre, bars, radii, ball, hull = self.terms
+        centre, bars, radii, ball, hull = self.minkowski_terms
         support = directions @ np.array(centre) + ball
         if bars:
             support += np.abs(directions @ np.array(bars).T).sum(axis=1)
@@ -264,7 +264,7 @@ class Shape:
             at_x, at_y, height = position.tolist()
             u, v, w = a * xx + b * yx + c * u, a * xy + b * yy + c * v, a * xz + b * yz + c * w
             height = a * at_x + b * at_y + c * height
-        (x, y, z), bars, radii, ball, hull = self.terms  # type: ignore[misc]
+        (x, y, z), bars, radii, ball, hull = self.minkowski_terms  # type: ignore[misc]
         height += u * x + v * y + w * z - ball
         for x, y, z in bars:
             height -= abs(u * x + v * y + w * z)
@@ -274,7 +274,7 @@ class Shape:
             height += hull.dot((u, v, w)).min()
         return float(height)
 
-    def lowest(self, link: tuple[Array, Array], normal: Array) -> Array:
+    def find_lowest_point(self, link: tuple[Array, Array], normal: Array) -> Array:
         """Return the shape's lowest point along a plane's normal, shape (3,) [m], in the world.
 
         The extent of the shape must be known.
@@ -285,7 +285,7 @@ class Shape:
         """
         rotation, position = link
         local_normal = rotation.T @ normal
-        centre, bars, radii, ball, hull = self.terms  # type: ignore[misc]
+        centre, bars, radii, ball, hull = self.minkowski_terms  # type: ignore[misc]
         point = np.array(centre) - ball * local_normal
         for bar in bars:
             point -= math.copysign(1.0, local_normal @ bar) * np.array(bar)
@@ -314,9 +314,9 @@ class Shape:
             Centres, shape (n, 3) [m], in the frame of the body; None if the extent is unknown
             (missing mesh, plane).
         """
-        if self.terms is None:
+        if self.minkowski_terms is None:
             return None
-        centre, bars, radii, _, hull = self.terms
+        centre, bars, radii, _, hull = self.minkowski_terms
         points: Array = np.array([centre]) if hull is None else centre + hull
         summands = [np.array([[-1.0], [1.0]]) * bar for bar in bars]
         if radii:
@@ -332,9 +332,9 @@ class Shape:
         None if the extent is unknown.
         """
         centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
-        if centres is None or self.terms is None or not self.terms.ball:
+        if centres is None or self.minkowski_terms is None or not self.minkowski_terms.ball:
             return centres
-        return (centres[:, None] + self.terms.ball * _SPHERE_POINTS).reshape(-1, 3)
+        return (centres[:, None] + self.minkowski_terms.ball * _SPHERE_POINTS).reshape(-1, 3)
 
     @cached_property
     def collision(self) -> coal.CollisionGeometry:
@@ -416,6 +416,6 @@ def _read_hull(model: mujoco.MjModel, mesh: int) -> Mesh:
     num_corners, num_faces = model.mesh_graph[address : address + 2].tolist()
     numbers = model.mesh_graph[address + 2 + num_corners : address + 2 + 2 * num_corners]
     faces_address = address + 2 + 3 * num_corners + 3 * num_faces
-    return mesh_with_all_vertices.part(
+    return mesh_with_all_vertices.select(
         numbers, model.mesh_graph[faces_address : faces_address + 3 * num_faces].reshape(-1, 3)
     )

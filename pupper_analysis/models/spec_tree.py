@@ -131,7 +131,7 @@ class SpecTree:
         for child in body.find_all(mujoco.mjtObj.mjOBJ_BODY):
             yield child.name
 
-    def weight(self, link: str) -> float:
+    def link_mass(self, link: str) -> float:
         """Return the mass of a body [kg], computed from geoms if not specified."""
         return float(self._compiled_model.body(link).mass[0])
 
@@ -226,7 +226,7 @@ class SpecTree:
         for kind in ("spring", "damping"):
             attribute = BY_KIND[kind]
             values = np.atleast_1d(np.array(getattr(element, attribute.mjcf[0]), dtype=float))
-            values[0] = attribute.compiled(model, joint)
+            values[0] = attribute.read_compiled_value(model, joint)
             setattr(element, attribute.mjcf[0], values if len(values) > 1 else values[0])
         element.springdamper = (0.0, 0.0)
 

@@ -103,7 +103,7 @@ class ActuatorLaw:
     gear: float
 
     @property
-    def at_joint(self) -> tuple[float, float]:
+    def joint_gains(self) -> tuple[float, float]:
         """Stiffness and damping at the joint, which include the square of the gear.
 
         Units: N m/rad and N m s/rad for a hinge, N/m and N s/m for a slide.
@@ -138,7 +138,7 @@ class Drive(StrEnum):
     OTHER = "an actuator with another control law"
 
     @property
-    def bad(self) -> bool:
+    def has_invalid_stiffness(self) -> bool:
         """Whether the actuator is a servo whose parameters cannot hold the joint."""
         return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
@@ -187,7 +187,7 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     if len(motors) == 1:
         return kinds[0]
     if Drive.WRONG_SIGN in kinds:
-        stiffness = sum(read_actuator_law(model, motor).at_joint[0] for motor in motors)
+        stiffness = sum(read_actuator_law(model, motor).joint_gains[0] for motor in motors)
         return Drive.SERVO if stiffness > 0 else Drive.WRONG_SIGN
     return next((kind for kind in _TYPE_PRIORITY if kind in kinds), Drive.OTHER)
 
@@ -209,7 +209,7 @@ def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
     ):
         return Drive.OTHER
     law = read_actuator_law(model, motor)
-    stiffness, gain = law.at_joint[0], law.gain * law.gear**2
+    stiffness, gain = law.joint_gains[0], law.gain * law.gear**2
     if stiffness < 0 or (stiffness > 0 and gain < 0):
         return Drive.WRONG_SIGN
     if stiffness > 0:

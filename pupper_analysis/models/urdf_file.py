@@ -84,7 +84,7 @@ class UrdfFile:
         found = innermost_element(element, child, lambda parent, tag: parent.find(tag))
         return Place(self.path, line_of(found))
 
-    def nth(self, link: str, tag: str, number: int) -> Place:
+    def place_of_nth(self, link: str, tag: str, number: int) -> Place:
         """Return the location of the n-th element with a tag in a link, or of the link itself.
 
         Args:

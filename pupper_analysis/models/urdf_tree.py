@@ -133,7 +133,7 @@ class UrdfLink(UrdfElement):
                 yield tag, shape, None if geometry is None else next(iter(geometry), None)
 
     @property
-    def touches(self) -> bool:
+    def has_collision_shape(self) -> bool:
         """Whether the link has a collision shape."""
         return self.element.find("collision/geometry/*") is not None
 
@@ -186,14 +186,14 @@ class UrdfJoint(UrdfElement):
         """Pose of the joint frame in the parent link."""
         return origin_of(self.element)
 
-    def stated(self, attribute: JointAttribute) -> str | None:
+    def parameter_text(self, attribute: JointAttribute) -> str | None:
         """Return the text of a joint parameter; None if missing or not supported by URDF."""
         if attribute.urdf is None:
             return None
         element = self.element.find(attribute.urdf[0])
         return None if element is None else element.get(attribute.urdf[1])
 
-    def state(self, attribute: JointAttribute, value: float) -> None:
+    def set_parameter(self, attribute: JointAttribute, value: float) -> None:
         """Write a joint parameter that URDF can express into the XML element of the joint.
 
         Args:
@@ -207,7 +207,7 @@ class UrdfJoint(UrdfElement):
             element = etree.SubElement(self.element, tag, UNSTATED_LIMITS if tag == "limit" else {})
         element.set(word, repr(float(value)))
 
-    def follow(
+    def add_mimic(
         self, leader: str, multiplier: float, offset: float, digits: int | None = None
     ) -> None:
         """Add a ``<mimic>`` element: q = multiplier q_leader + offset."""
@@ -235,8 +235,8 @@ class UrdfJoint(UrdfElement):
         """Set the limits [rad, m]; a continuous joint becomes revolute."""
         if self.kind == "continuous":
             self.element.set("type", "revolute")
-        self.state(BY_KIND["lower limit"], lower)
-        self.state(BY_KIND["upper limit"], upper)
+        self.set_parameter(BY_KIND["lower limit"], lower)
+        self.set_parameter(BY_KIND["upper limit"], upper)
 
 
 def _scale_attribute(element: etree._Element | None, attribute: str, factor: float) -> None:
@@ -280,12 +280,12 @@ class UrdfTree:
         return {joint.name: joint for joint in joints}
 
     @cached_property
-    def above(self) -> dict[str, UrdfJoint]:
+    def parent_joints(self) -> dict[str, UrdfJoint]:
         """{link: joint whose child is the link}; the base has no entry."""
         return {joint.child: joint for joint in self.joints.values()}
 
     @cached_property
-    def below(self) -> dict[str, list[UrdfJoint]]:
+    def child_joints(self) -> dict[str, list[UrdfJoint]]:
         """{link: joints whose parent is the link}, for links with such joints."""
         joints_by_parent: dict[str, list[UrdfJoint]] = {}
         for joint in self.joints.values():
@@ -299,25 +299,25 @@ class UrdfTree:
 
     def parent(self, link: str) -> str | None:
         """Return the parent link; None for the base."""
-        return self.above[link].parent if link in self.above else None
+        return self.parent_joints[link].parent if link in self.parent_joints else None
 
     def movers(self, link: str) -> tuple[str, ...]:
         """Return the name of the joint that moves a link as a tuple; empty if fixed or the base."""
-        joint = self.above.get(link)
+        joint = self.parent_joints.get(link)
         return () if joint is None or joint.is_fixed else (joint.name,)
 
     def moved_by(self, joint: str) -> str | None:
         """Return the child link of a joint; None if there is no such joint."""
         return self.joints[joint].child if joint in self.joints else None
 
-    def weight(self, link: str) -> float:
+    def link_mass(self, link: str) -> float:
         """Return the specified mass of a link [kg]; 0 if missing."""
         return self.links[link].mass or 0.0
 
     @property
     def base(self) -> UrdfLink:
         """Link without a parent."""
-        return next(link for name, link in self.links.items() if name not in self.above)
+        return next(link for name, link in self.links.items() if name not in self.parent_joints)
 
     @property
     def moving(self) -> list[UrdfJoint]:
@@ -333,7 +333,7 @@ class UrdfTree:
         """Return a link and all descendants that are fixed to this link, breadth first."""
         group = [link]
         for name in group:
-            group += [joint.child for joint in self.below.get(name, ()) if joint.is_fixed]
+            group += [joint.child for joint in self.child_joints.get(name, ()) if joint.is_fixed]
         return group
 
     def subtree(self, link: str) -> Iterator[str]:
@@ -342,13 +342,13 @@ class UrdfTree:
         while pending:
             name = pending.pop()
             yield name
-            pending += [joint.child for joint in reversed(self.below.get(name, ()))]
+            pending += [joint.child for joint in reversed(self.child_joints.get(name, ()))]
 
     def chain(self, link: str) -> Iterator[UrdfJoint]:
         """Yield the joints from a link to the base."""
-        while link in self.above:
-            yield self.above[link]
-            link = self.above[link].parent
+        while link in self.parent_joints:
+            yield self.parent_joints[link]
+            link = self.parent_joints[link].parent
 
     def fix(self, names: Collection[str]) -> None:
         """Change joints to fixed joints; unknown names are ignored."""
@@ -364,15 +364,15 @@ class UrdfTree:
     def remove_subtree(self, link: str) -> None:
         """Remove a link, all descendants and their joints."""
         for name in list(self.subtree(link)):
-            if name in self.above:
-                self.root.remove(self.above[name].element)
+            if name in self.parent_joints:
+                self.root.remove(self.parent_joints[name].element)
             self.root.remove(self.links[name].element)
         self._clear_cache()
 
     def remove_base(self) -> None:
         """Remove the base and the joints on the base."""
         base = self.base
-        for joint in self.below.get(base.name, ()):
+        for joint in self.child_joints.get(base.name, ()):
             self.root.remove(joint.element)
         self.root.remove(base.element)
         self._clear_cache()
@@ -453,10 +453,10 @@ class UrdfTree:
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
         """Multiply a joint parameter by a factor; no effect if the parameter is missing."""
-        text = self.joints[joint].stated(attribute)
+        text = self.joints[joint].parameter_text(attribute)
         if text is not None:
-            self.joints[joint].state(attribute, float(text) * float(factor))
+            self.joints[joint].set_parameter(attribute, float(text) * float(factor))
 
     def _clear_cache(self) -> None:
-        for name in ("links", "joints", "above", "below"):
+        for name in ("links", "joints", "parent_joints", "child_joints"):
             self.__dict__.pop(name, None)

@@ -292,12 +292,12 @@ def _sample_surface(
     """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
     points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
-    if points is None or shape.terms is None:
+    if points is None or shape.minkowski_terms is None:
         return
     for point in points:
-        yield point, shape.terms.ball
-    if len(shape.terms.radii) == 3:  # no point of the globe is lowest
-        yield shape.lowest((np.eye(3), np.zeros(3)), up), 0.0
+        yield point, shape.minkowski_terms.ball
+    if len(shape.minkowski_terms.radii) == 3:  # no point of the globe is lowest
+        yield shape.find_lowest_point((np.eye(3), np.zeros(3)), up), 0.0
 
 
 def _find_tip_contact(

@@ -215,7 +215,7 @@ def _lift_null_efforts(robot: Robot) -> Robot:
         return robot
     urdf = UrdfTree.of(robot.description.urdf)
     for name in null:
-        urdf.joints[name].state(BY_KIND["effort"], UNSTATED)
+        urdf.joints[name].set_parameter(BY_KIND["effort"], UNSTATED)
     return rebuild_robot(robot, urdf=to_text(urdf.root), null_efforts={})
 
 

@@ -288,7 +288,7 @@ def _locate_link(
             frame,
             list(dict.fromkeys([*links, *sites, *bodies])),
         )
-        raise unknown.at(diagnose("of-foot", subject=("foot", name)))
+        raise unknown.with_location(diagnose("of-foot", subject=("foot", name)))
     joint = model.names[model.frames[number].parentJoint]
     if joint in robot.joint_names:
         body = int(robot.mj_model.jnt_bodyid[robot.mj_model.joint(joint).id])

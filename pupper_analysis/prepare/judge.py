@@ -109,7 +109,7 @@ def judge_simulation(
     remarks = (
         *(remark for remark in (null, masses, unknown) if remark is not None),
         *report_limbs_without_feet(robot),
-        *(robot.description.replaced_soles() if stand.stance_feet else ()),
+        *(robot.description.report_replaced_soles() if stand.stance_feet else ()),
         *list_file_remarks(robot),
         *_report_buried_feet(robot, stand, statics),
     )

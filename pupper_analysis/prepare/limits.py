@@ -51,7 +51,7 @@ def _remedy(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
         return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}
     joint, statement = found
     return {
-        "other": Quantity(statement.least, "N m"),
+        "other": Quantity(statement.symmetric_torque, "N m"),
         "other_file": statement.file,
         "other_name": joint,
         "other_attribute": statement.attribute,

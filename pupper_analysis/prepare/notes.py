@@ -103,7 +103,7 @@ def report_added_servos(
     """
     bad: dict[str, list[str]] = {}
     for servo in servos:
-        if servo.instead_of.bad:
+        if servo.instead_of.has_invalid_stiffness:
             bad.setdefault(str(servo.instead_of.value), []).append(servo.joint)
     for what, names in bad.items():
         yield diagnose("servos-replaced", what=Term(what), joints=names)

@@ -474,7 +474,7 @@ def _command_offset(
     """
     actuators = list_joint_actuators(published.model, published.model.joint(joint).id)
     laws = [read_actuator_law(published.model, actuator) for actuator in actuators]
-    if len(actuators) != 1 or laws[0].at_joint[0] <= 0:
+    if len(actuators) != 1 or laws[0].joint_gains[0] <= 0:
         return None
     force = laws[0].gain * float(ctrl[published.model.actuator_ctrladr[actuators[0]]])
     return force / (laws[0].stiffness * laws[0].gear) - position

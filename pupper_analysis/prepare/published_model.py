@@ -496,11 +496,11 @@ def _set_position_commands(
     part of the published model.
     """
     laws = {actuator: read_actuator_law(model, actuator) for actuator in actuators}
-    stiffness_sum = sum(law.at_joint[0] for law in laws.values())
+    stiffness_sum = sum(law.joint_gains[0] for law in laws.values())
     for actuator, law in laws.items():
-        if law.gain == 0 or law.at_joint[0] == 0:
+        if law.gain == 0 or law.joint_gains[0] == 0:
             continue
-        torque_share = torque * law.at_joint[0] / stiffness_sum if stiffness_sum else 0.0
+        torque_share = torque * law.joint_gains[0] / stiffness_sum if stiffness_sum else 0.0
         command = law.gear * target + torque_share / (law.gear * law.stiffness)
         ctrl[int(model.actuator_ctrladr[actuator])] = command
 

@@ -406,7 +406,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
     if run is None or not run.fails or model is None:
         return run
     published = PublishedModel.of(model, robot)
-    if any(drive.bad for drive in published.drives):
+    if any(drive.has_invalid_stiffness for drive in published.drives):
         return run  # the bad servos are reported, and make other causes meaningless
     causes = list_command_causes(run, published) or _find_run_causes(run, published, robot)
     return replace(run, causes=add_lines(causes, robot))
@@ -538,7 +538,7 @@ def find_difference_causes(
         is_repaired = in_place and new_run.torque_error <= TORQUE_RTOL < run.torque_error
         return new_run.torque_error if is_repaired or not new_run.differs else None
 
-    if any(drive.bad for drive in published.drives):
+    if any(drive.has_invalid_stiffness for drive in published.drives):
         return ()  # bad servos are reported, and make other causes meaningless
     candidates, physical = (
         list_candidate_causes(published, robot),

@@ -182,7 +182,7 @@ class ScalableVariant:
         """{``leg_scale`` or ``torso_mass_scale``: value in ``spec``}, factors on the base model."""
         return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
 
-    def scaled(self, scales: Mapping[str, float]) -> VariantSpec:
+    def with_scales(self, scales: Mapping[str, float]) -> VariantSpec:
         """Return the variant with some scale factors replaced.
 
         Args:

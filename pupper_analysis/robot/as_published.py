@@ -45,7 +45,7 @@ class ServosUsed:
     @property
     def replaced(self) -> tuple[MadeServo, ...]:
         """Added servos that replace a servo of the MJCF with invalid parameters."""
-        return tuple(servo for servo in self.made if servo.instead_of.bad)
+        return tuple(servo for servo in self.made if servo.instead_of.has_invalid_stiffness)
 
 
 MIN_UNHELD_DISPLACEMENT = 0.05

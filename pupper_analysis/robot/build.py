@@ -464,12 +464,12 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     new_limits, messages = dict(robot.description.efforts), []
     old_limits = {limit.joint: limit for limit in robot.efforts}
     for name, effort in efforts.items():
-        urdf.joints[name].state(BY_KIND["effort"], effort)
+        urdf.joints[name].set_parameter(BY_KIND["effort"], effort)
         mjcf.limit_effort(name, effort)
         range_ = (-effort, effort)
         origin = EffortStatement.of("", "joint", name, "effort", range_)
         new_limits[name] = EffortLimit(name, *range_, origin, (origin,))
-        old_limit = old_limits[name].least
+        old_limit = old_limits[name].symmetric_torque
         messages.append(
             diagnose(
                 "effort-in-place-of",

@@ -82,7 +82,7 @@ class EngineModels:
             frame = model.getFrameId(shape.link, pin.FrameType.BODY)
             owner = model.frames[frame]
             name = f"{self.mj_model.geom(shape.geom).name or 'geom'}_{shape.geom}"
-            pose = owner.placement * shape.form.pose.placed
+            pose = owner.placement * shape.form.pose.placement
             result.addGeometryObject(
                 pin.GeometryObject(name, owner.parentJoint, frame, pose, shape.form.collision)
             )

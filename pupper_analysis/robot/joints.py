@@ -165,7 +165,9 @@ def named_positions(
     for pattern, value in joints.items():
         chosen = [joint for joint in robot.joint_names if fnmatchcase(joint, pattern)]
         if not chosen:
-            raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).at(argument)
+            raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).with_location(
+                argument
+            )
         position = check_finite(f"{argument} {pattern!r}", value)
         for joint in chosen:
             positions[joint] = Position(position, joint_unit(robot, joint))

@@ -99,16 +99,16 @@ def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
     for limit in limits:
         joint, by_file = (
             ("joint", limit.joint),
-            sorted(limit.stated, key=lambda statement: statement.least),
+            sorted(limit.stated, key=lambda statement: statement.symmetric_torque),
         )
         unused = next((other for other in by_file[1:] if other.file != by_file[0].file), None)
         if (
             unused
             and limit.origin is not None
-            and not _are_equal_efforts(by_file[0].least, unused.least)
+            and not _are_equal_efforts(by_file[0].symmetric_torque, unused.symmetric_torque)
         ):
-            most = Quantity(unused.least, "N m")
-            least = Quantity(by_file[0].least, "N m")
+            most = Quantity(unused.symmetric_torque, "N m")
+            least = Quantity(by_file[0].symmetric_torque, "N m")
             message = diagnose(
                 "lesser-effort", subject=joint, file=by_file[0].file, least=least, unused=most
             )
@@ -569,7 +569,7 @@ class Robot(EngineModels):
 
         The value is the smallest limit that the URDF and the MJCF state for the joint.
         """
-        limits = np.array([limit.least for limit in self.efforts], dtype=float)
+        limits = np.array([limit.symmetric_torque for limit in self.efforts], dtype=float)
         limits.flags.writeable = False
         return limits
 

@@ -100,7 +100,7 @@ def shapes_of(
                 body=body,
                 link=link,
                 joint=carriers.joints[moving_body],
-                form=replace(shape, pose=Pose.of(place.actInv(shape.pose.placed))),
+                form=replace(shape, pose=Pose.of(place.actInv(shape.pose.placement))),
                 on_ground=ground is not None and may_touch(model, geom, ground),
             )
         )

@@ -314,7 +314,7 @@ class ClearanceShapes:
         if _is_plane(ground):
             normal = ground.normal()
             shapes = [part.shape for part in self.parts]
-            ends = [(s.form.lowest(there.links[s.link], normal), normal) for s in shapes]
+            ends = [(s.form.find_lowest_point(there.links[s.link], normal), normal) for s in shapes]
         else:
             steps = self._measure_above_steps(there, ground, targets)
             ends = [(near.getNearestPoint1(), -near.normal) for near in steps]

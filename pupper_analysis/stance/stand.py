@@ -182,14 +182,14 @@ def solve_stands(
         try:  # equal foot targets are reused from the previous goal
             goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
         except (ConfigurationError, UnknownNameError) as error:
-            raise error.at(f"tasks[{number}]") from None
+            raise error.with_location(f"tasks[{number}]") from None
     with lend(robot, SearchContext) as context:
         for number, goal in enumerate(goals):
             next_stand = _continue_sequence(context, goal, [stand.qpos for stand in solved[:-5:-1]])
             try:
                 solved.append(next_stand or solve_goal(context, goal, explain=explain))
             except StanceUnreachableError as error:
-                raise error.at(f"tasks[{number}]") from None
+                raise error.with_location(f"tasks[{number}]") from None
     return tuple(attach_robot(stand, owner) for stand in solved)
 
 

@@ -50,7 +50,7 @@ def stated_urdf() -> UrdfTree:
     tree = UrdfTree.of(URDF)
     for one in JOINT_ATTRIBUTES:
         if one.urdf is not None:
-            tree.joints["j"].state(one, VALUES[one.kind])
+            tree.joints["j"].set_parameter(one, VALUES[one.kind])
     return tree
 
 
@@ -101,7 +101,7 @@ def test_springdamper_equals_its_stiffness_and_damping(tmp_path: Path) -> None:
     damping, spring = (
         next(a for a in PASSIVE_ATTRIBUTES if a.kind == kind) for kind in ("damping", "spring")
     )
-    made = damping.compiled(file.model, 1), spring.compiled(file.model, 1)
+    made = damping.read_compiled_value(file.model, 1), spring.read_compiled_value(file.model, 1)
     # Of a time constant T and a damping ratio z, MuJoCo makes d = 2 M / T and k = M / (T z)^2.
     assert made[0] / made[1] == pytest.approx(2 * 0.2 * 0.5**2)
     stated = read_mjcf_model(file).joints["j"].stated
@@ -109,8 +109,8 @@ def test_springdamper_equals_its_stiffness_and_damping(tmp_path: Path) -> None:
     tree = SpecTree(file.spec.copy())
     tree.scale("j", damping, 2.0)
     model = tree.spec.compile()
-    assert damping.compiled(model, 1) == pytest.approx(2 * made[0])
-    assert spring.compiled(model, 1) == pytest.approx(made[1])
+    assert damping.read_compiled_value(model, 1) == pytest.approx(2 * made[0])
+    assert spring.read_compiled_value(model, 1) == pytest.approx(made[1])
     found = {change.kind: change for change in pa.diff_models(one, two).changes}
     assert {"damping", "spring"} <= set(found)
     assert found["damping"].old == pytest.approx(made[0])

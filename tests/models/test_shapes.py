@@ -52,7 +52,7 @@ def test_shape_height_equals_mujoco(kind: str) -> None:
         turn, place = data.xmat[body].reshape(3, 3), data.xpos[body]
         expected = mujoco.mj_geomDistance(model, data, 0, 1, 99.0, None)
         height = shape.height((turn, place), tuple((-down).tolist()))
-        lowest = shape.lowest((turn, place), -down)
+        lowest = shape.find_lowest_point((turn, place), -down)
         reach = shape.support((down @ turn)[None])
         assert reach is not None
         assert height == pytest.approx(expected, abs=1e-6)

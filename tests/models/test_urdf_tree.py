@@ -24,11 +24,11 @@ def built(tree: UrdfTree) -> pin.Model:
 
 def test_the_base_is_the_link_that_no_joint_moves(tree: UrdfTree) -> None:
     assert tree.base.name == "base"
-    assert "base" not in tree.above
+    assert "base" not in tree.parent_joints
     assert len(tree.links) == len(tree.joints) + 1
     for name, joint in tree.joints.items():
-        assert tree.above[joint.child].name == name
-        assert name in [other.name for other in tree.below[joint.parent]]
+        assert tree.parent_joints[joint.child].name == name
+        assert name in [other.name for other in tree.child_joints[joint.parent]]
 
 
 def test_links_on_fixed_joints_form_one_group(tree: UrdfTree) -> None:
@@ -72,7 +72,7 @@ def test_an_added_link_has_its_weight_at_its_place(tree: UrdfTree) -> None:
     weight = pin.Inertia(0.7, np.array([0.01, 0.02, 0.03]), np.diag([1e-3, 2e-3, 2.5e-3]))
     place = np.array([0.1, -0.2, 0.3])
     tree.add_link("rod", "shank2", "rod_held", place, weight)
-    assert tree.above["rod"].is_fixed
+    assert tree.parent_joints["rod"].is_fixed
     assert tree.links["rod"].mass == pytest.approx(0.7)
     after = built(tree)
     frame = before.frames[before.getFrameId("shank2")].placement * pin.SE3(np.eye(3), place)

@@ -80,7 +80,7 @@ def test_each_error_is_equal_after_pickling(
     attributes.pop("at", None)
     error = kind.__new__(kind, message)
     vars(error).update(attributes)
-    for one in (error, error.at("there")):
+    for one in (error, error.with_location("there")):
         back = copied(one)
         assert type(back) is kind
         assert (back.args, vars(back), str(back)) == (one.args, vars(one), str(one))

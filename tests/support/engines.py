@@ -142,7 +142,9 @@ def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
     if parameters.floating:
         flyer = pin.JointModelFreeFlyer()
         index[parameters.base] = model.addJoint(0, flyer, still, "__free__")
-    model.appendBodyToJoint(index[parameters.base], parameters.bodies[parameters.base].rigid, still)
+    model.appendBodyToJoint(
+        index[parameters.base], parameters.bodies[parameters.base].spatial_inertia, still
+    )
     order = parameters.parents_first()
     for name in order:
         joint = parameters.joints[name]
@@ -161,7 +163,7 @@ def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
             np.array([joint.lower]),
             np.array([joint.upper]),
         )
-        model.appendBodyToJoint(index[name], parameters.bodies[name].rigid, still)
+        model.appendBodyToJoint(index[name], parameters.bodies[name].spatial_inertia, still)
     offset = 6 if parameters.floating else 0
     joints = [parameters.joints[name] for name in order]
     for one in (one for one in JOINT_ATTRIBUTES if one.pinocchio):

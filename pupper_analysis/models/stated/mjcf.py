@@ -68,7 +68,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
         copied.id: original for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
     frames: dict[int, list[Frame]] = {}
-    bodies_without_meshes = set(file.bare)
+    bodies_without_meshes = set(file.bodies_with_missing_meshes)
     for site in range(model.nsite):
         frame = Frame(model.site(site).name, np.array(model.site_pos[site]))
         frames.setdefault(int(model.site_bodyid[site]), []).append(frame)
@@ -226,8 +226,11 @@ def _stated_values(
         value = float(np.atleast_1d(getattr(spec_joint, main_word))[0])
         # springdamper has priority over stiffness and damping
         if any(np.any(getattr(spec_joint, word)) for word in other_words):
-            value = attribute.compiled(model, joint)
-        if value or file.stated("joint", spec_joint.name or body, attribute.mjcf) is not None:
+            value = attribute.read_compiled_value(model, joint)
+        if (
+            value
+            or file.find_attribute("joint", spec_joint.name or body, attribute.mjcf) is not None
+        ):
             values[attribute.kind] = value
     return values
 
@@ -270,8 +273,8 @@ def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
     words = _WORD_GROUPS.get(word, (word,))
     if not name:
         number = geom - int(model.body_geomadr[body])
-        return file.nth(model.body(body).name, "geom", number, words)
-    return (file.stated("geom", name, words) if words else None) or file.place("geom", name)
+        return file.place_of_nth(model.body(body).name, "geom", number, words)
+    return (file.find_attribute("geom", name, words) if words else None) or file.place("geom", name)
 
 
 _WORD_GROUPS: Final = {

@@ -63,7 +63,7 @@ class Inertial:
         return Inertial(float(inertia.mass), com, tensor, stated, rounding)
 
     @property
-    def rigid(self) -> pin.Inertia:
+    def spatial_inertia(self) -> pin.Inertia:
         """The spatial inertia, as Pinocchio's type."""
         return make_inertia(self.mass, self.com, self.inertia)
 
@@ -213,11 +213,11 @@ class RobotModel:
         """Whether the file specifies angles in degrees."""
         return False
 
-    def inertial_part(self, part: str) -> str:
+    def inertial_path(self, part: str) -> str:
         """Return the path below a body to the ``mass``, ``origin`` or ``inertia`` in the format."""
         return f"inertial/{part}" if self.format == "urdf" else "inertial"
 
-    def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
+    def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
         """Return the name of a joint parameter in the format, and the child element (or None)."""
         if self.format == "urdf" and attribute.urdf is not None:
             return " ".join(attribute.urdf), attribute.urdf[0]
@@ -243,7 +243,7 @@ class RobotModel:
                 group += self.fixed_group(child.name)
         return group
 
-    def carrier(self, name: str) -> str:
+    def find_moving_body(self, name: str) -> str:
         """Return a body if it moves; else its nearest moving ancestor, or the root."""
         link = self.links.get(name)
         while link is not None and not link.moving and link.parent is not None:

@@ -44,7 +44,7 @@ def read_urdf_model(file: UrdfFile) -> UrdfModel:
     root = tree.base
     bodies = {root.name: _make_link(file, root, None, Pose(), ())}
     for parent in (pending := [root.name]):
-        for joint in tree.below.get(parent, []):
+        for joint in tree.child_joints.get(parent, []):
             name = joint.child
             pose = bodies[parent].pose * _read_origin(joint.element)
             bodies[name] = _make_link(
@@ -88,7 +88,7 @@ def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
 
 def _stated_values(joint: UrdfJoint) -> dict[str, float]:
     """Return {kind: value} of the joint parameters that the file specifies."""
-    texts = {attribute.kind: joint.stated(attribute) for attribute in JOINT_ATTRIBUTES}
+    texts = {attribute.kind: joint.parameter_text(attribute) for attribute in JOINT_ATTRIBUTES}
     found = {kind: float(text) for kind, text in texts.items() if text is not None}
     # The reader adds values of UNSTATED to a <limit> that lacks them.
     return {

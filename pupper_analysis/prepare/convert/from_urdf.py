@@ -226,7 +226,7 @@ class UrdfBodies:
                 self.notes.append(diagnose("empty-shape-left", subject=subject, tag=kind))
             else:
                 self._add_shape(body, link.name, kind, shape, geometry)
-        for joint in self.tree.below.get(link.name, ()):
+        for joint in self.tree.child_joints.get(link.name, ()):
             xyz, rpy = _read_origin(joint.element)
             inner = add_element(body, "body", name=joint.child, pos=xyz, euler=rpy)
             self._add_joint(inner, joint)
@@ -587,7 +587,7 @@ def convert_urdf_in_memory(
 def _remove_massless_root(tree: UrdfTree) -> bool:
     """Remove a root link without mass above a floating joint, in place; return True if removed."""
     base = tree.base
-    below = tree.below.get(base.name, [])
+    below = tree.child_joints.get(base.name, [])
     is_floating = base.inertial is None and [joint.kind for joint in below] == ["floating"]
     if is_floating:
         tree.remove_base()
@@ -599,5 +599,7 @@ def _has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
     base = tree.base.name
     if base == WORLD_LINK or is_floating:
         return is_floating
-    carried = [joint for link in tree.fixed_group(base) for joint in tree.below.get(link, ())]
+    carried = [
+        joint for link in tree.fixed_group(base) for joint in tree.child_joints.get(link, ())
+    ]
     return sum(not joint.is_fixed for joint in carried) >= MIN_FREE_BASE_LIMBS

@@ -163,7 +163,7 @@ def read_pair(
         if in_memory.source is None or pair.converted != "mjcf":
             return pair
         # MuJoCo's import of the URDF would lack the armature.
-        return replace(pair, mjcf=in_memory.complete(pair.mjcf), imported=None)
+        return replace(pair, mjcf=in_memory.add_pinocchio_values(pair.mjcf), imported=None)
 
 
 def _is_xacro(model: str | Path, packages: Mapping[str, Path]) -> bool:

@@ -103,7 +103,7 @@ class LinkBodies:
 
     def moves(self, body: str) -> bool:
         """Return True if a body can move relative to its parent, or is a free base."""
-        joint = self.tree.above.get(body)
+        joint = self.tree.parent_joints.get(body)
         return self.free if joint is None else not joint.is_fixed
 
     def inertia(self, body: str) -> pin.Inertia | None:
@@ -126,10 +126,10 @@ class LinkBodies:
         while waiting:
             current, placement = waiting.pop(0)
             yield current, placement
-            below = [joint for joint in self.tree.below.get(current, ()) if joint.is_fixed]
+            below = [joint for joint in self.tree.child_joints.get(current, ()) if joint.is_fixed]
             neighbours = [(joint.child, joint.origin.inverse()) for joint in below]
             if self.carried(current):
-                joint = self.tree.above[current]
+                joint = self.tree.parent_joints[current]
                 neighbours.insert(0, (joint.parent, joint.origin))
             for neighbour, offset in neighbours:
                 if neighbour not in known:
@@ -258,7 +258,7 @@ def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
     new = make_inertia(mass, old.lever, axes @ np.diag(new_moments) @ axes.T)
     bodies.tree.links[body].set_inertia(new, NUM_DIGITS)
     moved = _find_carrier(bodies, body)[0]
-    joint = bodies.tree.above.get(moved)
+    joint = bodies.tree.parent_joints.get(moved)
     return Repair(
         link=body,
         body=moved if joint is None or joint.is_fixed else joint.name,
@@ -286,7 +286,7 @@ def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple
     """
     placement = pin.SE3.Identity()
     while bodies.carried(body) and not (bare and bodies.inertia(body) is not None):
-        above = bodies.tree.above[body]
+        above = bodies.tree.parent_joints[body]
         body, placement = above.parent, above.origin * placement
     return body, placement
 
@@ -300,7 +300,7 @@ def _make_inertia_error(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> Mode
 
 def _make_mass_error(urdf: UrdfFile, body: str) -> ModelError:
     """Return the error for a moving body without mass."""
-    above = urdf.tree.above.get(body)
+    above = urdf.tree.parent_joints.get(body)
     joint = None if above is None else above.name
     problem = diagnose("link-without-mass", subject=("link", body), joint=joint)
     return make_file_error(urdf.place("link", body), problem)
@@ -327,7 +327,7 @@ def move_massless_shapes(bodies: LinkBodies) -> list[str]:
     Returns:
         Names of the bodies whose shapes were moved.
     """
-    touching = {name for name, link in bodies.tree.links.items() if link.touches}
+    touching = {name for name, link in bodies.tree.links.items() if link.has_collision_shape}
     carriers = {name: _find_carrier(bodies, name, bare=True) for name in bodies.names}
     moved = [name for name, (to, _) in carriers.items() if to != name and name in touching]
     for name in moved:

@@ -322,7 +322,7 @@ def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
             ):
                 references = model.qpos0[model.jnt_qposadr[[first, second]]]
                 offset = float(references[0] + polynomial[0] - polynomial[1] * references[1])
-                joints[follower].follow(leader, polynomial[1], offset, NUM_DIGITS)
+                joints[follower].add_mimic(leader, polynomial[1], offset, NUM_DIGITS)
                 continue
         left.append(diagnose("equality-not-in-urdf", number=index + 1, kind=Term(name)))
     return left
@@ -390,7 +390,7 @@ class UrdfShapes:
     def _convert_geom(self, geom: int) -> list[ShapeGeometry]:
         """Return the shapes of a geom in a URDF, with the poses in the frame of the body."""
         shape = read_shape(self.model, geom)
-        placed, size = shape.pose.placed, np.array(shape.size)
+        placed, size = shape.pose.placement, np.array(shape.size)
         match shape.kind:
             case "sphere":
                 return [("sphere", {"radius": write_numbers(size[0])}, placed)]

@@ -152,7 +152,11 @@ class Behaviour:
 
     def __call__(self, values: MultibodyTree) -> dict[str, Array]:
         """Return {quantity: values at all states} of a tree."""
-        if self._tree is None or self._evaluate_tree is None or not self._tree.fits(values):
+        if (
+            self._tree is None
+            or self._evaluate_tree is None
+            or not self._tree.has_structure_of(values)
+        ):
             self._tree = MujocoTree(values)
             model = self._tree.model
             frames = {name: (name, name) for name in values.frames}
@@ -161,7 +165,7 @@ class Behaviour:
             reference = Reference(model, model, robot.joint_names, self._tree.base)
             self._evaluate_tree = MujocoBehaviour(robot, reference, self.states, {})
         else:
-            self._tree.take(values)
+            self._tree.copy_parameters(values)
         return self._evaluate_tree(self._tree.model)
 
 

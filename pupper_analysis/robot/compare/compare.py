@@ -178,7 +178,7 @@ def _collect_limb_shapes(
         _PlacedShape(
             shape,
             shape.placed_in(link_origin_pose * part.pose),
-            partial(urdf_file.nth, part.name, "collision", number),
+            partial(urdf_file.place_of_nth, part.name, "collision", number),
         )
         for part in urdf_model.fixed_group(link)
         for number, shape in enumerate(shape for shape in part.shapes if shape.collides)

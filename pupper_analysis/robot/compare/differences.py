@@ -663,7 +663,7 @@ def _compare_joint_parameters(
     for attribute in TREE_ATTRIBUTES:
         kind, field, unit = attribute.kind, attribute.field, attribute.unit(one.slides)
         first, second = float(getattr(one, field)), float(getattr(two, field))
-        if not (sides.alike or attribute.in_both):
+        if not (sides.alike or attribute.is_in_both_formats):
             continue  # not supported by one format, which has the other's value
         tolerance = getattr(tolerances, attribute.tolerance)
         if first == second or (

@@ -163,7 +163,7 @@ def _joint_bits(
         _angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
     )
     total += measure_body_deviation(first.bodies[name], second.bodies[name], tolerances)
-    for frame in first.carried_by(name):
+    for frame in first.list_frames(name):
         owner, position = second.frames[frame]
         if owner == name:
             distance = float(np.linalg.norm(position - first.frames[frame][1]))
@@ -220,7 +220,7 @@ def _matching_points(
     for child in first.children(name):
         if second.joints[child].parent == name:
             yield first.joints[child].position, second.joints[child].position
-    for frame in first.carried_by(name):
+    for frame in first.list_frames(name):
         owner, position = second.frames[frame]
         if owner == name:
             yield first.frames[frame][1], position

@@ -323,7 +323,7 @@ def apply_conventions(
     tree = UrdfTree(root)
     if conventions.base is not None:
         inertial = tree.links[link].inertial
-        below = [joint.element for joint in tree.below.get(link, ())]
+        below = [joint.element for joint in tree.child_joints.get(link, ())]
         for element in below if inertial is None else [*below, inertial]:
             set_origin(element, conventions.base * origin_of(element))
     for name, mover in tree.joints.items():

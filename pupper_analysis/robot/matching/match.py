@@ -151,7 +151,7 @@ def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovableP
     while carrier is not None and not tree.movers(carrier):
         carrier = tree.parent(carrier)
     mover = tree.movers(carrier)[-1] if carrier is not None else ""
-    return RemovablePart(link, mover, joints, sum(map(tree.weight, inside)))
+    return RemovablePart(link, mover, joints, sum(map(tree.link_mass, inside)))
 
 
 def remove_parts(
@@ -493,25 +493,25 @@ def copy_unstated_values(
     Returns:
         {``damping`` or ``friction``: joints with copied values}.
     """
-    optional = [attribute for attribute in PASSIVE_ATTRIBUTES if attribute.in_both]
+    optional = [attribute for attribute in PASSIVE_ATTRIBUTES if attribute.is_in_both_formats]
     copied: dict[str, list[str]] = {attribute.kind: [] for attribute in optional}
     movable_joints = [joint for joint in UrdfTree(root).joints.values() if not joint.is_fixed]
     incomplete = [
         joint
         for joint in movable_joints
-        if any(joint.stated(attribute) is None for attribute in optional)
+        if any(joint.parameter_text(attribute) is None for attribute in optional)
     ]
     if not (incomplete or unknown.get("effort")):
         return dict.fromkeys(copied, ())
     effort = BY_KIND["effort"]
     for name in (pairs.get(name, name) for name in unknown.get("effort", ())):
         if name in theirs and math.isfinite(theirs[name].effort):
-            UrdfTree(root).joints[name].state(effort, theirs[name].effort)
+            UrdfTree(root).joints[name].set_parameter(effort, theirs[name].effort)
     for joint in incomplete:
         for attribute in optional if joint.name in theirs else ():
             value = float(getattr(theirs[joint.name], attribute.field))
-            if value and joint.stated(attribute) is None:
-                joint.state(attribute, value)
+            if value and joint.parameter_text(attribute) is None:
+                joint.set_parameter(attribute, value)
                 copied[attribute.kind].append(joint.name)
     return {kind: tuple(names) for kind, names in copied.items()}
 
@@ -540,7 +540,7 @@ def copy_unknown_values(
     for kind, names in unknown.items():
         attribute = BY_KIND[kind]
         texts = {
-            name: urdf_joints[name].stated(attribute)
+            name: urdf_joints[name].parameter_text(attribute)
             for name in names
             if name in urdf_joints.keys() & mjcf_joints
         }

@@ -84,7 +84,7 @@ class UrdfSources:
             return file.place("link", self.links[self.base[0]], child)
         if kind == "frame":
             link = self.frames.get(element, element)
-            joint = file.tree.above.get(link)
+            joint = file.tree.parent_joints.get(link)
             if joint is None:
                 return file.place("link", link)
             return file.place("joint", joint.name, "origin")
@@ -210,7 +210,7 @@ def _find_stated(
     attribute = BY_KIND.get(kind)
     words = attribute.mjcf if attribute is not None else (kind,) if kind == "axis" else ()
     for tag, name, child in candidates:
-        place = None if child else file.stated(tag, name, words)
+        place = None if child else file.find_attribute(tag, name, words)
         if place is not None:
             return place
     places = [file.place(*candidate) for candidate in candidates]

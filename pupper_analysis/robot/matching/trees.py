@@ -164,7 +164,7 @@ def strip_roots(
     while True:
         tree, notes = UrdfTree(candidates[-1][0]).copy(), list(candidates[-1][1])
         base = tree.base
-        joints = tree.below.get(base.name, [])
+        joints = tree.child_joints.get(base.name, [])
         if (base.mass or 0.0) > 0 or [joint.kind for joint in joints] not in (
             ["fixed"],
             ["floating"],

@@ -500,7 +500,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
     bare = ConvertedUrdf.of(file, output)
     left = [*bare.left, *_list_losses_in_urdf(bare.model, bare.bodies)]
     left += _list_lost_contact_numbers(bare.model, bare.bodies)
-    missing, why = file.lacking, diagnose("no-such-mesh-file")
+    missing, why = file.missing_collision_meshes, diagnose("no-such-mesh-file")
     lost = [diagnose("collision-meshes-lost", files=missing, why=why)] if missing else []
     return ConversionDraft(bare.text, {}, bare.notes, tuple(left), lost=tuple(lost))
 

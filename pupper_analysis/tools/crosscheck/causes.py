@@ -76,7 +76,7 @@ def list_urdf_links(robot: Robot) -> Links:
         if inertia is None or not inertia.mass or not model.existFrame(name, pin.FrameType.BODY):
             continue
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-        body = TreeBody.of(inertia).moved(frame.placement)
+        body = TreeBody.of(inertia).transform(frame.placement)
         mover = _find_mover(robot, model, int(frame.parentJoint))
         links_by_mover.setdefault(mover, []).append(
             ComparedLink(name, body, np.array(frame.placement.rotation))
@@ -100,7 +100,7 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         mover = _find_mover(robot, model, int(frame.parentJoint))
         pose = aligned_poses[mover].actInv(raw_poses[mover]) * frame.placement
-        link_body = TreeBody.of(inertia_of_body(mujoco_model, index)).moved(pose)
+        link_body = TreeBody.of(inertia_of_body(mujoco_model, index)).transform(pose)
         links_by_mover.setdefault(mover, []).append(
             ComparedLink(name, link_body, np.array(pose.rotation))
         )
@@ -195,7 +195,7 @@ class PatternCase:
         Returns:
             Kinds and elements. All differences of the case if the trees cannot be aligned.
         """
-        first = self.first if only is None else self.first.part(only)
+        first = self.first if only is None else self.first.select_joints(only)
         try:
             aligned = align_frames(second, first, self.tolerances).values
             differences = {
@@ -307,7 +307,7 @@ def find_exchanged(case: PatternCase) -> PatternFindings:
     exchanged.
     """
     tops = case.first.children(case.first.base)
-    limbs = {top: [top, *case.first.below(top)] for top in tops}
+    limbs = {top: [top, *case.first.list_descendants(top)] for top in tops}
     concerned = {
         case.first.frames[element][0] if kind == "frame" else element for kind, element in case.keys
     }
@@ -324,10 +324,10 @@ def find_exchanged(case: PatternCase) -> PatternFindings:
         exchange = dict(zip(limbs[first_limb], limbs[second_limb], strict=True))
         carried = {
             *limb_joints,
-            *(frame for name in limb_joints for frame in case.first.carried_by(name)),
+            *(frame for name in limb_joints for frame in case.first.list_frames(name)),
         }
         before = {key for key in case.keys if key[1] in carried}
-        part = replace(second.part(limb_joints), frames=second.frames)
+        part = replace(second.select_joints(limb_joints), frames=second.frames)
         after = {
             key
             for key in case.find_remaining(_exchange_names(part, exchange), limb_joints)

@@ -407,8 +407,10 @@ class RandomStates:
 
     def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
         """Return the MuJoCo model of a tree, and the indices of the states in qpos and qvel."""
-        tree = self._mujoco_tree if self._mujoco_tree.fits(values) else MujocoTree(values)
-        tree.take(values)
+        tree = (
+            self._mujoco_tree if self._mujoco_tree.has_structure_of(values) else MujocoTree(values)
+        )
+        tree.copy_parameters(values)
         ids = [tree.model.joint(name).id for name in self.values.joints]
         base = self.values.floating
         places = [*range(7 * base), *tree.model.jnt_qposadr[ids].tolist()]
@@ -486,13 +488,13 @@ def fix_joint(values: MultibodyTree, name: str) -> MultibodyTree:
     pose, joints = joint.placement, {}
     for other_name, child in values.joints.items():
         if child.parent == name:
-            child = replace(child.placed(pose * child.placement), parent=joint.parent)
+            child = replace(child.with_placement(pose * child.placement), parent=joint.parent)
         if other_name != name:
             joints[other_name] = child
     bodies = {other_name: body for other_name, body in values.bodies.items() if other_name != name}
-    carried = pose.act(values.bodies[name].rigid)
+    carried = pose.act(values.bodies[name].spatial_inertia)
     parent = values.bodies[joint.parent]
-    bodies[joint.parent] = TreeBody.of(parent.rigid + carried, parent.link)
+    bodies[joint.parent] = TreeBody.of(parent.spatial_inertia + carried, parent.link)
     frames = {
         frame: (joint.parent, np.array(pose.act(place))) if owner == name else (owner, place)
         for frame, (owner, place) in values.frames.items()

@@ -147,8 +147,8 @@ def _list_tree_elements(file: MjcfFile) -> dict[Key, Element]:
 
 def _find_element_place(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Place:
     if name.startswith("#"):
-        return file.numbered(kind, row)
-    return file.stated(kind, name, (word,)) or file.place(kind, name)
+        return file.place_by_number(kind, row)
+    return file.find_attribute(kind, name, (word,)) or file.place(kind, name)
 
 
 def join_names(ends: Iterable[str]) -> str:
@@ -179,7 +179,7 @@ def list_collisions(model: UrdfModel) -> dict[Key, Element]:
         touching = [shape for shape in link.shapes if shape.collides]
         for number, shape in enumerate(touching, 1):
             name = link.name if number == 1 else f"{link.name} #{number}"
-            place = model.file.nth(link.name, "collision", number - 1)
+            place = model.file.place_of_nth(link.name, "collision", number - 1)
             found["collision", name] = Element(
                 {}, _make_constant_finder(place), shape, owners=(link.name,)
             )

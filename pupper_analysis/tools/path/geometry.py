@@ -121,7 +121,7 @@ def segments_of(
         try:
             solved.append(solve_stand(robot, task))
         except StanceUnreachableError as error:
-            raise error.at(diagnose("of-stance", number=number)) from None
+            raise error.with_location(diagnose("of-stance", number=number)) from None
         com = Configuration(robot, solved[-1].qpos).center_of_mass()
         base, joints = solved[-1].qpos[:3], solved[-1].joint_positions(robot)
         keys.append(Key(solved[-1].task, base, com, solved[-1].foot_targets, joints))
@@ -352,7 +352,7 @@ def path_geometry(
         try:
             stand = roll.solve(segment, feet, share, ik_seed, rolling=rolling)
         except (StanceUnreachableError, StaticsInfeasibleError, NoEquilibriumError) as error:
-            raise error.at(where) from None
+            raise error.with_location(where) from None
         if places and stand.qpos[3:7] @ places[-1].qpos[3:7] < 0:
             stand.qpos[3:7] *= -1  # the same rotation, without a jump
         jumps = np.abs(stand.joint_positions(robot) - ik_seed)

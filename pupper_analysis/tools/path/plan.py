@@ -295,7 +295,7 @@ def stance_path(
         try:
             efforts.append(path_effort(robot, place, *motion))
         except StaticsInfeasibleError as error:
-            raise error.at(geometry.where(index)) from None
+            raise error.with_location(geometry.where(index)) from None
     time = np.linspace(0.0, float(seconds), len(efforts))
     tables = {name: np.array([effort[name] for effort in efforts]) for name in efforts[0]}
     used = divide_by_limits(tables["torques"], robot.effort_limits)

@@ -184,7 +184,7 @@ class Variants(ScalableVariant):
             VariantError: If a scale is not a finite positive number, or the scaled variant is not
                 valid.
         """
-        spec = self.scaled(scales)
+        spec = self.with_scales(scales)
         described = describe_variant(spec)
         depth = BASE_MODELS[spec.base].foot_depth(spec.leg_scale)
         return build_robot(

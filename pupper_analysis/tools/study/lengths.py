@@ -101,7 +101,7 @@ def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
     group = urdf.fixed_group(link)
     config = Configuration(robot, robot.neutral())
     link_pose = _link_pose(config, link)
-    ends = [below for part in group for below in urdf.below.get(part, ()) if below.moves]
+    ends = [below for part in group for below in urdf.child_joints.get(part, ()) if below.moves]
     feet = [point for point, frame in robot.contact_frames.items() if frame in group]
     if len(ends) + len(feet) != 1:
         end_names = [*(below.name for below in ends), *feet]
@@ -218,7 +218,7 @@ def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor
     inertia = link.inertia
     if inertia is not None:
         link.set_inertia(stretch_inertia(inertia, matrix, shift, factor))
-    for joint in urdf.below.get(name, ()):
+    for joint in urdf.child_joints.get(name, ()):
         _move_origin(joint.element, matrix, shift)
     for _, shape, form in link.shapes:
         if form is not None:

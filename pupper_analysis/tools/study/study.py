@@ -304,7 +304,7 @@ class Study:
         try:
             return cls.of(data)
         except (ConfigurationError, VariantError) as error:
-            raise error.at(str(path)) from error
+            raise error.with_location(str(path)) from error
 
     def run(
         self,

@@ -50,7 +50,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     """Plan the changes that give a moving group of bodies, or the base, the target inertia."""
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
-    target = side.sides.mjcf_frames[mover].actInv(side.target.bodies[mover].rigid)
+    target = side.sides.mjcf_frames[mover].actInv(side.target.bodies[mover].spatial_inertia)
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
     poses = {body: side.sides.bodies[str(model.body(body).name)] for body in group}
@@ -360,9 +360,9 @@ def plan_effort(side: MjcfSide, key: Key) -> None:
     old_effort = find_max_effort(model, joint)
     for owner, limit in stated_limits:
         # A bound looser than the smallest one is kept, unless it is below the target.
-        differs = abs(limit.greatest - target) > NUMBER_RTOL * max(target, limit.greatest)
+        differs = abs(limit.max_torque - target) > NUMBER_RTOL * max(target, limit.max_torque)
         if differs and (
-            limit.greatest < target or limit.greatest <= old_effort * (1 + NUMBER_RTOL)
+            limit.max_torque < target or limit.max_torque <= old_effort * (1 + NUMBER_RTOL)
         ):
             value, bounds = target / abs(limit.factor), np.array(limit.stated)
             pair = bounds * (

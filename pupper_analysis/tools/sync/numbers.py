@@ -299,7 +299,9 @@ def _find_wrong_numbers(
         target, frames = changes.tree(side), changes.both.mjcf_frames if side == "mjcf" else {}
         for mover, body in trees[side].bodies.items():
             frame = frames.get(mover, pin.SE3.Identity())
-            if not is_same_body(frame.actInv(target.bodies[mover].rigid), body.rigid, _READ_RTOL):
+            if not is_same_body(
+                frame.actInv(target.bodies[mover].spatial_inertia), body.spatial_inertia, _READ_RTOL
+            ):
                 kind = next((k for k in BODY_KINDS if (k, mover) in changes.wanted), "mass")
                 yield kind, mover
         for kind, (name, joint) in product(JOINT_KINDS, trees[side].joints.items()):

@@ -30,7 +30,7 @@ from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
 
-_SHARED_JOINT_KINDS = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
+_SHARED_JOINT_KINDS = tuple(one.kind for one in JOINT_ATTRIBUTES if one.is_in_both_formats)
 """Kinds of joint numbers that both formats contain."""
 
 _WRITTEN_KINDS = (*INERTIAL_KINDS, "position", *_SHARED_JOINT_KINDS)
@@ -277,8 +277,8 @@ def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: M
     if getattr(side.joints[name], attribute.field):
         return False
     if whose == "mjcf":
-        return mjcf.stated("joint", name, attribute.mjcf) is None
-    return urdf.tree.joints[both.matched.urdf_joint[name]].stated(attribute) is None
+        return mjcf.find_attribute("joint", name, attribute.mjcf) is None
+    return urdf.tree.joints[both.matched.urdf_joint[name]].parameter_text(attribute) is None
 
 
 # Layout of a model's files in another folder.

@@ -33,7 +33,7 @@ _LIMIT_KINDS = ("lower limit", "upper limit")
 """Kinds of joint limits."""
 
 _NUMBER_KINDS = [
-    one.kind for one in JOINT_ATTRIBUTES if one.in_both and one.kind not in _LIMIT_KINDS
+    one.kind for one in JOINT_ATTRIBUTES if one.is_in_both_formats and one.kind not in _LIMIT_KINDS
 ]
 """Kinds of joint numbers in both formats, except limits."""
 
@@ -49,7 +49,7 @@ class UrdfSide(Side):
     tree: UrdfTree
 
     def __post_init__(self) -> None:
-        self._links, self._parent_joints = self.tree.links, self.tree.above
+        self._links, self._parent_joints = self.tree.links, self.tree.parent_joints
         self._mover_of_link = {link: mover for mover, link in self.sides.matched.urdf_link.items()}
         self._compared_links = self.sides.matched.urdf_tree.links
 
@@ -107,7 +107,7 @@ class UrdfSide(Side):
         attribute = BY_KIND[kind]
         assert attribute.urdf is not None
         tag, word = attribute.urdf
-        old_words = (joint.stated(attribute) or "").split()
+        old_words = (joint.parameter_text(attribute) or "").split()
         text = format_numbers(old_words, value, floor)
         if text is not None:
             joint.element.ensure(tag).set(word, text)
@@ -151,7 +151,7 @@ class UrdfSide(Side):
         while waiting:
             link_name = waiting.pop(0)
             members += [link_name] if link_name in self._compared_links else []
-            children = (joint.child for joint in self.tree.below.get(link_name, ()))
+            children = (joint.child for joint in self.tree.child_joints.get(link_name, ()))
             waiting += [link for link in children if link not in self._mover_of_link]
         return members
 
@@ -159,7 +159,7 @@ class UrdfSide(Side):
         """Plan the inertia of the links that move with a joint, by changing a single link."""
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()
-        target = frame.act(self.target.bodies[mover].rigid)
+        target = frame.act(self.target.bodies[mover].spatial_inertia)
         members = self._list_members(mover)
         stated_inertias = {link: self._links[link].inertia for link in members}
         inertias = {

@@ -120,7 +120,7 @@ def make_urdf_tree(model: UsdModel) -> UrdfTree:
         link, added_link = model.links[name], tree.new_link(name)
         if link.inertial is not None:
             added_link.set_inertia(
-                (poses[name].inverse() * link.pose).placed.act(link.inertial.rigid)
+                (poses[name].inverse() * link.pose).placement.act(link.inertial.spatial_inertia)
             )
         for joint in link.joints:
             if joint.parent not in poses:
@@ -147,7 +147,7 @@ def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str
         SLIDE_JOINT: "prismatic",
         FIXED_JOINT: "fixed",
     }
-    placement = (poses[joint.parent].inverse() * frame).placed
+    placement = (poses[joint.parent].inverse() * frame).placement
     element = tree.new_joint(
         joint.name, urdf_types[joint.kind], joint.parent, joint.child, placement
     )
@@ -160,10 +160,10 @@ def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str
         stated = {**stated, "lower limit": float(limits[0]), "upper limit": float(limits[1])}
     for attribute in JOINT_ATTRIBUTES:
         if attribute.urdf is not None and attribute.kind in stated:
-            element.state(attribute, stated[attribute.kind])
+            element.set_parameter(attribute, stated[attribute.kind])
     mimic = model.edges[joint.name].mimic
     if mimic is not None:
-        element.follow(*mimic)
+        element.add_mimic(*mimic)
 
 
 _JOINT_TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in JOINT_KINDS.items()}
@@ -264,7 +264,7 @@ def make_mjspec(model: UsdModel) -> mujoco.MjSpec:
                     "usd-inertia-of-no-body", moments=Vector(tuple(inertial.moments), "kg m^2")
                 )
                 raise make_file_error(model.file.place("body", name), message)
-            set_inertia(body, inertial.rigid)
+            set_inertia(body, inertial.spatial_inertia)
         _add_joints(model, link, body)
     for edge in model.loops:
         _add_loop_constraint(model, spec, edge)
@@ -321,7 +321,10 @@ def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
             inertials[name] = _restore_triangle_inequality(parts[0][1])
         elif parts:
             inverse = link.pose.inverse()
-            rigid = [(inverse * part.pose).placed.act(inertial.rigid) for part, inertial in parts]
+            rigid = [
+                (inverse * part.pose).placement.act(inertial.spatial_inertia)
+                for part, inertial in parts
+            ]
             total = sum(rigid, pin.Inertia.Zero())
             inertials[name] = _restore_triangle_inequality(Inertial.of(total, stated=True))
     return inertials

@@ -107,9 +107,9 @@ def test_scaled_link_lengths_are_equal_in_both_engines(own: Robot) -> None:
     """Links between two joints get longer by the factor, across the second joint's axis alone."""
     urdf = UrdfTree.of(own.description.urdf)
     upper = {
-        joint: next(one.name for one in urdf.below[link] if one.moves)
+        joint: next(one.name for one in urdf.child_joints[link] if one.moves)
         for joint, link in urdf.moved_links.items()
-        if sum(one.moves for one in urdf.below.get(link, ())) == 1
+        if sum(one.moves for one in urdf.child_joints.get(link, ())) == 1
     }
     measurable = [joint for joint in with_length(own) if joint in upper][:2]
     found = {

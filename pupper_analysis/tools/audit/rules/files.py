@@ -167,7 +167,7 @@ def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
         if name and not any(map(existing_file, places)):
             known = attributes.get("name") or Path(name).stem
             pointer = any(map(is_pointer, places))
-            yield _MissingMesh(name, known, place, pointer, name in file.lacking)
+            yield _MissingMesh(name, known, place, pointer, name in file.missing_collision_meshes)
 
 
 def find_first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:

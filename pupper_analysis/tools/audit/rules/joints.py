@@ -294,7 +294,7 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     motors = []
     for joint in robot.joints.values():
         if joint.kind == HINGE_JOINT:
-            ends = map(robot.carrier, (joint.parent, joint.child))
+            ends = map(robot.find_moving_body, (joint.parent, joint.child))
             mass = sum(link.mass for end in ends for link in robot.fixed_group(end))
             armature = joint.stated.get("armature", 0.0)
             motors.append(Motor(joint.name, joint.effort, mass, armature))
@@ -388,7 +388,7 @@ def find_legs(robot: RobotModel) -> Iterator[Leg]:
         if not link.moving or link.joints[-1].kind != HINGE_JOINT:
             continue
         knee = link.joints[-1]
-        above = robot.links.get(robot.carrier(knee.parent))
+        above = robot.links.get(robot.find_moving_body(knee.parent))
         end = _find_shank_end(robot, link)
         if above is None or not above.moving or above.joints[-1].kind != HINGE_JOINT or end is None:
             continue

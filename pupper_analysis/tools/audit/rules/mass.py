@@ -67,7 +67,7 @@ def mass_not_positive(robot: RobotModel) -> Iterator[CheckFinding]:
             mass=Quantity(inertial.mass, "kg"),
             largest=Quantity(largest, "kg m^2"),
         )
-        yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("mass"))
+        yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("mass"))
 
 
 @rule
@@ -87,7 +87,7 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
             message = diagnose(
                 "hardly-any-mass", mass=Quantity(mass, "kg"), carried=Quantity(carried, "kg")
             )
-            part = robot.inertial_part("mass")
+            part = robot.inertial_path("mass")
             yield CheckFinding(robot.link_tag, body.name, message, part, severity=Severity.WARNING)
         if not body.moving or any(part.mass != 0 for part in group):
             continue
@@ -128,7 +128,7 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
                     size=Quantity(span, "m"),
                 )
                 yield CheckFinding(
-                    robot.link_tag, body.name, message, robot.inertial_part("origin")
+                    robot.link_tag, body.name, message, robot.inertial_path("origin")
                 )
         if points is None or not body.shapes:
             continue
@@ -144,7 +144,7 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
                 outside=Quantity(outside, "m"),
                 size=Quantity(size, "m"),
             )
-            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("origin"))
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("origin"))
 
 
 def _compute_reach(robot: RobotModel, name: str) -> float:
@@ -172,7 +172,7 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
         float(np.linalg.norm(joint.position - before.position))
         for joint in hinges
         for before in hinges
-        if robot.carrier(joint.parent) == robot.carrier(before.child)
+        if robot.find_moving_body(joint.parent) == robot.find_moving_body(before.child)
     ]
     lever = max(distances, default=0.0)
     torque = robot.total_mass * standard_gravity * lever
@@ -299,7 +299,7 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
                 least=Quantity(least, "kg m^2"),
                 greatest=Quantity(greatest, "kg m^2"),
             )
-            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("inertia"))
 
 
 @rule
@@ -325,7 +325,7 @@ def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
                 share=Quantity(excess / greatest, "1"),
                 equal=bool(np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6)),
             )
-            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("inertia"))
 
 
 @rule
@@ -371,7 +371,7 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
             )
         else:
             continue
-        yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
+        yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("inertia"))
 
 
 @rule
@@ -397,7 +397,7 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
             message = diagnose(
                 "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
             )
-            yield CheckFinding(robot.link_tag, names[0], message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, names[0], message, robot.inertial_path("inertia"))
     masses = {inertial.mass for _, inertial in moving}
     is_shared = (
         len(moving) > _MIN_REPEATED_LINKS
@@ -406,7 +406,7 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     )
     if is_shared and _is_round(mass := masses.pop()):
         message = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
-        yield CheckFinding(robot.link_tag, moving[0][0].name, message, robot.inertial_part("mass"))
+        yield CheckFinding(robot.link_tag, moving[0][0].name, message, robot.inertial_path("mass"))
 
 
 @rule
@@ -444,7 +444,7 @@ def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
             mass=Quantity(robot.total_mass, "kg"),
         )
         first = next(name for name, equal in zip(densities, shared, strict=True) if equal)
-        yield CheckFinding(robot.link_tag, first, message, robot.inertial_part("mass"))
+        yield CheckFinding(robot.link_tag, first, message, robot.inertial_path("mass"))
 
 
 MIN_EQUAL_FRACTION = 0.75

@@ -220,7 +220,7 @@ def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
                 other=first.name,
                 its=Quantity(first.mass, "kg"),
             )
-            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_part("mass"))
+            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_path("mass"))
 
 
 @rule
@@ -241,7 +241,7 @@ def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
                 image=Vector(tuple(image), "m"),
                 other=first.name,
             )
-            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_part("origin"))
+            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_path("origin"))
 
 
 @rule
@@ -273,7 +273,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
                 other=first.name,
                 its=Quantity(first_entries[worst], "kg m^2"),
             )
-            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_path("inertia"))
 
 
 SIGN_RTOL, MIN_PRODUCT_FRACTION = 0.02, 0.01
@@ -408,7 +408,7 @@ def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
                 other=first,
                 its=Quantity(stated[first], unit),
             )
-            yield CheckFinding("joint", second, message, robot.words(attribute)[1])
+            yield CheckFinding("joint", second, message, robot.locate_parameter(attribute)[1])
 
 
 SIMPLE_SHAPE_TOLERANCE = 2e-3

@@ -212,7 +212,7 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
         feet = {f.name: (body, f.position, "site") for f in body.frames if _is_foot(f.name)}
         if not feet and _is_foot(body.name) and not body.moving and body.parent is not None:
             feet = {body.name: (body, np.zeros(3), robot.link_tag)}
-            group = robot.fixed_group(robot.carrier(body.name))
+            group = robot.fixed_group(robot.find_moving_body(body.name))
         for name, (owner, position, kind) in feet.items():
             place = owner.pose.point(position)
             spheres = [
@@ -312,7 +312,7 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
                 volume=Quantity(volume, "m^3"),
                 density=Quantity(density, "kg/m^3"),
             )
-            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("mass"))
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("mass"))
 
 
 @rule

@@ -259,7 +259,7 @@ def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
         model is None
         or not (model.jnt_type == FREE_JOINT).any()
         or model.npair
-        or robot.file.lacking
+        or robot.file.missing_collision_meshes
     ):
         return
     ground = ground_geom(model)

@@ -340,7 +340,7 @@ def _compute_heights(
     lowest = []
     for geom in geoms:
         shape = read_shape(model, geom, data)
-        lowest.append(float(shape.lowest(_WORLD_POSE, normal) @ normal) - floor)
+        lowest.append(float(shape.find_lowest_point(_WORLD_POSE, normal) @ normal) - floor)
     return np.array(lowest)
 
 

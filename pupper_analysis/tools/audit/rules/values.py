@@ -49,7 +49,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
             is_limit = joint_attribute.kind in ("effort", "velocity")
             by_another_rule = isinstance(robot, UrdfModel) and is_limit
             if value < 0 and not joint_attribute.signed and not by_another_rule:  # effort-negative
-                word, child = robot.words(joint_attribute)
+                word, child = robot.locate_parameter(joint_attribute)
                 message = diagnose("value-impossible", attribute=word, value=value)
                 yield CheckFinding("joint", joint.name, message, child)
     if isinstance(robot, UrdfModel):

@@ -58,10 +58,10 @@ def _list_joint_statements(
         kind, value = attribute.kind, joint.stated.get(attribute.kind)
         if value is None or kind not in QUANTITIES:
             continue
-        _, child = model.words(attribute)
+        _, child = model.locate_parameter(attribute)
         place = model.file.place("joint", joint.name, child)  # type: ignore[attr-defined]
         if isinstance(model, MjcfModel):
-            there = model.file.stated("joint", joint.name, attribute.mjcf)
+            there = model.file.find_attribute("joint", joint.name, attribute.mjcf)
             driven = drives[-1:] if kind == "effort" and not there else []
             place = there or next(
                 (_find_actuator_place(model, actuator, _RANGE_ATTRIBUTES) for actuator in driven),
@@ -86,24 +86,28 @@ def read_model_file(path: Path) -> RobotModel:
 
 def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
     """Yield the gains of a position servo at the joint, including a stated stiffness of zero."""
-    kp, kd = read_actuator_law(model.mj_model, drive).at_joint
+    kp, kd = read_actuator_law(model.mj_model, drive).joint_gains
     place = _find_actuator_place(model, drive, ("kp", "kv", "biasprm", "gainprm"))
     actuator = model.mj_model.actuator(drive).name if model.mj_model else ""
-    states_kp = bool(actuator) and model.file.stated("actuator", actuator, ("kp",)) is not None
+    states_kp = (
+        bool(actuator) and model.file.find_attribute("actuator", actuator, ("kp",)) is not None
+    )
     if kp or states_kp:
         yield Statement("kp", kp, place, joint)
     if kp > 0 and kd > 0:
         # From a damping ratio MuJoCo computes kv with the inertia at the joint.
         name = model.mj_model.actuator(drive).name if model.mj_model else ""
-        ratio = bool(name) and model.file.stated("actuator", name, ("dampratio",)) is not None
+        ratio = (
+            bool(name) and model.file.find_attribute("actuator", name, ("dampratio",)) is not None
+        )
         yield Statement("kd", kd, place, joint, implied=ratio)
 
 
 def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
     name = model.mj_model.actuator(number).name if model.mj_model else ""
     if not name:
-        return model.file.numbered("actuator", number)
-    return model.file.stated("actuator", name, words) or model.file.place("actuator", name)
+        return model.file.place_by_number("actuator", number)
+    return model.file.find_attribute("actuator", name, words) or model.file.place("actuator", name)
 
 
 def match_joint_names(
