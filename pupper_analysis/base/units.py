@@ -55,6 +55,26 @@ class Position(float):
         return position
 
 
+_TYPED_DIGITS = 4
+"""Largest number of significant digits of a typed angle. An angle that was converted from degrees
+to radians has more."""
+
+
+def find_untyped_degrees(angle: float, low: float, high: float) -> float | None:
+    """Return an angle [rad] as a number of degrees if its user may have meant degrees, else None.
+
+    A user who types 20 means 20 deg where 20 rad is out of range. The number must be in range as
+    degrees, and must look typed: at most four significant digits (20 deg in rad is 0.34907).
+
+    Args:
+        angle: Angle that is out of range [rad].
+        low: Lower limit of the angle [rad].
+        high: Upper limit of the angle [rad].
+    """
+    is_typed = float(f"{angle:.{_TYPED_DIGITS}g}") == angle
+    return angle if is_typed and low <= math.radians(angle) <= high else None
+
+
 DIMENSIONLESS_UNIT: Final = "1"
 """Unit in the metadata of a field that is a ratio, a direction or a count."""
 

@@ -21,6 +21,7 @@ from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.units import find_untyped_degrees
 from pupper_analysis.robot.plane import Plane, slope_normal
 
 Array = NDArray[np.float64]
@@ -225,7 +226,7 @@ def _check_slope(name: str, value: float) -> float:
     """
     angle = check_finite(name, value)
     if not 0 <= angle < math.pi / 2:
-        degrees = angle if 0 < angle < 90 else None
+        degrees = find_untyped_degrees(angle, 0.0, math.pi / 2)
         message = diagnose("slope-not-valid", slope=Quantity(angle, "rad"), degrees=degrees)
         raise ConfigurationError(name, message)
     return angle

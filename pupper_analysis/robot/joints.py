@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.base.units import Position
+from pupper_analysis.base.units import Position, find_untyped_degrees
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -272,14 +271,14 @@ def check_in_range(
     """
     low, high = ends
     if not low - _LIMIT_ATOL <= position <= high + _LIMIT_ATOL:
-        unit, degrees = joint_unit(robot, joint), math.radians(position)
+        unit = joint_unit(robot, joint)
         may_be_degrees = unit == "rad" and argument != "keyframe"
         problem = diagnose(
             "joint-out-of-range",
             subject=("joint", joint),
             position=Quantity(round(position, 9), unit),
             bonds=bonds or None,
-            degrees=position if may_be_degrees and low <= degrees <= high else None,
+            degrees=find_untyped_degrees(position, low, high) if may_be_degrees else None,
             low=Quantity(low, unit),
             high=Quantity(high, unit),
         )

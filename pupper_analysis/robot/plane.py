@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.units import READ_IN, UNIT_FACTORS
+from pupper_analysis.base.units import READ_IN, UNIT_FACTORS, find_untyped_degrees
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -114,7 +114,7 @@ class Slope:
     friction: float | None = field(default=None, metadata={"unit": "1"})
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "angle", _check_between("slope.angle", self.angle, math.pi, "rad"))
+        object.__setattr__(self, "angle", _check_slope_angle(self.angle))
         object.__setattr__(self, "uphill", check_finite("slope.uphill", self.uphill))
         object.__setattr__(self, "friction", _check_friction("slope.friction", self.friction))
 
@@ -433,22 +433,40 @@ def slope_normal(angle: float, uphill: float) -> Point:
     return -rise * math.cos(uphill), -rise * math.sin(uphill), math.cos(angle)
 
 
-def _check_between(name: str, value: float, high: float, unit: str = "") -> float:
-    """Return a number from 0 to ``high``, with a unit for the message.
+def _check_slope_angle(value: float) -> float:
+    """Return an angle between the horizontal and a plane [rad], from 0 to pi.
 
     Raises:
-        ConfigurationError: If the number is out of range.
+        ConfigurationError: If the angle is out of range.
     """
-    number = check_finite(name, value)
-    if not 0 <= number <= high:
-        given, most = (Quantity(bound, unit) if unit else bound for bound in (number, high))
-        raise ConfigurationError(name, diagnose("not-between", given=given, low=0, high=most))
-    return number
+    name, low, high = "slope.angle", 0.0, math.pi
+    angle = check_finite(name, value)
+    if not low <= angle <= high:
+        problem = diagnose(
+            "angle-out-of-range",
+            angle=Quantity(angle, "rad"),
+            low=Quantity(low, "rad"),
+            high=Quantity(high, "rad"),
+            degrees=find_untyped_degrees(angle, low, high),
+        )
+        raise ConfigurationError(name, problem)
+    return angle
 
 
 def _check_friction(name: str, value: float | None) -> float | None:
-    """Return a friction coefficient from 0 to ``MAX_FRICTION``, or None."""
-    return None if value is None else _check_between(name, value, MAX_FRICTION)
+    """Return a friction coefficient from 0 to ``MAX_FRICTION``, or None.
+
+    Raises:
+        ConfigurationError: If the coefficient is out of range.
+    """
+    if value is None:
+        return None
+    friction = check_finite(name, value)
+    if not 0 <= friction <= MAX_FRICTION:
+        raise ConfigurationError(
+            name, diagnose("not-between", given=friction, low=0, high=MAX_FRICTION)
+        )
+    return friction
 
 
 def _check_direction(name: str, value: Any) -> Point:

@@ -21,7 +21,7 @@ from pupper_analysis.base.arguments import check_finite, check_length
 from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.base.units import Position
+from pupper_analysis.base.units import Position, find_untyped_degrees
 
 UNIT_BY_KIND = {
     **dict.fromkeys(("length", "point", "point3", "place"), "m"),
@@ -222,12 +222,18 @@ class Field:
             message = diagnose("height-not-above-ground", height=given)
         elif number <= low and self.open:
             message = diagnose("not-above", value=given, bound=Quantity(low, given.unit))
+        elif given.unit == "rad":
+            message = diagnose(
+                "angle-out-of-range",
+                angle=given,
+                low=Quantity(low, "rad"),
+                high=Quantity(high, "rad"),
+                degrees=find_untyped_degrees(number, low, high),
+            )
         elif number < low:
             message = diagnose("below-the-least", value=given, bound=Quantity(low, given.unit))
         else:
-            degrees = number if given.unit == "rad" and number <= math.degrees(high) else None
-            bound = Quantity(high, given.unit)
-            message = diagnose("above-the-most", value=given, bound=bound, degrees=degrees)
+            message = diagnose("above-the-most", value=given, bound=Quantity(high, given.unit))
         raise ConfigurationError(name, message)
 
     def quantity(self, value: Any) -> Any:

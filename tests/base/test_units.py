@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 import pkgutil
 import re
 import sys
 from dataclasses import Field, dataclass, field, fields, is_dataclass
 
+import pytest
+
 import pupper_analysis as pa
 from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.units import DIMENSIONLESS_UNIT, VARYING_UNIT, units_of
+from pupper_analysis.base.units import (
+    DIMENSIONLESS_UNIT,
+    VARYING_UNIT,
+    find_untyped_degrees,
+    units_of,
+)
 
 NUMERIC = re.compile(r"\b(float|Array|NDArray\[np\.float64\]|Position)\b")
 """Annotation of a field with measured or computed numbers; integers are counts and indices."""
@@ -85,3 +93,37 @@ def test_units_of_a_base_class_are_those_of_its_subclass() -> None:
     inherited = units_of(Equilibrium)
     assert inherited["joint_torques"] == "N m"
     assert inherited.items() <= units_of(GravityCompensation).items()
+
+
+@pytest.mark.parametrize(
+    ("angle", "degrees"), [(20.0, 20.0), (-5.5, -5.5), (math.radians(200), None), (200.0, None)]
+)
+def test_degrees_are_proposed_only_for_a_typed_number_in_range_as_degrees(
+    angle: float, degrees: float | None
+) -> None:
+    """An angle that was typed with its unit (200 deg) is not proposed as 3.49 deg."""
+    assert find_untyped_degrees(angle, -math.pi, math.pi) == degrees
+
+
+@pytest.mark.parametrize(
+    ("task", "hint"),
+    [
+        ({"pitch": -5}, "-5deg"),
+        ({"contacts": {"FR": pa.Slope(0.1)}, "roll": 200}, ""),
+        ({"pitch": math.radians(200)}, ""),
+    ],
+)
+def test_an_angle_out_of_range_is_refused_with_degrees_if_they_are_in_range(
+    task: dict[str, object], hint: str
+) -> None:
+    """The hint is the value as a user types it in degrees."""
+    with pytest.raises(pa.ConfigurationError) as caught:
+        pa.StandTask(**task)
+    assert ("for degrees write" in str(caught.value)) == bool(hint)
+    assert hint in str(caught.value)
+
+
+def test_a_slope_without_unit_is_refused_with_the_value_in_degrees() -> None:
+    """8 rad is 458 deg; 8 deg is a slope."""
+    with pytest.raises(pa.ConfigurationError, match="for degrees write 8deg"):
+        pa.Slope(8)
