@@ -249,7 +249,7 @@ def _print_first_difference(robot: Robot) -> None:
         comparison = compare_files(files.urdf_source, files.mjcf_source).result
     except ModelError:
         return  # the files cannot be compared; the verdict is sufficient
-    first = diagnose("first-difference-of-files", cause=comparison.first_to_mend)
+    first = diagnose("first-difference-of-files", cause=comparison.main_problem)
     print_lines(make_console(), [diagnostic_text(first)])
 
 

@@ -77,7 +77,7 @@ def list_dependent_joints(robot: Robot) -> list[int]:
 
     The positions of dependent joints follow from closed loops or couplings.
     """
-    return [] if robot.closure is None else robot.closure.following.tolist()
+    return [] if robot.closure is None else robot.closure.dependent_joints.tolist()
 
 
 def add_loop_motors(robot: Robot) -> Robot:

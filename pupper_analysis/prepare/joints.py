@@ -96,7 +96,9 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
     spec = description.mjcf.copy()
     driven = {actuator.target for actuator in spec.actuators}
     closure, names = matched.robot.closure, matched.robot.joint_names
-    dependent = {names[joint] for joint in closure.following} if closure is not None else set()
+    dependent = (
+        {names[joint] for joint in closure.dependent_joints} if closure is not None else set()
+    )
     stated = {
         name
         for equality in spec.equalities

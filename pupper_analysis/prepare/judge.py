@@ -119,7 +119,7 @@ def judge_simulation(
         *(() if published is None else published.causes),
     )
     given = servos.source is ServoSource.GIVEN  # the run from the keyframe is information only
-    if fed.passed and not (errors or causes or overloaded_motors or servos.replaced):
+    if fed.passed and not (errors or causes or overloaded_motors or servos.replacement_servos):
         named, published = name_remaining_cause(robot, None if given else keyframe_run, published)
         keyframe_run = keyframe_run if given else named
     return judge_stance(

@@ -16,7 +16,7 @@ from pupper_analysis.statics.equilibrium import MIN_TORQUE_PER_MASS, GravityComp
 
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
     """Return the torque limits of all joints except dependent joints, which need no motor."""
-    following = () if robot.closure is None else robot.closure.following.tolist()
+    following = () if robot.closure is None else robot.closure.dependent_joints.tolist()
     return [limit for index, limit in enumerate(robot.efforts) if index not in following]
 
 

@@ -447,7 +447,7 @@ def name_remaining_cause(
             own, causes=robot.once(_test_soft_servos) or _deviating_joint(own)
         ), published
     run = None if published is None else published.worst
-    if published is None or run is None or run.close:
+    if published is None or run is None or run.agrees_with_equilibrium:
         return own, published
     return own, replace(published, causes=(Cause("gives-way", (run.worst_joint,)),))
 

@@ -124,7 +124,7 @@ class ServoRequirement:
             # the leading joint alone: a twelfth of the total for a hand that drives 11 finger
             # joints. The stiffness of a leading joint is therefore limited, unless its own load
             # requires more.
-            leading = robot.closure.leading
+            leading = robot.closure.driving_joints
             own_inertia = 1 / np.diag(np.linalg.inv(Configuration(robot, qpos).mass_matrix()))
             soft_limit[leading] = own_inertia[robot.nv - robot.nu :][leading] / (
                 _DAMPING_TIME * timestep

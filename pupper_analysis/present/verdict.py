@@ -82,7 +82,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     messages = (
         *(Clause(False, remark) for remark in deciding),
         *(run_clauses if fails else ()),
-        *make_replaced_clauses(verdict.servos.replaced),
+        *make_replaced_clauses(verdict.servos.replacement_servos),
         *_make_simulation_clauses(verdict),
         *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
         *_make_creep_clauses(verdict),
@@ -304,9 +304,9 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
             how |= {"off": Quantity(abs(joint.off), joint.unit), "drive": Term(joint.drive.value)}
         message = diagnose(
             "own-run",
-            collapses=run.collapses and not run.lifted,
-            lifted=run.lifted,
-            gives=(run.left or run.unheld is not None) and not run.collapses,
+            collapses=run.collapses and not run.is_lifted,
+            lifted=run.is_lifted,
+            gives=(run.has_left_posture or run.unheld is not None) and not run.collapses,
             place=run.gone,
             duration=Quantity(run.duration, "s"),
             height=Quantity(run.height, "m"),
@@ -318,7 +318,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
             commanded=joint is not None and joint.commanded_away,
             **how,
         )
-        yield Clause(not (run.falls or run.tilted), message)
+        yield Clause(not (run.falls or run.is_tilted), message)
     for cause in () if keyframe_run is None else keyframe_run.causes:
         yield Clause(False, describe_cause(cause))
 

@@ -19,10 +19,10 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 _SIMILARITY_TOLERANCE = 0.05
-"""Tolerance for similar limbs: of masses, relative; of distances between joints, relative to the
-length of the limb; of |cos| between axes, absolute. Left and right limbs of published robots agree
-within 1 %. Either masses or dimensions must agree, because a single wrong value affects only one of
-them."""
+"""Tolerance for similar limbs: of masses, relative to the larger mass; of distances between joints,
+relative to the length of the limb; of |cos| between axes, absolute. Left and right limbs of
+published robots agree within 1 %. Masses or dimensions must agree, but not both, because a single
+wrong value affects only one of the two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,11 @@ class Limb:
 
 
 def limbs_of(robot: Robot) -> list[Limb]:
-    """Return the limbs of a robot, from the base to each body that carries no moving body."""
+    """Return the limbs of a robot: the chains of moving bodies from the base to the limb ends.
+
+    A limb end carries no other moving body. Bodies that are fixed to a moving body count as part of
+    this body.
+    """
     model, data = robot.mj_model, robot.placed()
     weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
     limbs = []
@@ -100,7 +104,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
 
     Limbs are similar if `Limb.like` holds, for example the legs of a quadruped. Corresponding
     joints have the same position in the order of the limb. Joints without a similar limb are
-    omitted.
+    omitted, as are joints that similar limbs share.
     """
     model, limbs = robot.mj_model, limbs_of(robot)
     joints = [
@@ -125,7 +129,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
 def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report the limbs without a foot if at least half of the similar limbs have a foot.
 
-    The result is empty if the user named the feet.
+    Empty unless the feet were detected by this package (note ``feet-found``).
     """
     if not any(note.code == "feet-found" for note in robot.notes):
         return ()

@@ -43,28 +43,31 @@ class ServosUsed:
     made: tuple[MadeServo, ...] = ()
 
     @property
-    def replaced(self) -> tuple[MadeServo, ...]:
+    def replacement_servos(self) -> tuple[MadeServo, ...]:
         """Added servos that replace a servo of the MJCF with invalid parameters."""
         return tuple(servo for servo in self.made if servo.instead_of.has_invalid_stiffness)
 
 
 MIN_UNHELD_DISPLACEMENT = 0.05
-"""Minimum displacement [rad, m] of a joint without servo, in a robot with servos, that counts as
-not held. Such a joint has no stiffness, and moves until a stop."""
+"""Displacement of a joint [rad, m] between start and end of a simulation from a keyframe, above
+which a joint without servo counts as not held, and a joint with servo may count as commanded away.
+A joint without servo has no stiffness, and usually moves to a stop."""
 
 
 MAX_TORQUE_DEVIATION = 0.05
-"""Maximum torque deviation of a published robot that agrees with the computed robot, relative to
-the largest torque. Solo 12, with spheres instead of mesh feet, deviates by 0.016. Paths are tracked
-as accurately."""
+"""Largest torque deviation of a simulation of the published MJCF that agrees with the computed
+equilibrium, relative to the largest computed torque. Solo 12, whose mesh feet this package replaces
+by spheres, deviates by 0.016."""
 
 MAX_IMPORTED_TORQUE_DEVIATION = 0.1
-"""As ``MAX_TORQUE_DEVIATION``, for MuJoCo's import of a URDF with its own shapes and with added
-servos. Feet with meshes have contacts at slightly different positions (Go2: 0.065)."""
+"""Largest torque deviation of a simulation of a URDF, relative to the largest computed torque;
+replaces ``MAX_TORQUE_DEVIATION`` there. MuJoCo's import of a URDF keeps the collision meshes of the
+file, whose contacts are at slightly different positions than those of the computed spheres (Go2:
+0.065)."""
 
 MAX_JOINT_DEVIATION = 0.02
-"""Largest joint deviation [rad, m] of a published robot with feed-forward that agrees with the
-prediction; v3 deviates by 5e-5. Chosen, not tuned."""
+"""Largest deviation of a joint position [rad, m] with which a simulation of the published MJCF with
+feed-forward agrees with the computed equilibrium. Pupper v3 deviates by 5e-5. Chosen, not tuned."""
 
 MIN_POSTURE_DEVIATION = 0.5
 """Displacement [rad, m] of a joint from which a robot with a fixed base counts as having left its
@@ -99,10 +102,10 @@ class JointOff:
 
     @property
     def commanded_away(self) -> bool:
-        """Whether the servo was commanded away from the initial position.
+        """True if the servo's command explains the displacement of this joint in the simulation.
 
-        True if the displacement exceeds ``MIN_UNHELD_DISPLACEMENT`` and the absolute commanded
-        offset exceeds half of the displacement.
+        Conditions: the absolute displacement exceeds ``MIN_UNHELD_DISPLACEMENT``, and the
+        distance of the command from the initial position exceeds half of the displacement.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False
@@ -130,15 +133,19 @@ class Cause:
 
 
 PREPARATION_CODES = {"shapes-beside-feet", "balls", "other-drive"}
-"""Values of `Cause.code` for changes that this package makes when a robot is loaded: the simulation
-of the published file deviates because the file lacks these changes. If the published robot does not
-collapse and all causes have these codes, the deviation is reported, but does not fail the verdict.
+"""Codes (`Cause.code`) of changes that this package makes when it loads a robot: contacts of shapes
+other than feet are disabled, mesh feet are replaced by spheres (``balls``), and other actuators are
+replaced by servos (``other-drive``). The published file lacks these changes, so its simulation may
+deviate. If the published robot does not collapse and all causes have these codes, the verdict
+reports the deviation, but is not FAILS.
 """
 
 
 MAX_OWN_TILT = math.radians(10.0)
-"""Tilt of the base [rad] above which a robot with position servos does not stand as its keyframe
-states. Chosen, not tuned: one knee with a wrong sign gives 18 to 21 deg (Solo 12, Go1)."""
+"""Tilt of the base [rad], relative to its initial orientation, at the end of a simulation of a
+published file from its own keyframe, above which the robot does not stand in the pose of the
+keyframe. Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
+"""
 
 
 @dataclass(frozen=True)
@@ -176,10 +183,11 @@ class OwnRun(BodyMotion):
     missing: tuple[str, ...] = ()
 
     @property
-    def left(self) -> bool:
-        """True if a joint of a robot with a fixed base has left the posture without a command.
+    def has_left_posture(self) -> bool:
+        """True if a joint of a robot with a fixed base has moved far without a command.
 
-        The displacement exceeds ``MIN_POSTURE_DEVIATION``, and is not `JointOff.commanded_away`.
+        The displacement of the joint that moved most exceeds ``MIN_POSTURE_DEVIATION``, and is not
+        `JointOff.commanded_away`.
         """
         worst = None if self.standing else self.worst
         return (
@@ -189,33 +197,40 @@ class OwnRun(BodyMotion):
         )
 
     @property
-    def lifted(self) -> bool:
-        """True if the robot ends upright, raised by ``MAX_HEIGHT_LOSS_RATIO`` of the CoM height."""
+    def is_lifted(self) -> bool:
+        """True if the robot ends upright, with its CoM far above the initial height.
+
+        The increase exceeds ``MAX_HEIGHT_LOSS_RATIO`` (30 %) of the initial CoM height.
+        """
         gain = self.end_height - self.height
         upright = not self.diverged and self.lean <= FALLEN_TILT
         return self.standing and upright and gain > MAX_HEIGHT_LOSS_RATIO * self.height
 
     @property
-    def tilted(self) -> bool:
-        """Whether the robot ends tilted by more than ``MAX_OWN_TILT``."""
+    def is_tilted(self) -> bool:
+        """True if the base of a standing robot ends tilted by more than ``MAX_OWN_TILT``."""
         return self.standing and not self.diverged and self.lean > MAX_OWN_TILT
 
     @property
     def falls(self) -> bool:
-        """Whether the robot collapses, or a joint leaves the position without being commanded."""
-        return self.collapses or self.left or self.unheld is not None
+        """True if the robot collapses, a joint has left the posture, or a joint is not held.
+
+        The joint conditions are those of ``has_left_posture`` and ``unheld``.
+        """
+        return self.collapses or self.has_left_posture or self.unheld is not None
 
     @property
     def fails(self) -> bool:
-        """Whether no verdict may pass because of this run.
+        """True if the published file does not stand in this simulation.
 
-        Without a keyframe: if a joint has no servo and moves away. With a keyframe, if most joints
-        have a servo: if the robot falls or is tilted with the ctrl of the keyframe, zeros of a
-        reset included. A file of torque motors that nobody commands does not fail (``limp``).
+        * Most joints have no servo and no command (``limp``): False.
+        * With a keyframe: True if the robot ``falls`` or is ``tilted``. The commands are the ctrl
+          of the keyframe, or the zeros after a reset if it has none.
+        * Without a keyframe: True if a joint is not held (``unheld``).
         """
         if self.limp:
             return False
-        return self.falls or self.tilted if self.keyframe else self.unheld is not None
+        return self.falls or self.is_tilted if self.keyframe else self.unheld is not None
 
 
 @dataclass(frozen=True)
@@ -249,8 +264,13 @@ class PublishedRun:
     worst_joint: str = ""
 
     @property
-    def close(self) -> bool:
-        """Whether the run agrees with the prediction, except for changes on loading."""
+    def agrees_with_equilibrium(self) -> bool:
+        """True if this run does not collapse and agrees with the computed equilibrium.
+
+        The torque error is at most ``MAX_TORQUE_DEVIATION`` (for a URDF
+        ``MAX_IMPORTED_TORQUE_DEVIATION``); with feed-forward, the joint error is also at most
+        ``MAX_JOINT_DEVIATION``.
+        """
         near = not self.feedforward or self.joint_error <= MAX_JOINT_DEVIATION
         most = MAX_IMPORTED_TORQUE_DEVIATION if self.imported else MAX_TORQUE_DEVIATION
         return not self.collapses and self.torque_error <= most and near
@@ -272,17 +292,21 @@ class Published:
 
     @property
     def is_altered_only(self) -> bool:
-        """Whether the published robot stands, and deviates only because of changes on loading."""
+        """True if the published robot deviates, but does not collapse, for known reasons only.
+
+        The known reasons are the changes that this package makes on loading: all causes have a
+        code in ``PREPARATION_CODES``.
+        """
         codes = {cause.code for cause in self.causes}
         run = self.worst
         return run is not None and not run.collapses and bool(codes) and codes <= PREPARATION_CODES
 
     @property
     def worst(self) -> PublishedRun | None:
-        """Worst simulation that deviates from the prediction; None if no simulation deviates.
+        """Worst simulation that deviates from the computed equilibrium; None if none deviates.
 
-        A simulation in which the robot collapses is worst. Among equal simulations, those with
-        feed-forward precede those with position commands only.
+        A simulation in which the robot collapses is worse than a simulation in which it does not.
+        Otherwise, a simulation with feed-forward counts as worse than a simulation without.
         """
         deviating = (run for run in self.runs if run.differs)
         return max(deviating, key=lambda run: (run.collapses, run.feedforward), default=None)

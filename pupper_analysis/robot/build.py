@@ -64,7 +64,7 @@ def build_robot(
     """Build the robot of a description.
 
     Args:
-        description: Contents of both files.
+        description: Contents of the URDF and the MJCF, contact points and other data.
         fixed_base: Whether to fix a free base to the world at the pose in the MJCF; contacts with
             the ground are then disabled.
         foot_depth: Distance [m] of the feet below the hips in the nominal stand. By default, the
@@ -157,7 +157,7 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 
 
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
-    """Build a robot with additions to the MJCF; keep nominal stand, notes and published file."""
+    """Build a robot with additions to the MJCF; data are kept as in `rebuild_robot`."""
     description = robot.description.with_additions(*additions)
     return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
 
@@ -165,8 +165,8 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
     """Copy data that no description contains from a robot to the rebuilt version.
 
-    The data are height of the nominal stand, notes, published file, and contacts of a task with the
-    fingerprint.
+    The data are the height of the nominal stand, the notes, and the published file. If the robot
+    has contacts of a task (``touching``), these and the fingerprint are copied as well.
 
     Args:
         built: Rebuilt robot.
@@ -228,7 +228,10 @@ def _copy_armature(
     joint_names: Sequence[str],
     null: Mapping[str, EffortStatement],
 ) -> list[Diagnostic]:
-    """Copy the armature of MuJoCo's model to Pinocchio's, in place; report armature and efforts."""
+    """Copy the armature of MuJoCo's model to Pinocchio's, in place; report armature and efforts.
+
+    ``null`` maps each joint whose force range in the MJCF is empty to this statement.
+    """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = report_efforts(limits)
     armature = np.zeros(pin_model.nv)
@@ -250,7 +253,10 @@ def _hash_properties(
     contact_frames: Mapping[str, str],
     contact_radius: Mapping[str, float],
 ) -> str:
-    """Return a hash of all properties that a stand depends on."""
+    """Return a hash (16 hex digits) of the properties of a URDF that stances depend on.
+
+    Kinematics and feet, rounded to 1 nm; inertias; joint limits; names; contact radii.
+    """
     parts = [
         repr((joint_names, sorted(contact_frames.items()), sorted(contact_radius.items()))).encode()
     ]
@@ -307,7 +313,10 @@ def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
 
 
 def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
-    """Return the body of the free joint; with a fixed base, the static body below the joints."""
+    """Return the base: the body of the free joint, or else the static parent of the first joint.
+
+    That parent is the nearest ancestor of the first joint's body that is fixed to the world.
+    """
     if floating:
         return str(model.body(int(model.jnt_bodyid[free_joints(model)[0]])).name)
     base = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
@@ -317,10 +326,10 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
 
 
 def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
-    """Return the static body with the name of the URDF's root link, if this body carries the base.
+    """Return the name of the body that corresponds to the URDF's root link.
 
-    Otherwise, return the first whose name contains the root link's between separators, as files may
-    add a prefix or suffix to all names (``right_``, ``robot/``); otherwise the base.
+    Candidates are the fixed base and its ancestors: a body with the same name; else the first body
+    whose name is that of the link with a prefix or suffix (``right_``, ``robot/``); else ``base``.
     """
     root = UrdfTree.of(urdf).base.name
     body, ancestors = model.body(base).id, list[str]()
@@ -335,7 +344,10 @@ def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
 
 
 def _find_imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
-    """Return a site with gyro and accelerometer that is also a frame of the URDF; None if none."""
+    """Return the site of the IMU; None if there is no such site.
+
+    The site has a gyro and an accelerometer, and a link of the URDF has the same name.
+    """
     gyro, accelerometer = mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER
     sites = [
         {
@@ -413,7 +425,7 @@ _REPORTED_FLAGS = (
     (_DISABLE_BIT.mjDSBL_CONSTRAINT, "constraint"),
     (_DISABLE_BIT.mjDSBL_ACTUATION, "actuation"),
 )
-"""Flags that disable forces which support a robot."""
+"""(flag of MuJoCo that disables forces which support a robot, word in the message)."""
 
 
 def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
@@ -487,7 +499,10 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
 
 
 def report_placeholder_efforts(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Report effort limits that appear to be placeholders, except limits passed by the caller."""
+    """Report effort limits of the files that appear to be placeholders.
+
+    Limits that the caller passed (`with_efforts`) are not examined.
+    """
     efforts = {
         limit.joint: max(-limit.lower, limit.upper)
         for limit in robot.efforts

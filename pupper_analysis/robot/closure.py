@@ -1,14 +1,15 @@
 """Closed kinematic loops and joint couplings from the equality constraints of an MJCF.
 
 A URDF is a tree, and can only express ``<mimic>``. MuJoCo's residuals phi(q) are zero if the loops
-are closed. With the Jacobian A of phi, A qvel = 0, and the constraints exert A^T lambda. The
+are closed (constraint violations otherwise). With the Jacobian A of phi, A qvel = 0, and the
+constraints exert A^T lambda. The
 dependent joints F have no motor and carry no torque:
 
     0 = x_F - A_F^T lambda,    x' = x - A^T lambda
 
 for a generalised load x. The motors of the independent joints hold x' (principle of virtual work).
 
-MuJoCo's constraints are soft: at rest each has an opening (``give``) that depends on its force. If
+MuJoCo's constraints are soft: at rest each has a static deflection that depends on its force. If
 there are more equations than dependent joints (a planar loop has three equations, of which one is
 redundant), the compliances determine the distribution of the load.
 """
@@ -41,8 +42,8 @@ MAX_OPENING = 1e-6
 closed; a configuration with larger openings is rejected. Chosen, not tuned."""
 
 _RANK_RTOL = 1e-7
-"""Relative lower bound of the singular values of independent constraints. The redundant equation of
-a planar loop has up to 1e-9 in files with rounded numbers."""
+"""Singular value, relative to the largest, above which constraint equations count as independent.
+The redundant equation of a planar loop has up to 1e-9 in files with rounded numbers."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""
@@ -52,21 +53,24 @@ _MAX_NEWTON_STEP = 0.3
 steps are scaled down. Chosen, not tuned."""
 
 _START_ATOL = 1e-3
-"""Maximum opening [m, rad] of the loops at the initial configuration of the file. Loops in qpos0
-are closed to rounding, in keyframes to a millimetre."""
+"""Constraint violation [m, rad] below which qpos0 or a keyframe serves as the reference
+configuration with closed loops. Keyframes are written with a few digits, and violate constraints by
+up to a millimetre; qpos0 violates constraints by rounding errors only."""
 
 _DIFFERENCE_STEP = 1e-7
-"""Step of the central differences of the loop springs by the joints [rad, m]. The step is small,
-because the stiffness of a constraint varies within a millimetre of opening. Chosen, not tuned."""
+"""Step of the joint positions [rad, m] in the central differences of the constraint torques. The
+step is small, because the stiffness of a soft constraint varies within a millimetre of constraint
+violation. Chosen, not tuned."""
 
 _MAX_COMPLIANCE_FACTOR = 2.0
-"""Safety factor of the accepted opening of a loop: opening / static deflection at maximum
-compliance. The deflection is computed with the forces of the closed loop, which differ from those
-of the opened loop. Chosen, not tuned."""
+"""Largest accepted constraint violation of a loop under load, relative to the static deflection at
+maximum compliance. Larger than 1, because the deflection is computed with the constraint forces of
+the closed loop, not of the deflected loop. Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
-"""Mobility of joints that place feet, relative to other joints, while a loop is closed. The
-positions of the feet in the initial guess should change little. Chosen, not tuned."""
+"""Weight of the Newton step of joints between base and feet, relative to other joints, while loops
+are closed: a low weight changes the positions of the feet in the initial guess only a little.
+Chosen, not tuned."""
 
 _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
@@ -83,10 +87,11 @@ class Closure:
         joint_names: Joints in actuator order.
 
     Attributes:
-        following: Indices (k,) of the dependent joints, which have no motor.
-        leading: Indices (n,) of the other joints in loops and couplings.
-        bonds: Types and names of the active equality constraints.
-        tethered: Whether a constraint couples the robot to the world, which is not supported.
+        dependent_joints: Indices (k,) of the dependent joints, which have no motor.
+        driving_joints: Indices (n,) of the other joints in loops and couplings.
+        constraint_names: Types and names of the active equality constraints.
+        is_world_coupled: Whether a constraint couples the robot to the world, which is not
+            supported.
     """
 
     def __init__(
@@ -100,24 +105,24 @@ class Closure:
         self._first_dof = len(convention.qvel_index) - len(joint_names)
         self._num_coordinates = len(convention.qpos_index)
         self._thread_data = threading.local()
-        self.bonds = _list_constraints(model)
+        self.constraint_names = _list_constraints(model)
         self._is_used: NDArray[np.bool_] | None = None
         self._rank = len(joint_names)
         self._reference_qpos = self._find_closed_start()
         rows = self._generic_jacobian()
         used = np.flatnonzero(np.abs(rows).max(axis=0, initial=0.0) > _RANK_RTOL)
-        self.following = self._select_followers(rows, used)
-        self.leading = np.setdiff1d(used, self.following)
+        self.dependent_joints = self._select_dependent_joints(rows, used)
+        self.driving_joints = np.setdiff1d(used, self.dependent_joints)
         # Joints that rotate a loop as a whole only matter while the loop is open.
         self._is_used = np.isin(np.arange(len(joint_names)), used)
         self._rank = len(self._independent_combinations(rows))
         self._loops = self._find_loops(rows)
-        self._reference_rows = self.rows(self._reference_qpos)[:, self.following]
+        self._reference_rows = self.jacobian(self._reference_qpos)[:, self.dependent_joints]
 
     def residual(self, qpos: Array) -> Array:
-        """Return the openings (violations) of the constraints, shape (m,) [m, rad].
+        """Return the violations of the equality constraints, shape (m,) [m, rad].
 
-        Zero for closed loops.
+        MuJoCo's ``efc_pos``; zero if all loops are closed.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -125,34 +130,36 @@ class Closure:
         openings: Array = self._evaluate_constraints(qpos).efc_pos.copy()
         return openings
 
-    def rows(self, qpos: Array) -> Array:
-        """Return the Jacobian, shape (m, nu), of the openings by the joint positions.
+    def jacobian(self, qpos: Array) -> Array:
+        """Return the Jacobian, shape (m, nu), of the constraint violations by the joint positions.
 
-        The pose of the base does not affect the openings.
+        Columns are in actuator order. The pose of the base does not affect the violations.
 
         Args:
             qpos: Configuration, shape (nq,).
         """
-        rows = self._jacobian(self._evaluate_constraints(qpos))[:, self._first_dof :]
+        rows = self._mujoco_jacobian(self._evaluate_constraints(qpos))[:, self._first_dof :]
         return rows if self._is_used is None else rows * self._is_used
 
-    def give(self, qpos: Array, load: Array) -> Array:
-        """Return the openings of the soft constraints under a static load, shape (m,) [m, rad].
+    def static_deflection(self, qpos: Array, load: Array) -> Array:
+        """Return the static deflection of the soft constraints, shape (m,) [m, rad].
 
-        Same sign and order as ``residual``.
+        Sign and order are those of ``residual``.
 
         Args:
-            qpos: Configuration, shape (nq,).
-            load: Static load of motors and constraints, shape (nu,) [N m, N].
+            qpos: Configuration, shape (nq,), with closed loops.
+            load: Joint torques and forces that motors and constraints must exert together, shape
+                (nu,) [N m, N].
         """
-        forces = self._force_distribution(qpos) @ load[self.following]
-        return -self._make_softness(qpos).opened(forces)
+        forces = self._force_distribution(qpos) @ load[self.dependent_joints]
+        return -self._evaluate_compliance(qpos).solve_violations(forces)
 
-    def push(self, qpos: Array) -> Array:
-        """Return the matrix P: the closed loops carry the part P x of a static joint load x.
+    def load_transfer(self, qpos: Array) -> Array:
+        """Return the matrix P that maps a joint load x to the torques P x of the loop constraints.
 
-        The motors carry the rest, x - P x, which is zero at the dependent joints (``following``),
-        because these joints have no motor. P x depends only on the load of the dependent joints.
+        The motors exert the rest, x - P x, which is zero at the dependent joints
+        (``dependent_joints``), because these joints have no motor. P x depends on the load of the
+        dependent joints only.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -164,16 +171,16 @@ class Closure:
             ConfigurationError: If the configuration is singular.
         """
         matrix = np.zeros((len(self._joint_names), len(self._joint_names)))
-        matrix[:, self.following] = self.rows(qpos).T @ self._force_distribution(qpos)
+        matrix[:, self.dependent_joints] = self.jacobian(qpos).T @ self._force_distribution(qpos)
         # Exact, because dependent joints have no motor.
-        matrix[self.following] = np.eye(len(self._joint_names))[self.following]
+        matrix[self.dependent_joints] = np.eye(len(self._joint_names))[self.dependent_joints]
         return matrix
 
-    def springs(self, qpos: Array) -> Array:
+    def constraint_torques(self, qpos: Array) -> Array:
         """Return the joint torques and forces that the soft loop constraints exert at rest.
 
-        tau = -A^T (r / c), with the Jacobian A, the openings r (constraint violations, m and rad),
-        and the compliances c at the same openings. All velocities are zero.
+        tau = -A^T (r / c), with the Jacobian A, the constraint violations r [m, rad], and the
+        compliances c at the same violations. All velocities are zero.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -181,13 +188,13 @@ class Closure:
         Returns:
             Shape (nu,) [N m, N], acting on the robot.
         """
-        forces: Array = self.rows(qpos).T @ (
-            -self.residual(qpos) / self._make_softness(qpos).here()
+        forces: Array = self.jacobian(qpos).T @ (
+            -self.residual(qpos) / self._evaluate_compliance(qpos).current_compliance()
         )
         return forces
 
-    def spring_rates(self, qpos: Array) -> Array:
-        """Return the derivative of ``springs`` by the joint positions, shape (nu, nu).
+    def constraint_torque_jacobian(self, qpos: Array) -> Array:
+        """Return the derivative of the constraint torques by the joint positions, shape (nu, nu).
 
         Computed by central differences. Units: N m/rad for hinges, N/m for slides.
 
@@ -200,7 +207,7 @@ class Closure:
             for step in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP):
                 moved = qpos.copy()
                 moved[joint] += step
-                values.append(self.springs(moved))
+                values.append(self.constraint_torques(moved))
             columns.append((values[0] - values[1]) / (2 * _DIFFERENCE_STEP))
         return np.array(columns).T
 
@@ -210,58 +217,62 @@ class Closure:
         Args:
             qpos: Configuration, shape (nq,).
         """
-        _, _, right = np.linalg.svd(self.rows(qpos))
+        _, _, right = np.linalg.svd(self.jacobian(qpos))
         basis: Array = right[self._rank :].T
         return basis
 
-    def bound(self, qpos: Array) -> tuple[Array, Array]:
+    def independent_equations(self, qpos: Array) -> tuple[Array, Array]:
         """Return linearly independent combinations of the constraint equations.
 
         Args:
             qpos: Configuration, shape (nq,).
 
         Returns:
-            Jacobian, shape (r, nu), and openings, shape (r,) [m and rad mixed].
+            Jacobian by the joint positions, shape (r, nu), and constraint violations, shape (r,) [m
+            and rad mixed].
         """
-        rows = self.rows(qpos)
+        rows = self.jacobian(qpos)
         combinations = self._independent_combinations(rows)
         return combinations @ rows, combinations @ self.residual(qpos)
 
-    def closed(self, qpos: Array, moving: Array, give: Array | None = None) -> Array | None:
+    def close_loops(self, qpos: Array, moving: Array, give: Array | None = None) -> Array | None:
         """Close the loops near a configuration, by Newton's method with minimum weighted step norm.
 
         Args:
-            qpos: Configuration, shape (nq,), with open loops.
-            moving: Mobility of each joint, shape (nu,): a joint with a lower value moves less.
-            give: Required openings, shape (m,) [m, rad]; 0 by default.
+            qpos: Initial guess, shape (nq,), whose loops may be open.
+            moving: Step weight of each joint, shape (nu,), 0 to 1: a joint with a lower weight
+                moves less, a joint with weight 0 not at all.
+            give: Required constraint violations (static deflections), shape (m,) [m, rad]; 0 by
+                default.
 
         Returns:
-            Configuration, shape (nq,), with the same base pose. None if the iteration does not
-            converge, converges to another assembly mode, or (without ``give``) leaves a redundant
-            equation open by `MAX_OPENING`.
+            Configuration, shape (nq,), with the base pose of ``qpos``; None if the loops cannot be
+            closed. That is the case if the iteration does not converge, if it converges to another
+            assembly mode, or, without ``give``, if a redundant equation is violated by
+            ``MAX_OPENING`` or more.
         """
         result = self._close_by_newton(qpos, moving, give)
-        return result if result is not None and self.as_built(result) else None
+        return result if result is not None and self.has_reference_assembly(result) else None
 
-    def as_built(self, qpos: Array) -> bool:
-        """Return True if the loops have the assembly mode of the reference configuration.
+    def has_reference_assembly(self, qpos: Array) -> bool:
+        """Return True if all loops have the assembly mode of the reference configuration.
 
-        In another assembly mode (for example, with crossed rods of a four-bar linkage), the
-        determinant of the loop's Jacobian has the opposite sign.
+        The assembly mode counts as different (for example, crossed rods of a four-bar linkage) if
+        det(A^T A_ref) is negative for a loop, with the Jacobian A by its dependent joints.
         """
-        rows = self.rows(qpos)[:, self.following]
+        rows = self.jacobian(qpos)[:, self.dependent_joints]
         return all(
             float(np.linalg.det(rows[:, loop].T @ self._reference_rows[:, loop])) >= -_RANK_RTOL
             for loop in self._loops
         )
 
     def _close_by_newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
-        """Close the loops as ``closed``, in any assembly mode."""
+        """Close the loops as ``close_loops``, but in any assembly mode."""
         result = qpos.copy()
         joints = result[self._num_coordinates - len(self._joint_names) :]  # a view
         for _ in range(_MAX_ITERATIONS):
             error = self.residual(result) - (0.0 if give is None else give)
-            rows = self.rows(result)
+            rows = self.jacobian(result)
             combinations = self._independent_combinations(rows)
             if np.abs(combinations @ error).max(initial=0.0) < CLOSED_ATOL:
                 return (
@@ -273,58 +284,66 @@ class Closure:
             joints += step * min(1.0, _MAX_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
         return None
 
-    def open(self, qpos: Array) -> float:
-        """Return the largest opening (violation) of the loops and couplings.
+    def largest_violation(self, qpos: Array) -> float:
+        """Return the largest absolute constraint violation of the loops and couplings [m or rad].
 
-        Metres and radians are mixed. 0 without constraints.
+        0 without constraints.
 
         Args:
             qpos: Configuration, shape (nq,).
         """
         return float(np.abs(self.residual(qpos)).max(initial=0.0))
 
-    def open_by(self, qpos: Array, give: Array | None = None) -> float:
-        """Return the largest deviation of the openings from the required openings (m, rad mixed).
+    def violation_error(self, qpos: Array, give: Array | None = None) -> float:
+        """Return the largest deviation of the constraint violations from the required violations.
 
-        Only independent combinations of equations count: in files with rounded numbers, a planar
-        loop is open by nanometres in the redundant direction.
+        Metres and radians are mixed. Independent combinations of the equations are evaluated,
+        because the redundant equation of a planar loop is violated by nanometres in files with
+        rounded numbers.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+            give: Required constraint violations (static deflections), shape (m,) [m, rad]; 0 by
+                default.
         """
-        combinations = self._independent_combinations(self.rows(qpos))
+        combinations = self._independent_combinations(self.jacobian(qpos))
         error = self.residual(qpos) - (0.0 if give is None else give)
         return float(np.abs(combinations @ error).max(initial=0.0))
 
     def check(self, qpos: Array, load: Array) -> None:
         """Raise an error unless the loops are closed, up to their deflection under a static load.
 
-        The opening of each constraint may be ``MAX_OPENING`` plus ``_MAX_COMPLIANCE_FACTOR`` times
-        the deflection of the constraint under its force, at the largest compliance.
+        The violation of each constraint may be ``MAX_OPENING`` plus ``_MAX_COMPLIANCE_FACTOR``
+        times the deflection under its force, at the largest compliance.
 
         Args:
             qpos: Configuration, shape (nq,).
-            load: Static load of motors and constraints, shape (nu,) [N m, N].
+            load: Joint torques and forces that motors and constraints must exert together, shape
+                (nu,) [N m, N].
 
         Raises:
-            ConfigurationError: If a loop is open, or the configuration is singular.
+            ConfigurationError: If a constraint violation is larger, or the configuration is
+                singular.
         """
-        forces = self._force_distribution(qpos) @ load[self.following]
-        allowed = MAX_OPENING + _MAX_COMPLIANCE_FACTOR * self._make_softness(qpos).most() * np.abs(
-            forces
-        )
+        forces = self._force_distribution(qpos) @ load[self.dependent_joints]
+        allowed = MAX_OPENING + _MAX_COMPLIANCE_FACTOR * self._evaluate_compliance(
+            qpos
+        ).max_compliance() * np.abs(forces)
         openings = np.abs(self.residual(qpos))
         if (openings > allowed).any():
             max_opening = Quantity(openings.max(), "rad or m")
             raise ConfigurationError(
-                "qpos", diagnose("loops-open", bonds=self.bonds, off=max_opening)
+                "qpos", diagnose("loops-open", bonds=self.constraint_names, off=max_opening)
             )
 
-    def readiness(self, placing: IntArray) -> Array:
-        """Return the mobility of each joint, shape (nu,), with which `closed` weights the steps.
+    def step_weights(self, placing: IntArray) -> Array:
+        """Return the step weight of each joint for `close_loops`, shape (nu,), actuator order.
 
-        The mobility is 1, and low for joints that place feet, so that closing the loops moves feet
-        little.
+        The weight is 1, and ``_FOOT_JOINT_MOBILITY`` for joints between base and feet, so that
+        closing the loops moves the feet only a little.
 
         Args:
-            placing: Indices of the joints that place feet.
+            placing: Indices of the joints between base and feet.
         """
         mobility = np.ones(len(self._joint_names))
         mobility[placing] = _FOOT_JOINT_MOBILITY
@@ -332,8 +351,8 @@ class Closure:
 
     def describe(self) -> Diagnostic:
         """Return a message that lists the dependent joints and the driving joints."""
-        following = [self._joint_names[joint] for joint in self.following]
-        leading = [self._joint_names[joint] for joint in self.leading]
+        following = [self._joint_names[joint] for joint in self.dependent_joints]
+        leading = [self._joint_names[joint] for joint in self.driving_joints]
         if not following:
             return diagnose("joints-bound", joints=leading)
         return diagnose("joints-follow", following=following, leading=leading)
@@ -353,39 +372,42 @@ class Closure:
         data: mujoco.MjData = thread_data.data
         return data
 
-    def _jacobian(self, data: mujoco.MjData) -> Array:
-        """Return the Jacobian (m, nv) in public coordinates from MuJoCo's data."""
+    def _mujoco_jacobian(self, data: mujoco.MjData) -> Array:
+        """Return the constraint Jacobian (m, nv) of MuJoCo's data, columns in actuator order."""
         values = data.efc_J[: data.nefc * self._model.nv]  # MuJoCo may allocate more rows
         rows: Array = values.reshape(-1, self._model.nv)[:, self._convention.qvel_index]
         return rows
 
-    def _make_softness(self, qpos: Array) -> EqualityCompliance:
-        """Return the compliance of the constraints at a configuration, shape (nq,)."""
+    def _evaluate_compliance(self, qpos: Array) -> EqualityCompliance:
+        """Return the compliance of the soft constraints as evaluated at a qpos of shape (nq,)."""
         return EqualityCompliance(self._model, self._evaluate_constraints(qpos))
 
     def _force_distribution(self, qpos: Array) -> Array:
-        """Return the constraint forces (m, k) per unit load on the dependent joints.
+        """Return the constraint forces (m, k) per unit load on each of the k dependent joints.
 
         Of all forces that balance the load, the forces with minimum elastic energy are selected.
 
         Raises:
             ConfigurationError: If the configuration is singular.
         """
-        stiffness = 1 / self._make_softness(qpos).here()
-        rows = self.rows(qpos)[:, self.following]
+        stiffness = 1 / self._evaluate_compliance(qpos).current_compliance()
+        rows = self.jacobian(qpos)[:, self.dependent_joints]
         matrix = rows.T @ (stiffness[:, None] * rows)
         scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = scale[:, None] * matrix * scale
         if len(matrix) and np.linalg.eigvalsh(scaled)[0] < _RANK_RTOL**2:
-            raise ConfigurationError("qpos", diagnose("loops-at-dead-point", bonds=self.bonds))
+            raise ConfigurationError(
+                "qpos", diagnose("loops-at-dead-point", bonds=self.constraint_names)
+            )
         solution = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * rows.T)
         distribution: Array = stiffness[:, None] * solution.T
         return distribution
 
     def _find_closed_start(self) -> Array:
-        """Return a configuration (nq,) with closed loops: qpos0, a keyframe, or Newton's result.
+        """Return a reference configuration (nq,), with closed loops if possible.
 
-        If Newton's method does not converge, the result is qpos0.
+        The first of qpos0 and the keyframes that violates no constraint by ``_START_ATOL``; else
+        the result of Newton's method from qpos0; if that does not converge, qpos0.
         """
         model, index = self._model, self._convention.qpos_index
         starts = [np.array(pose)[index] for pose in (model.qpos0, *model.key_qpos)]
@@ -396,9 +418,10 @@ class Closure:
         return starts[0] if closed is None else closed
 
     def _generic_jacobian(self) -> Array:
-        """Return the Jacobian (m, nu) near the reference configuration, where no leg is singular.
+        """Return the Jacobian (m, nu) at a random configuration near the reference configuration.
 
-        Also set ``tethered``.
+        A random configuration is generic: no straight leg makes it singular. The method also sets
+        ``is_world_coupled``.
         """
         qpos, size = self._reference_qpos.copy(), len(self._joint_names)
         qpos[self._num_coordinates - size :] += np.random.default_rng(0).uniform(-0.1, 0.1, size)
@@ -410,9 +433,11 @@ class Closure:
             ),
             qpos,
         )
-        rows = self._jacobian(self._evaluate_constraints(qpos))
+        rows = self._mujoco_jacobian(self._evaluate_constraints(qpos))
         # An open loop may rotate the base, but only a constraint with the world translates it.
-        self.tethered = bool(np.abs(rows[:, : min(3, self._first_dof)]).max(initial=0.0) > 1e-6)
+        self.is_world_coupled = bool(
+            np.abs(rows[:, : min(3, self._first_dof)]).max(initial=0.0) > 1e-6
+        )
         return rows[:, self._first_dof :]
 
     def _independent_combinations(self, rows: Array) -> Array:
@@ -425,8 +450,11 @@ class Closure:
         return combinations
 
     def _find_loops(self, rows: Array) -> tuple[IntArray, ...]:
-        """Return the positions in ``following`` of the joints of each group of connected loops."""
-        is_coupled = np.abs(rows[:, self.following]) > _RANK_RTOL
+        """Return groups of dependent joints that occur in common equations (connected loops).
+
+        The values are indices in ``dependent_joints``.
+        """
+        is_coupled = np.abs(rows[:, self.dependent_joints]) > _RANK_RTOL
         loops: list[tuple[set[int], NDArray[np.bool_]]] = []  # (joints, mask of their equations)
         for joint in range(is_coupled.shape[1]):
             joints, equations = {joint}, is_coupled[:, joint]
@@ -436,10 +464,11 @@ class Closure:
             loops.append((joints, equations))
         return tuple(np.array(sorted(joints), dtype=np.int64) for joints, _ in loops)
 
-    def _select_followers(self, rows: Array, used: IntArray) -> IntArray:
-        """Return the dependent joints: as many undriven joints as the constraints can determine.
+    def _select_dependent_joints(self, rows: Array, used: IntArray) -> IntArray:
+        """Return the dependent joints: joints without actuator that the constraints determine.
 
-        Followers of joint couplings are selected first.
+        Greedy selection while the columns of the Jacobian stay independent: first the dependent
+        joints of joint couplings, then the other joints from the last to the first.
         """
         undriven = [joint for joint in used if self._convention.actuator_index[joint] < 0]
         model = self._model
@@ -474,14 +503,14 @@ def _list_constraints(model: mujoco.MjModel) -> tuple[str, ...]:
 def find_closure(
     model: mujoco.MjModel, convention: MujocoConvention, joint_names: Sequence[str]
 ) -> Closure | None:
-    """Return the loops and couplings of a robot; None if there are none.
+    """Return the loops and couplings of a robot; None if there are none to model.
 
-    The result is also None if the constraints are disabled, bind no joint, or couple the robot to
-    the world.
+    The result is None if the model has no active equality constraint, if constraints are disabled,
+    if no joint of the robot is constrained, or if a constraint couples the robot to the world.
     """
     disabled = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
     if not model.eq_active0.any() or model.opt.disableflags & int(disabled):
         return None
     closure = Closure(model, convention, joint_names)
-    has_joints = len(closure.leading) + len(closure.following) > 0
-    return closure if has_joints and not closure.tethered else None
+    has_joints = len(closure.driving_joints) + len(closure.dependent_joints) > 0
+    return closure if has_joints and not closure.is_world_coupled else None

@@ -449,9 +449,9 @@ class Configuration(Pictured):
         """Return the generalised forces that the motors exert to balance given static loads.
 
         Constraint forces of loops and couplings transfer the load of dependent joints, which have
-        no motor, to the motors of other joints (`Closure.push`). The rows of dependent joints
-        become zero. Without loops and couplings the result equals ``forces``. The first nv - nu
-        rows (the base) are unchanged.
+        no motor, to the motors of other joints (`Closure.load_transfer`). The rows of dependent
+        joints become zero. Without loops and couplings the result equals ``forces``. The first nv -
+        nu rows (the base) are unchanged.
 
         Args:
             forces: Generalised loads, shape (nv,) or (nv, n) [N, N m].
@@ -460,7 +460,7 @@ class Configuration(Pictured):
         if closure is None:
             return forces
         result, first = forces.copy(), self.robot.nv - self.robot.nu
-        result[first:] -= closure.push(self.qpos) @ forces[first:]
+        result[first:] -= closure.load_transfer(self.qpos) @ forces[first:]
         return result
 
     def static_rates(self, wrenches: Mapping[str, Array]) -> Array:

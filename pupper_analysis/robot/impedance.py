@@ -107,11 +107,11 @@ class EqualityCompliance:
             )
             row += num_rows
 
-    def here(self) -> Array:
+    def current_compliance(self) -> Array:
         """Return the compliance of each equation (m,) at the current opening [m/N, rad/(N m)]."""
         return self._compliance.copy()
 
-    def most(self) -> Array:
+    def max_compliance(self) -> Array:
         """Return the largest compliance of each equation over all openings.
 
         Shape (m,) [m/N, rad/(N m)].
@@ -123,7 +123,7 @@ class EqualityCompliance:
             )
         return compliance
 
-    def opened(self, forces: Array) -> Array:
+    def solve_violations(self, forces: Array) -> Array:
         """Return the openings of the equations (m,) [m, rad] under forces (m,) [N, N m] at rest."""
         openings = self._base_compliance * forces
         for rows, solimp in self._row_groups:

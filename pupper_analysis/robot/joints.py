@@ -114,14 +114,14 @@ def _closed_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]
     """
     closure = robot.closure
     assert closure is not None
-    indices = sorted({*closure.following.tolist(), *closure.leading.tolist()})
+    indices = sorted({*closure.dependent_joints.tolist(), *closure.driving_joints.tolist()})
     names = [robot.joint_names[index] for index in indices]
     if not placed.keys() >= {*names}:
         return ()
     positions = robot.posed(robot.home[-robot.nu :])
     for index in indices:
         positions[robot.nq - robot.nu + index] = placed[robot.joint_names[index]]
-    if closure.open(positions) > _CLOSED:
+    if closure.largest_violation(positions) > _CLOSED:
         return ()
     return tuple(name for name in names if name not in _foot_joints(robot))
 
@@ -135,7 +135,7 @@ def free_joints(robot: Robot) -> tuple[str, ...]:
         for joint in list(model.supports[foot])
     }
     if robot.closure is not None:
-        coupled = (*robot.closure.following.tolist(), *robot.closure.leading.tolist())
+        coupled = (*robot.closure.dependent_joints.tolist(), *robot.closure.driving_joints.tolist())
         foot_or_coupled_joints |= {robot.joint_names[joint] for joint in coupled}
     return tuple(joint for joint in robot.joint_names if joint not in foot_or_coupled_joints)
 

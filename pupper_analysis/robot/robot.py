@@ -613,7 +613,7 @@ class Robot(EngineModels):
         """
         self.check_not_welded(what)
         if self.closure is not None:
-            bonds = self.closure.bonds
+            bonds = self.closure.constraint_names
             problem = diagnose("robot-has-loops", robot=self.name, bonds=bonds, what=Term(what))
             raise ConfigurationError("robot", problem)
 

@@ -288,7 +288,7 @@ def resolve_servo_gains(
     actuators = robot.mj_convention.actuator_index
     following = np.zeros(robot.nu, dtype=bool)
     if robot.closure is not None:
-        following[robot.closure.following] = True
+        following[robot.closure.dependent_joints] = True
     for name, motor in zip(robot.joint_names, (actuators >= 0) | following, strict=True):
         if not motor:
             problem = diagnose("joint-without-actuator", subject=("joint", name))

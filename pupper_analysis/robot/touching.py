@@ -197,7 +197,7 @@ def _free_base(robot: Robot) -> Robot:
     if not robot.contact_points:
         joints, _ = default_positions(robot)
         if robot.closure is not None:
-            closed = robot.closure.closed(joints, np.ones(robot.nu))
+            closed = robot.closure.close_loops(joints, np.ones(robot.nu))
             joints = joints if closed is None else closed
         built = replace(built, home=np.concatenate([built.home[:7], joints]))
     return built if robot.stand_height else replace(built, stand_height=half_extent)

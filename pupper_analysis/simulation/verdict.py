@@ -308,14 +308,16 @@ def _find_worst_code(
     if not fed.passed:
         return VerdictCode.DISAGREES if fed.stays and not overloaded_motors else VerdictCode.FAILS
     user_gains = servos.source is ServoSource.GIVEN  # the servos of the file are not used then
-    if (keyframe_run is not None and keyframe_run.fails and not user_gains) or servos.replaced:
+    if (
+        keyframe_run is not None and keyframe_run.fails and not user_gains
+    ) or servos.replacement_servos:
         return VerdictCode.OWN_DRIVES_FAIL
     differs = published is not None and published.differs
     deviation = published.worst if published is not None and differs else None
     if (
         deviation is not None
         and published is not None
-        and not (deviation.close or published.is_altered_only)
+        and not (deviation.agrees_with_equilibrium or published.is_altered_only)
     ):
         return VerdictCode.DIFFERS_AS_PUBLISHED
     if any(remark.severity is Severity.ERROR for remark in remarks):

@@ -82,7 +82,7 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
         remainder[robot.mj_convention.qvel_index] -= push
     joints = robot.mj_convention.qvel_index[-robot.nu :]
     if robot.closure is not None:
-        remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
+        remainder[joints] -= robot.closure.load_transfer(stand.qpos) @ remainder[joints]
     remainder[joints] -= prediction.joint_torques
     return float(np.abs(remainder).max())
 

@@ -180,7 +180,7 @@ class Loops(Constraint):
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
         """Return the Jacobian of the loop openings by qvel, shape (m, nv)."""
-        rows = self._closure.rows(at.qpos)
+        rows = self._closure.jacobian(at.qpos)
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
@@ -188,9 +188,9 @@ class Loops(Constraint):
 
         Infinite if the loop is closed in another assembly mode than in the MJCF.
         """
-        if not self._closure.as_built(at.qpos):
+        if not self._closure.has_reference_assembly(at.qpos):
             return math.inf
-        return self._closure.open_by(at.qpos, goal.give)
+        return self._closure.violation_error(at.qpos, goal.give)
 
 
 class PlaceConstraint(Constraint):

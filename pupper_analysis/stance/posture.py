@@ -114,7 +114,7 @@ def find_posture(
     qpos = _close_loops(robot, start, placed)
     moved = np.abs(qpos - start) > _MAX_CLOSING_DISPLACEMENT
     for joint, position, ends, by in zip(robot.joint_names, qpos, ranges, moved, strict=True):
-        bonds = robot.closure.bonds if robot.closure is not None and by else ()
+        bonds = robot.closure.constraint_names if robot.closure is not None and by else ()
         stated = "keyframe" if source is PostureSource.KEYFRAME and joint not in given else "joints"
         check_in_range(robot, joint, float(position), tuple(ends.tolist()), stated, bonds)
     return Posture(robot.joint_names, qpos, source, name or "", tuple(given))
@@ -132,13 +132,13 @@ def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
         return qpos
     moving = np.ones(robot.nu)
     moving[placed] = 0.0
-    closed = robot.closure.closed(qpos, moving)
+    closed = robot.closure.close_loops(qpos, moving)
     if closed is None:  # two given joints of one loop are rounded
-        closed = robot.closure.closed(qpos, robot.closure.readiness(placed))
+        closed = robot.closure.close_loops(qpos, robot.closure.step_weights(placed))
         if closed is not None and (np.abs(closed - qpos)[placed] > _MAX_CLOSING_DISPLACEMENT).any():
             closed = None
     if closed is None:
-        problem = diagnose("posture-does-not-close", bonds=robot.closure.bonds)
+        problem = diagnose("posture-does-not-close", bonds=robot.closure.constraint_names)
         raise ConfigurationError("joints", problem)
     return closed
 

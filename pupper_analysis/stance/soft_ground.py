@@ -159,11 +159,11 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
     """Return joint positions (nu,) with the static deflection of MuJoCo's soft couplings."""
     closure = robot.closure
-    if closure is None or not len(closure.following):
+    if closure is None or not len(closure.dependent_joints):
         return qpos
-    give = closure.give(qpos, Configuration(robot, qpos).load())
-    moving = np.isin(np.arange(robot.nu), closure.following).astype(float)
-    opened = closure.closed(qpos, moving, give)
+    give = closure.static_deflection(qpos, Configuration(robot, qpos).load())
+    moving = np.isin(np.arange(robot.nu), closure.dependent_joints).astype(float)
+    opened = closure.close_loops(qpos, moving, give)
     return qpos if opened is None else opened
 
 
@@ -221,7 +221,7 @@ def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
         [*forces, *wrenches[:grips], *(wrench[:3] for wrench in wrenches[grips:])]
     )
     left = config.load() - carrying.jacobian(config) @ pushed
-    return robot.closure.give(stand.qpos, left[robot.nv - robot.nu :])
+    return robot.closure.static_deflection(stand.qpos, left[robot.nv - robot.nu :])
 
 
 def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:

@@ -489,7 +489,9 @@ def _make_result(
     forces = forces.reshape(-1, 3)
     utilisation = utilise(robot, torques)
     if robot.closure is not None:
-        utilisation[robot.closure.following] = 0.0  # dependent joints have no motor of their own
+        utilisation[robot.closure.dependent_joints] = (
+            0.0  # dependent joints have no motor of their own
+        )
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
     positions = carrying.points(config)
     com = config.center_of_mass()

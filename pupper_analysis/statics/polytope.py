@@ -150,7 +150,9 @@ def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
     bearing = np.linalg.norm(rows, axis=1) > MIN_LEVER_ARM
     moving = np.array([name in tool.chain for name in robot.joint_names])
     if robot.closure is not None:
-        moving[robot.closure.following] = False  # dependent joints have no motor of their own
+        moving[robot.closure.dependent_joints] = (
+            False  # dependent joints have no motor of their own
+        )
     kept = np.flatnonzero(bearing | moving)
     limits = robot.effort_limits[kept]
     vertices = None

@@ -132,7 +132,9 @@ def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Ar
     limits, first = robot.effort_limits, robot.nv - robot.nu
     motors = np.ones(robot.nu, dtype=bool)
     if robot.closure is not None:
-        motors[robot.closure.following] = False  # dependent joints have no motor of their own
+        motors[robot.closure.dependent_joints] = (
+            False  # dependent joints have no motor of their own
+        )
     unknown = [robot.joint_names[index] for index in np.flatnonzero(motors & np.isinf(limits))]
     if unknown:
         raise ConfigurationError("torque_limits", diagnose("region-limits-unknown", joints=unknown))

@@ -118,7 +118,7 @@ def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fai
     own = own_run(robot)
     assert own is not None
     assert own.lean == pytest.approx(tilt, abs=0.02)
-    assert own.tilted is fails
+    assert own.is_tilted is fails
     assert judged(robot).passed is not fails
 
 
@@ -129,7 +129,7 @@ def test_a_robot_that_a_weld_hoists_is_lifted_and_the_weld_is_named(tmp_path: Pa
     robot = slipped(tmp_path, lambda text: text.replace("</mujoco>", f"{weld}</mujoco>"))
     own = own_run(robot)
     assert own is not None
-    assert own.lifted
+    assert own.is_lifted
     verdict = judged(robot)
     assert not verdict.passed
     assert "weld-holds-it" in codes(verdict)

@@ -110,7 +110,7 @@ def test_stand_with_elastic_belts_is_as_predicted(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = holds(robot)
     assert robot.closure is not None
-    assert 1e-3 < robot.closure.open(stand.qpos) < 0.05
+    assert 1e-3 < robot.closure.largest_violation(stand.qpos) < 0.05
     rigid = pa.verify_stand(robot, pa.solve_stand(robot))
     assert not rigid.passed
     assert "motor-torque-off" in {failure.code for failure in rigid.failures}
@@ -124,7 +124,7 @@ def test_soft_loop_stand_sags_as_predicted_by_steady_state(pair, tmp_path: Path)
     robot = load(pair(tmp_path, words=words))
     stand = holds(robot)
     assert robot.closure is not None
-    assert robot.closure.open(stand.qpos) > 2e-3
+    assert robot.closure.largest_violation(stand.qpos) > 2e-3
     sag = pa.steady_state(robot, stand, feet="sliding")
     found = pa.verify_stand(robot, stand, feedforward=False, duration=20.0, nudged=0)
     assert found.base_height == pytest.approx(sag.base_height, abs=1e-6)
@@ -169,7 +169,7 @@ def test_four_bars_stand_as_predicted(crank: float, tmp_path: Path) -> None:
     robot = load(four_bars(tmp_path, crank))
     stand = holds(robot)
     assert robot.closure is not None
-    assert 1e-4 < robot.closure.open(stand.qpos) < 2e-3
+    assert 1e-4 < robot.closure.largest_violation(stand.qpos) < 2e-3
     holds(robot, pa.StandTask(height=0.95 * robot.stand_height))
     holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
 
@@ -200,7 +200,7 @@ def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> Non
     context, goal = SearchContext(robot), make_goal(robot, task, {})
     nearest = find_nearest(context, goal, robot.home)
     assert robot.closure is not None
-    assert robot.closure.open(nearest.qpos) < 1e-6
+    assert robot.closure.largest_violation(nearest.qpos) < 1e-6
     refusal = explain_refusal(context, goal, nearest, explain=False)
     assert max(refusal.shortfall.values()) == pytest.approx(nearest.foot_error, abs=1e-6)
     # A stand whose feet are in place may have loops that are not.
@@ -215,7 +215,7 @@ def test_loop_jacobian_equals_the_finite_difference_of_the_residual(tmp_path: Pa
     robot = load(four_bars(tmp_path, 0.04))
     closure, qpos = robot.closure, pa.solve_stand(robot).qpos
     assert closure is not None
-    rows, step = closure.rows(qpos), 1e-6
+    rows, step = closure.jacobian(qpos), 1e-6
     for joint in range(robot.nu):
         ends = []
         for way in (step, -step):
@@ -227,7 +227,9 @@ def test_loop_jacobian_equals_the_finite_difference_of_the_residual(tmp_path: Pa
     assert basis.shape == (robot.nu, robot.nu - 8)
     np.testing.assert_allclose(rows @ basis, 0, atol=1e-9)
     np.testing.assert_allclose(
-        closure.spring_rates(qpos), closure.spring_rates(qpos).T, atol=1e-4 * 1e4
+        closure.constraint_torque_jacobian(qpos),
+        closure.constraint_torque_jacobian(qpos).T,
+        atol=1e-4 * 1e4,
     )
 
 
@@ -251,9 +253,11 @@ def test_constraint_opening_equals_mujoco_at_rest(tmp_path: Path) -> None:
     assert robot.closure is not None
     qpos = data.qpos[robot.mj_convention.qpos_index]
     load_on_knees = np.zeros(robot.nu)
-    load_on_knees[robot.closure.following] = forces  # A_F is 1 for joint1
+    load_on_knees[robot.closure.dependent_joints] = forces  # A_F is 1 for joint1
     np.testing.assert_allclose(robot.closure.residual(qpos), opened, atol=1e-12)
-    np.testing.assert_allclose(robot.closure.give(qpos, load_on_knees), opened, rtol=1e-3)
+    np.testing.assert_allclose(
+        robot.closure.static_deflection(qpos, load_on_knees), opened, rtol=1e-3
+    )
 
 
 @pytest.mark.slow
@@ -346,7 +350,7 @@ def test_weld_in_a_plane_closes_a_loop_like_a_connect(tmp_path: Path) -> None:
         folder.mkdir()
     one, two = load(four_bars(folders[0])), load(hinged(four_bars(folders[1])))
     assert two.closure is not None
-    assert len(two.closure.following) == 12
+    assert len(two.closure.dependent_joints) == 12
     stand = pa.stance.solve_stand_on_soft_ground(two)
     # It stands as predicted, and for no longer than some 20 s: welds are softer, and it buckles.
     seen = pa.verify_stand(two, stand)

@@ -60,10 +60,10 @@ def test_predicted_constraint_opening_equals_the_simulation_at_rest(kind: str, s
     soft = EqualityCompliance(model, data)
     moved = np.abs(data.efc_pos) > 1e-6
     assert moved.any()
-    opened = -soft.opened(data.efc_force)
+    opened = -soft.solve_violations(data.efc_force)
     np.testing.assert_allclose(opened[moved], data.efc_pos[moved], rtol=1e-4)
-    np.testing.assert_allclose(-soft.here() * data.efc_force, data.efc_pos, atol=1e-9)
-    assert (soft.most() >= soft.here() * (1 - 1e-12)).all()
+    np.testing.assert_allclose(-soft.current_compliance() * data.efc_force, data.efc_pos, atol=1e-9)
+    assert (soft.max_compliance() >= soft.current_compliance() * (1 - 1e-12)).all()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -76,7 +76,7 @@ def test_constraint_compliance_does_not_depend_on_the_configuration(kind: str) -
         if kind == "joint":
             data.qpos[:] = distance, 0, 0, 0
         mujoco.mj_forward(model, data)
-        found.append(EqualityCompliance(model, data).opened(np.full(data.nefc, 2.0)))
+        found.append(EqualityCompliance(model, data).solve_violations(np.full(data.nefc, 2.0)))
     # A weld's and a connect's A depend on the configuration; along this way they stay.
     for other in found[1:]:
         np.testing.assert_allclose(other, found[0], rtol=1e-9)

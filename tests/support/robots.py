@@ -346,4 +346,4 @@ def line_at(place: str | None, files: Mapping[str, Path]) -> str:
 def headline(comparison: FilesCompared) -> str:
     """What is said first of a comparison: whether they agree, and what is to be mended first."""
     agree = "SAME ROBOT, DIFFERENT CONVENTIONS" if comparison.same_robot else "DISAGREE"
-    return f"{'AGREE' if comparison.agree else agree}: {comparison.first_to_mend}"
+    return f"{'AGREE' if comparison.agree else agree}: {comparison.main_problem}"

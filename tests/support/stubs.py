@@ -434,7 +434,7 @@ def files() -> Any:
         only_urdf=("tail",),
         only_mjcf=("head",),
     )
-    for name in ("unexplained", "first_to_mend"):
+    for name in ("unexplained", "main_problem"):
         setattr(found, name, vars(FilesCompared)[name].fget(found))
     return found
 

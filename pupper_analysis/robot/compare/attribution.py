@@ -110,7 +110,7 @@ def explain_differences(
         effects = {}
         if change.felt:
             effects = relative_error.effects(urdf, behaviour(change.apply(first, second)))
-        differences.append(change.difference(effects))
+        differences.append(change.to_difference(effects))
     differences += armature_differences(first, behaviour, relative_error)
     full_model = make_passive_model(reference.model)
     for extra in mjcf_only:
@@ -119,7 +119,7 @@ def explain_differences(
             relative_error.effects(reduced, evaluate_mujoco(reduced_model)) if extra.slots else {}
         )
         extra.switch(reduced_model, None)
-        differences.append(extra.difference(effects))
+        differences.append(extra.to_difference(effects))
     differences += [_report_mimic(name, (mimics or {})[name]) for name in uncoupled]
     patched = behaviour(apply_changes(first, second))
     residual = _compute_residual(relative_error, patched, reduced)

@@ -253,7 +253,7 @@ def _compare_feet(
             (urdf.place("link", link) if urdf_lowest is None else urdf_lowest.place()).path,
             mjcf_place.path,
         )
-        values = {"one": sides[0][1], "two": sides[1][1], **FORMAT_NAMES.named}
+        values = {"one": sides[0][1], "two": sides[1][1], **FORMAT_NAMES.message_values}
         if not (urdf_shapes and mjcf_shapes):
             message = diagnose("foot-touches-in-one-file", subject=subject, **values)
             presence = [None if not shapes else "there" for shapes in (urdf_shapes, mjcf_shapes)]
@@ -392,10 +392,10 @@ class FilesCompared(Tabular):
         return list(groups.values())
 
     @property
-    def first_to_mend(self) -> Diagnostic:
+    def main_problem(self) -> Diagnostic:
         """Diagnostic of the most important problem, or of the agreement."""
         causes, groups = self.causes, self.unexplained
-        if causes and causes[0].leads:
+        if causes and causes[0].is_reported_first:
             return causes[0].diagnostic
         if self.parts:
             return self.parts[0]
@@ -633,7 +633,7 @@ def _compare_servo_gains(
                 change = change_of(
                     code, kind, subject, (urdf_gain, mjcf_gain), unit, FORMAT_NAMES, details
                 )
-                yield change.difference({})
+                yield change.to_difference({})
 
 
 def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:

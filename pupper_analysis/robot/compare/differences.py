@@ -146,7 +146,7 @@ class Stated:
         """Message in English."""
         return str(self.diagnostic)
 
-    def difference(self, effects: dict[str, Effect]) -> Difference:
+    def to_difference(self, effects: dict[str, Effect]) -> Difference:
         """Return the difference as a result, with the effects."""
         return Difference(
             self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
@@ -242,7 +242,7 @@ class PatternCause(Result):
         return str(self.diagnostic)
 
     @property
-    def leads(self) -> bool:
+    def is_reported_first(self) -> bool:
         """Whether the cause is reported first.
 
         This applies to efforts at another side of the gear: such efforts do not affect the
@@ -360,7 +360,7 @@ class ModelNames:
     alike: bool
 
     @property
-    def named(self) -> dict[str, Any]:
+    def message_values(self) -> dict[str, Any]:
         """Both names as values of a diagnostic."""
         return {"first": self.first, "second": self.second}
 
@@ -497,7 +497,9 @@ def change_of(
         felt: Whether the difference affects the dynamics.
     """
     first, second = (_format_value(value, unit) for value in shown or values)
-    message = diagnose(code, subject=subject, one=first, two=second, **details, **sides.named)
+    message = diagnose(
+        code, subject=subject, one=first, two=second, **details, **sides.message_values
+    )
     element_name = element if subject is None else element or subject[1]
     return Change(kind, element_name, *values, unit, message, felt=felt)
 
@@ -595,7 +597,10 @@ def body_changes(
                 for tensor in (one.inertia, two.inertia)
             )
             if differs[indices]:
-                values = {**number_pair(first_value, second_value, "kg m^2"), **sides.named}
+                values = {
+                    **number_pair(first_value, second_value, "kg m^2"),
+                    **sides.message_values,
+                }
                 entries.append(
                     diagnose(
                         "inertia-entry-differs",
@@ -710,7 +715,7 @@ def convention_changes(
             pose=describe_pose(found.base),
             floating=first.floating,
             shown=found.shown,
-            **sides.named,
+            **sides.message_values,
         )
         pose = np.array(found.base.homogeneous)
         difference = Difference("base frame", first.base, pose, np.eye(4), "m", message, {})
@@ -724,7 +729,7 @@ def convention_changes(
             more=offset > 0,
             magnitude=Quantity(abs(offset), unit),
             turn=None if unit == "m" else Quantity(offset, unit),
-            **sides.named,
+            **sides.message_values,
         )
         difference = Difference("zero", name, offset, 0.0, unit, message, {})
         yield difference, with_zero(first, name, -offset)

@@ -133,11 +133,11 @@ class NamedModel:
             kinds.mjOBJ_FLEX: trees[model.flex_vertbodyid[model.flex_vertadr]],
         }
 
-    def off(self, bit: mujoco.mjtDisableBit) -> bool:
+    def is_disabled(self, bit: mujoco.mjtDisableBit) -> bool:
         """Return True if a flag of the file disables a term of the dynamics."""
         return bool(self.model.opt.disableflags & bit.value)
 
-    def holds(self, object_type: mujoco.mjtObj, index: int) -> bool:
+    def is_part_of_robot(self, object_type: mujoco.mjtObj, index: int) -> bool:
         """Return True if an element is part of the robot's kinematic tree.
 
         Args:
@@ -159,7 +159,7 @@ class NamedModel:
             return self.reference.base
         return self.name("joint", joint)
 
-    def numbers(self, prefix: str, index: int | slice, words: Sequence[str]) -> Numbers:
+    def read_nonzero_values(self, prefix: str, index: int | slice, words: Sequence[str]) -> Numbers:
         """Return {attribute: value or values} of an element, without zeros.
 
         Attributes that a flag disables count as zero.
@@ -167,7 +167,9 @@ class NamedModel:
         nonzero: Numbers = {}
         for word in words:
             values = np.ravel(getattr(self.model, f"{prefix}_{word}")[index])
-            if values.any() and not any(self.off(bit) for bit in _DISABLING_FLAGS.get(word, ())):
+            if values.any() and not any(
+                self.is_disabled(bit) for bit in _DISABLING_FLAGS.get(word, ())
+            ):
                 nonzero[word] = float(values[0]) if len(values) == 1 else values.tolist()
         return nonzero
 
@@ -205,16 +207,16 @@ def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             model.jnt_type[joint] == JointKind.FREE,
         )
         first = int(model.jnt_dofadr[joint])
-        spring = scene.numbers("jnt", joint, ("stiffness", "stiffnesspoly"))
+        spring = scene.read_nonzero_values("jnt", joint, ("stiffness", "stiffnesspoly"))
         if spring:
-            beside = scene.numbers("jnt", joint, ("springyield",))
+            beside = scene.read_nonzero_values("jnt", joint, ("springyield",))
             if not is_free:
                 beside["springref"] = float(model.qpos_spring[model.jnt_qposadr[joint]])
             yield _make_effect("spring", subject, "jnt", joint, spring, beside)
-        if damping := scene.numbers("dof", first, ("dampingpoly",)):
+        if damping := scene.read_nonzero_values("dof", first, ("dampingpoly",)):
             dofs = slice(first, first + (6 if is_free else 1))
             yield _make_effect("damping polynomial", subject, "dof", dofs, damping)
-        if is_free and (friction := scene.numbers("dof", first, ("frictionloss",))):
+        if is_free and (friction := scene.read_nonzero_values("dof", first, ("frictionloss",))):
             yield _make_effect("dry friction", subject, "dof", first, friction)
 
 
@@ -222,7 +224,7 @@ def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yield the gravity compensation of bodies."""
     model = scene.model
     for body in sorted(scene.bodies):
-        compensation = scene.numbers("body", body, ("gravcomp",))
+        compensation = scene.read_nonzero_values("body", body, ("gravcomp",))
         if compensation and model.body_mass[body] and model.body_weldid[body]:
             subject = "body", scene.name("body", body)
             yield _make_effect("gravity compensation", subject, "body", body, compensation)
@@ -233,9 +235,12 @@ def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     model = scene.model
     words = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "frictionloss")
     for tendon in range(model.ntendon):
-        if not scene.holds(mujoco.mjtObj.mjOBJ_TENDON, tendon):
+        if not scene.is_part_of_robot(mujoco.mjtObj.mjOBJ_TENDON, tendon):
             continue
-        nonzero, beside = scene.numbers("tendon", tendon, words), dict[str, float | list[float]]()
+        nonzero, beside = (
+            scene.read_nonzero_values("tendon", tendon, words),
+            dict[str, float | list[float]](),
+        )
         if nonzero.keys() & {"stiffness", "stiffnesspoly"}:
             beside["springlength"] = model.tendon_lengthspring[tendon].tolist()
         if model.tendon_limited[tendon]:
@@ -253,12 +258,12 @@ def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     model = scene.model
     for motor in range(model.nactuator):
         object_type, targets = list_actuator_targets(model, motor)
-        if not any(scene.holds(object_type, target) for target in targets):
+        if not any(scene.is_part_of_robot(object_type, target) for target in targets):
             continue
         subject = "actuator", scene.name("actuator", motor)
         linear = () if is_at_one_joint(model, motor) else ("armature", "damping")
-        nonzero = scene.numbers("actuator", motor, (*linear, "dampingpoly"))
-        if acts_without_command(model, motor) and not scene.off(DISABLE.mjDSBL_ACTUATION):
+        nonzero = scene.read_nonzero_values("actuator", motor, (*linear, "dampingpoly"))
+        if acts_without_command(model, motor) and not scene.is_disabled(DISABLE.mjDSBL_ACTUATION):
             message = diagnose("dc-motor-of-the-mjcf-alone", subject=subject)
             group = ("actuator_group", motor)  # `make_passive_model` disables group 0
             yield MjcfOnlyEffect("actuator", subject[1], None, "DC motor", "", message, (group,))
@@ -329,13 +334,13 @@ def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yield the initially active equality constraints on the robot."""
     model = scene.model
-    if scene.off(DISABLE.mjDSBL_CONSTRAINT) or scene.off(DISABLE.mjDSBL_EQUALITY):
+    if scene.is_disabled(DISABLE.mjDSBL_CONSTRAINT) or scene.is_disabled(DISABLE.mjDSBL_EQUALITY):
         return
     for index in range(model.neq):
         if not model.eq_active0[index]:
             continue
         objects = equality_ends(model, index)
-        if not any(scene.holds(*end) for end in objects):
+        if not any(scene.is_part_of_robot(*end) for end in objects):
             continue  # constraint between other objects of the scene
         name = equality_name(scene.names, index)
         kind = EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
@@ -348,7 +353,7 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yield the flags that disable limits, dry friction, all constraints, or actuation."""
     for word in ("limit", "frictionloss", "constraint", "actuation"):
-        if scene.off(getattr(DISABLE, f"mjDSBL_{word.upper()}")):
+        if scene.is_disabled(getattr(DISABLE, f"mjDSBL_{word.upper()}")):
             message = diagnose("of-the-mjcf-alone", subject=("flag", word), stated="disable")
             yield MjcfOnlyEffect("flag", word, None, "disable", "", message)
 

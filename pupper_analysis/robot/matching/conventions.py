@@ -63,7 +63,7 @@ class Conventions:
     shown: bool = True
     zeros: Mapping[str, float] = field(default_factory=dict)
 
-    def done(self, values: MultibodyTree) -> MultibodyTree:
+    def convert_to_mjcf(self, values: MultibodyTree) -> MultibodyTree:
         """Convert a robot from the conventions of the URDF to the conventions of the MJCF."""
         if self.base is not None:
             values = with_base(values, self.base)

@@ -79,7 +79,7 @@ class UrdfSources:
         if kind in _MJCF_SECTIONS or kind in _GLOBAL_OPTIONS or kind == "gravity compensation":
             return Place(file.path)
         if kind in _BODY_KINDS and element in self.links:
-            return self.weight(kind, _find_heaviest(self.members(element)))
+            return self.locate_inertial(kind, _find_heaviest(self.list_masses(element)))
         if element in self.base:
             return file.place("link", self.links[self.base[0]], child)
         if kind == "frame":
@@ -90,7 +90,7 @@ class UrdfSources:
             return file.place("joint", joint.name, "origin")
         return file.place("joint", self.joints.get(element, element), child)
 
-    def members(self, mover: str) -> list[tuple[str, float]]:
+    def list_masses(self, mover: str) -> list[tuple[str, float]]:
         """Return (link, mass [kg]) of the links that move with a joint or with the base.
 
         The first link is the link that the joint moves; fixed links are listed if their mass is not
@@ -102,7 +102,7 @@ class UrdfSources:
         ]
         return [masses[0], *((name, mass) for name, mass in masses[1:] if mass)]
 
-    def weight(self, kind: str, name: str) -> Place:
+    def locate_inertial(self, kind: str, name: str) -> Place:
         """Return the file and line of the mass, CoM or inertia of a link in the URDF.
 
         Args:
@@ -150,7 +150,7 @@ class MjcfSources:
         if kind == "gravity compensation":
             return file.place("body", element)
         if kind in _BODY_KINDS and body:
-            return self.weight(kind, _find_heaviest(self.members(element)))
+            return self.locate_inertial(kind, _find_heaviest(self.list_masses(element)))
         if kind == "base frame":
             return file.place("body", body or element)
         if element in self.base:
@@ -165,7 +165,7 @@ class MjcfSources:
             candidates = [("site", name, None), ("body", name, None), ("geom", name, None)]
         return _find_stated(file, kind, candidates)
 
-    def members(self, mover: str) -> list[tuple[str, float]]:
+    def list_masses(self, mover: str) -> list[tuple[str, float]]:
         """Return (body, mass [kg]) of the MJCF bodies that move with a joint or with the base.
 
         The first body is the body that the joint moves; fixed bodies are listed if their mass is
@@ -178,7 +178,7 @@ class MjcfSources:
         group.sort(key=lambda body: body != first_body)
         return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
 
-    def weight(self, kind: str, name: str) -> Place:
+    def locate_inertial(self, kind: str, name: str) -> Place:
         """Return the file and line of a body's ``<inertial>`` in the MJCF, for any kind of value.
 
         Args:

@@ -484,7 +484,7 @@ class SagEquilibrium:
         balance = touch.config.load() - touch.push(forces)
         balance[self._joints] -= self.torques(qpos)
         if self.robot.closure is not None:
-            balance[self._joints] -= self.robot.closure.springs(qpos)
+            balance[self._joints] -= self.robot.closure.constraint_torques(qpos)
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + self.units.slip_stiffness * places[:, :2]
         slipping = self.find_slipping_contacts(forces, places)
@@ -539,7 +539,7 @@ class SagEquilibrium:
         by_qpos[self._joints, self._joints] += np.where(moving, self.kp, 0.0)
         if self.robot.closure is not None:
             first = self._joints[0]
-            by_qpos[first:n, first:] -= self.robot.closure.spring_rates(qpos)
+            by_qpos[first:n, first:] -= self.robot.closure.constraint_torque_jacobian(qpos)
         rates = by_qpos[n:].reshape(size, 3, n)  # a view
         rates[:] = touch.place_rates()
         if self.feet == "sliding":

@@ -1116,7 +1116,7 @@ def find_causes(
             if len(numbers) > 1 or (numbers and finding.kind in _SINGLE_KINDS):
                 explained_numbers |= set(numbers)
                 causes.append(PatternCause(finding.kind, finding.diagnostic, numbers))
-    return tuple(sorted(causes, key=lambda cause: (not cause.leads, cause.differences)))
+    return tuple(sorted(causes, key=lambda cause: (not cause.is_reported_first, cause.differences)))
 
 
 _SEARCHES = (

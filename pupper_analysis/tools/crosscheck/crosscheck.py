@@ -179,7 +179,7 @@ def list_mass_shares(
         return ()
     heavy = {
         file: sorted(
-            ((name, mass) for name, mass in sources.members(difference.element) if mass),
+            ((name, mass) for name, mass in sources.list_masses(difference.element) if mass),
             key=lambda member: -member[1],
         )
         for file, sources in (("URDF", urdf), ("MJCF", mjcf))

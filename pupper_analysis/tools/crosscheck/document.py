@@ -184,7 +184,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         verdict=text("agree") if agree else differ,
         warned=same and not agree,
         findings=(
-            doc.diagnostic_text(comparison.first_to_mend),
+            doc.diagnostic_text(comparison.main_problem),
             _describe_extent(comparison),
             *(() if comparison.complete else explained),
         ),
@@ -230,7 +230,7 @@ def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
         made = text("this-alone-makes-count-differences", count=len(cause.differences))
         such = text("the-kind-of-element", kind=word(first.kind), element=first.element)
         sides = _compare_lines(comparison, first, doc.diagnostic_text(cause.diagnostic), made, such)
-        listed.append((-1 if cause.leads else cause.differences[0], sides))
+        listed.append((-1 if cause.is_reported_first else cause.differences[0], sides))
     numbers = {id(difference): number for number, difference in enumerate(comparison.differences)}
     for place, group in enumerate(groups[:MAX_SHOWN_GROUPS]):
         sides = _compare_lines(

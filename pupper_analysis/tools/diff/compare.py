@@ -210,7 +210,7 @@ class _Comparison:
         two = replace(two, joints={name: two.joints[name] for name in two.parents_first()})
         if one.floating != two.floating:
             before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
-            both = {"one": Term(before), "two": Term(after), **VERSION_NAMES.named}
+            both = {"one": Term(before), "two": Term(after), **VERSION_NAMES.message_values}
             message = diagnose("base-type-differs", subject=("body", one.base), **both)
             self.differences.append(Difference("type", one.base, before, after, "", message, {}))
             one, two = replace(one, floating=True), replace(two, floating=True)
@@ -226,7 +226,7 @@ class _Comparison:
         first, second, tolerances = self.first, self.second, self.tolerances
         # Compare in the same convention; a different convention is a change of its own.
         meant = find_conventions(first, second, tolerances, fixed=not first.floating)
-        first = meant.done(first)
+        first = meant.convert_to_mjcf(first)
         second = align_frames(second, first, tolerances).values
         trial = RandomStates(first)
         before, after = trial.evaluate_tree(first), trial.evaluate_tree(second)
@@ -238,7 +238,7 @@ class _Comparison:
             effects = {}
             if change.felt:
                 effects = judge.effects(before, trial.evaluate_tree(change.apply(first, second)))
-            self.differences.append(change.difference(effects))
+            self.differences.append(change.to_difference(effects))
         self.differences += self._compare_extra_values()
         renamed = {self.two.bodies[new]: self.one.bodies[old] for new, old in self.old_name.items()}
         matched = match_elements(self.one.elements, self.two.elements, renamed, self.old_name)
@@ -288,7 +288,7 @@ class _Comparison:
                 both = {
                     "one": _describe_value(old, new),
                     "two": _describe_value(new, old),
-                    **VERSION_NAMES.named,
+                    **VERSION_NAMES.message_values,
                 }
                 message = diagnose("element-differs", subject=(kind, element), **both)
                 yield Difference(kind, element, old, new, "", message, {})

@@ -479,7 +479,7 @@ def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[Ele
             what="",
             one=old_setting,
             two=new_setting,
-            **VERSION_NAMES.named,
+            **VERSION_NAMES.message_values,
         )
         places = [
             next((at for words, at in file.elements("compiler") if word in words), None)
@@ -543,7 +543,7 @@ def _make_difference(
         what="" if whole else Term(word) if word in _TRANSLATED_WORDS else word,
         one=before,
         two=after,
-        **VERSION_NAMES.named,
+        **VERSION_NAMES.message_values,
     )
     consequences: tuple[Diagnostic, ...] = ()
     shapes = [

@@ -345,7 +345,7 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
     for joints in [] if closure is None else group_coupled_joints(closure, posture.qpos):
         may_bear[joints] |= may_bear[joints].any()
     if closure is not None:
-        may_bear[closure.following] = False
+        may_bear[closure.dependent_joints] = False
     return may_bear
 
 

@@ -167,12 +167,12 @@ class JointMotions:
         assert self._closure is not None
         bent, loop = qpos.copy(), self._coupled_joints[way]
         bent[self.free[way]] += length
-        following = np.intersect1d(loop, self._closure.following)
+        following = np.intersect1d(loop, self._closure.dependent_joints)
         leading = np.setdiff1d(loop, following)
         key = (*leading.tolist(), *bent[leading].round(9).tolist())
         if key not in self._closed_positions:  # the cache is shared by all searches
             moving = np.isin(np.arange(len(qpos)), following).astype(np.float64)
-            closed, positions = self._closure.closed(bent, moving), None
+            closed, positions = self._closure.close_loops(bent, moving), None
             if closed is not None:
                 low, high = self.ranges[following].T
                 near = np.clip(closed[following], low, high)
@@ -188,14 +188,14 @@ class JointMotions:
 
     def _add_couplings(self, closure: Closure) -> None:
         """Set the motions of a robot with loops or couplings."""
-        count, following = len(self.origin), closure.following
-        rows = closure.rows(self.origin)
+        count, following = len(self.origin), closure.dependent_joints
+        rows = closure.jacobian(self.origin)
         self.free = tuple(joint for joint in range(count) if joint not in following)
         self.steps = np.eye(count)[:, list(self.free)]
         ratios = np.linalg.lstsq(rows[:, following], rows[:, list(self.free)], rcond=None)[0]
         self.steps[following] = np.where(np.abs(ratios) > _MIN_COUPLING_RATIO, -ratios, 0.0)
         self.moved = [np.flatnonzero(np.abs(step) > _MIN_COUPLING_RATIO) for step in self.steps.T]
-        self.shares = np.eye(count) - closure.push(self.origin)
+        self.shares = np.eye(count) - closure.load_transfer(self.origin)
         self.bent = np.zeros(len(self.free), dtype=bool)
         loops = group_coupled_joints(closure, self.origin)
         self._coupled_joints = [
@@ -212,7 +212,7 @@ class JointMotions:
         """Return True if proportional motion opens the loop at a tested fraction of the range."""
         ends = np.array(self.span(self.origin, motion))
         return any(
-            closure.open_by(self.origin + fraction * end * self.steps[:, motion])
+            closure.violation_error(self.origin + fraction * end * self.steps[:, motion])
             > _MAX_LINEAR_OPENING
             for fraction in _TESTED_RANGE_FRACTIONS
             for end in ends
@@ -232,7 +232,7 @@ def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
     random, count = np.random.default_rng(0), len(qpos)
     near = [qpos, *(qpos + random.uniform(-0.1, 0.1, count) for _ in range(2))]
     depends = np.any(
-        [np.abs(closure.rows(sample)) > _MIN_COUPLING_RATIO for sample in near], axis=0
+        [np.abs(closure.jacobian(sample)) > _MIN_COUPLING_RATIO for sample in near], axis=0
     )
     sets: list[set[int]] = []
     for equation in depends:

@@ -187,7 +187,7 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
     """
     replaced: tuple[MadeServo, ...] = ()
     with contextlib.suppress(ModelError):  # torque motors have no servo
-        replaced = find_servos_used(robot).replaced
+        replaced = find_servos_used(robot).replacement_servos
     own = explain_own_run(robot)
     clauses = (
         *make_keyframe_run_clauses(own if own is not None and own.fails else None),
