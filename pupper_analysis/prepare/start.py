@@ -34,7 +34,11 @@ from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
 from pupper_analysis.stance.problem import Goal, make_goal
-from pupper_analysis.stance.search import make_seed, meet_constraints, search_from_joints
+from pupper_analysis.stance.search import (
+    make_initial_configuration,
+    search_from_joints,
+    solve_constraints,
+)
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
@@ -540,7 +544,9 @@ def _solve_first_seed(context: SearchContext, goal: Goal, seeds: Iterable[Array]
             return stand
         if not goal.com_is_free:
             continue
-        stand = meet_constraints(context, goal, make_seed(context.robot, goal, joints, goal.place))
+        stand = solve_constraints(
+            context, goal, make_initial_configuration(context.robot, goal, joints, goal.place)
+        )
         if stand is not None and is_clear_of_ground(context.robot, stand):
             return stand
     return None

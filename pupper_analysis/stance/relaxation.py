@@ -31,7 +31,7 @@ from pupper_analysis.stance.demands import (
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.programme import Relaxation, StanceProgram
-from pupper_analysis.stance.search import find_missing_joints, search_stand
+from pupper_analysis.stance.search import describe_mechanism_limit, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 
@@ -112,7 +112,7 @@ def explain_refusal(
             name: {demand: getattr(relaxation.stand.task, demand) for demand in relaxation.demands}
             for name, relaxation in named.items()
         },
-        find_missing_joints(robot, goal),
+        describe_mechanism_limit(robot, goal),
     )
 
 
@@ -190,7 +190,7 @@ class _Search:
         elastic = StanceProgram(self.context.shapes, self.goal, demands)
         basis = [elastic.solve(start) for start in starts]
         without = reset_to_nominal(self.context.robot, self.goal.task, demands)
-        stand = search_stand(self.context, self._make_goal(without), usual_starts_only=True)
+        stand = search_stand(self.context, self._make_goal(without), default_guesses_only=True)
         if stand.solved:
             basis.append(elastic.solve(stand.qpos, without))
         return min(

@@ -1,9 +1,9 @@
 """Search for a stand of a goal, from several initial guesses.
 
-`search_stand` tries, in this order: PlaCo's IK from the usual joint positions; IK from combinations
-of the legs' IK branches; and, if the CoM is free or joints are redundant, the nonlinear program of
-all constraints (`stance.programme`) from several seeds. The result is a solved stand, or the best
-failure.
+`search_stand` tries, in this order: PlaCo's IK from the default joint positions (the task's
+``ik_seed``, home, middle of the ranges); IK from combinations of the legs' IK branches; and, if the
+CoM is free or joints are redundant, the nonlinear program of all constraints (`stance.programme`)
+from several initial configurations. The result is a solved stand, or the best failure.
 """
 
 from __future__ import annotations
@@ -50,43 +50,43 @@ _CLOSE_MISS = 3e-3
 """Foot error [m] below which configurations with a displaced base are tried as initial guesses.
 Chosen, not tuned."""
 
-_MAX_SHIFTED_SEEDS = 32
+_MAX_DISPLACED_GUESSES = 32
 """Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""
 
 _MISS_TOLERANCE = 0.1
-"""Relative difference up to which the foot errors of two initial guesses count as equal. If enough
-are equal (`_MIN_AGREEING_SEEDS`), the search ends. Chosen, not tuned."""
+"""Relative difference up to which the foot errors of two initial guesses count as equal. With
+`_MIN_AGREEING_GUESSES` equal errors the search ends. Chosen, not tuned."""
 
-_MIN_AGREEING_SEEDS = 8
-"""Number of seeds with the same smallest foot error after which the search ends. Measured on 400
-stands, most at the limit of reach: all but one were found before two seeds agreed, that one after
-four."""
+_MIN_AGREEING_GUESSES = 8
+"""Number of initial guesses of the nonlinear program with nearly the same smallest foot error after
+which the search ends. Measured on 400 stands, most at the limit of reach: all but one were found
+before two guesses agreed, the last one after four."""
 
-_NUM_RANDOM_SEEDS = 32
-"""Number of random postures for robots with underactuated soles, which have no exact branches.
-Measured on 48 stands of six bipeds: one additional stand."""
+_NUM_RANDOM_GUESSES = 32
+"""Number of random initial guesses for robots with a sole on a leg of fewer than six joints, which
+has no exact IK branches. Measured on 48 stands of six bipeds: one additional stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Constraints that a stand with feet in place may violate; the failure then names the
-constraints."""
+"""Names of the constraints that a failed search may violate while the feet are at their targets;
+the error then names these constraints."""
 
 
 def search_stand(
     context: SearchContext,
     goal: Goal,
     *,
-    usual_starts_only: bool = False,
+    default_guesses_only: bool = False,
     com_at_centre_only: bool = False,
 ) -> Stand:
-    """Search for a stand from all initial guesses.
+    """Search for the stand of a goal from all initial guesses, and return it or the best failure.
 
     The nonlinear program is used only if the CoM is free, or if redundant joints can move parts out
-    of collision. The program starts at the best stand so far, then at other seeds.
+    of collision. The program starts at the best stand so far, then at other configurations.
 
     Args:
         context: Search context of the robot.
         goal: Goal.
-        usual_starts_only: Use the usual joint positions only.
+        default_guesses_only: Use the IK from `default_initial_guesses` only.
         com_at_centre_only: Omit the nonlinear program, so that a free CoM is above the centre of
             the feet.
 
@@ -95,19 +95,19 @@ def search_stand(
         smallest foot error.
     """
     there = _Search(context, goal)
-    found = there.try_starts(posture_seeds(context.robot, goal))
-    if found is not None or usual_starts_only:
-        return found or there.result()
+    found = there.try_initial_guesses(default_initial_guesses(context.robot, goal))
+    if found is not None or default_guesses_only:
+        return found or there.best_stand()
     found = there.try_branches()
     if found is not None or com_at_centre_only:
-        return found or there.result()
+        return found or there.best_stand()
     return there.try_program()
 
 
-def follow_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | None:
-    """Search for a stand near another stand, from that stand only.
+def search_near_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | None:
+    """Search for the stand of a goal from a nearby stand as the only initial guess.
 
-    Fast; None does not prove that no stand exists.
+    None if no stand is found, which does not prove that no stand exists.
 
     Args:
         context: Search context of the robot.
@@ -116,14 +116,14 @@ def follow_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | Non
     """
     found = search_from_joints(context, goal, near.joint_positions(context.robot))
     if found is None and goal.com_is_free:
-        found = meet_constraints(context, goal, near.qpos)
+        found = solve_constraints(context, goal, near.qpos)
     return found
 
 
 def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Stand | None:
-    """Search for a stand from an initial guess of the joint positions, with IK.
+    """Search for the stand of a goal by IK from an initial guess of the joint positions.
 
-    CoM or base start at the target.
+    The base is placed so that the CoM, or the base if the goal fixes it, starts at its target.
 
     Args:
         context: Search context of the robot.
@@ -136,8 +136,8 @@ def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Sta
     return _Search(context, goal).add(context.solver.solve_from_joints(goal, joints))
 
 
-def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Search for a stand from a configuration, with the nonlinear program of all constraints.
+def solve_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
+    """Search for the stand of a goal by the nonlinear program, from an initial configuration.
 
     Args:
         context: Search context of the robot.
@@ -148,12 +148,12 @@ def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand |
         Solved stand; None if the program does not reach a stand.
     """
     there, programme = _Search(context, goal), StanceProgram(context.shapes, goal)
-    stand = there.solve_program(programme, qpos) or there.solve_from_nearest(programme, qpos)
+    stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
     return stand if stand is not None and stand.solved else None
 
 
-def continue_stand(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Search for a stand from a nearby configuration, with IK.
+def search_from_configuration(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
+    """Search for the stand of a goal by IK from a nearby configuration.
 
     Args:
         context: Search context of the robot.
@@ -176,7 +176,7 @@ class _Search:
     Attributes:
         iterations: Number of QPs so far.
         closest: Stand with the smallest foot error of the nonlinear program.
-        misses: Foot errors [m] of the nonlinear program, an entry per seed.
+        misses: Foot errors [m] of the nonlinear program, one per initial configuration.
         points: Results of the IK solver.
         reached: Stands with the feet in place.
         found: IK branches of each limb.
@@ -196,17 +196,17 @@ class _Search:
         """Whether no stand exists: the base would be in the ground. Evaluated at first access."""
         return is_base_in_ground(self.shapes, self.goal)
 
-    def try_starts(self, joints: Iterable[Array]) -> Stand | None:
+    def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:
         """Solve IK from one initial guess after another, and return the first solved stand.
 
         If the base would be in the ground, no stand can be solved. The result is then the first
-        configuration with the feet at the targets.
+        configuration with the feet at the targets, if there is one.
 
         Args:
             joints: Initial guesses of the joint positions, shape (nu,) [rad, m] each.
 
         Returns:
-            Stand; None if no guess leads to a stand.
+            Stand; None if no guess leads to such a result.
         """
         for start in joints:
             stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
@@ -220,14 +220,16 @@ class _Search:
         """Solve IK from combinations of the legs' IK branches whose feet may be in reach.
 
         Returns:
-            First solved stand; None if no combination leads to a stand.
+            First solved stand, as of `try_initial_guesses`; None if no combination leads to it.
         """
         robot, goal = self.robot, self.goal
         for _ in range(_BRANCH_ROUNDS):
             nearest = self._nearest()
             self.found = find_branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
             reach = 0.0 if goal.by_base else bound_com_shift(robot, nearest.qpos, self.found)
-            found = self.try_starts(branch_seeds(robot, goal, self.found, reach, _MAX_COMBINATIONS))
+            found = self.try_initial_guesses(
+                branch_initial_guesses(robot, goal, self.found, reach, _MAX_COMBINATIONS)
+            )
             if found is not None:
                 return found
             # With a much smaller error, legs may have additional branches.
@@ -236,12 +238,14 @@ class _Search:
         return None
 
     def try_program(self) -> Stand:
-        """Solve the nonlinear program from one initial guess after another.
+        """Solve the nonlinear program from one initial configuration after another.
+
+        Skipped if it cannot help, for example without a free CoM and without redundant joints.
 
         Returns:
             First solved stand; otherwise the best stand of the search, which may violate the goal.
         """
-        best = self.result()
+        best = self.best_stand()
         if best.solved or (self._is_hopeless and self.reached):
             return best
         if not self.goal.com_is_free and not (self.reached and has_spare_joints(self.robot)):
@@ -252,26 +256,26 @@ class _Search:
                 return best  # no CoM displacement can compensate
         without = CLEARANCE_NAMES if self._is_hopeless else ()
         programme = StanceProgram(self.shapes, self.goal, without=without)
-        for qpos in self._generate_seeds(best):
-            stand = self.solve_program(programme, qpos) or self.solve_from_nearest(programme, qpos)
+        for qpos in self._generate_initial_configurations(best):
+            stand = self.solve_program(programme, qpos) or self.solve_from_minimum(programme, qpos)
             if stand is not None and (stand.solved or self._is_hopeless):
                 return stand
-            if self._have_seeds_converged() and not self._is_underactuated:
+            if self._have_guesses_converged() and not self._is_underactuated:
                 break
-        return self.result()
+        return self.best_stand()
 
     @cached_property
     def _is_underactuated(self) -> bool:
         """Whether a sole is on a leg with fewer than six joints."""
         return has_underactuated_feet(self.robot)
 
-    def _have_seeds_converged(self) -> bool:
-        """Return True if enough seeds lead to nearly the same smallest foot error."""
+    def _have_guesses_converged(self) -> bool:
+        """Return True if enough initial guesses lead to nearly the same smallest foot error."""
         least = min(self.misses, default=0.0)
         bound = (1 + _MISS_TOLERANCE) * least
-        return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_SEEDS
+        return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_GUESSES
 
-    def _generate_seeds(self, best: Stand) -> Iterator[Array]:
+    def _generate_initial_configurations(self, best: Stand) -> Iterator[Array]:
         """Yield initial configurations (nq,) of the nonlinear program."""
         robot, goal = self.robot, self.goal
         yield best.qpos
@@ -279,22 +283,28 @@ class _Search:
             # A copy of the list, which grows meanwhile.
             yield from [stand.qpos for stand in self.reached if stand is not best]
             return
-        for joints in posture_seeds(robot, goal):
-            yield make_seed(robot, goal, joints, goal.centre[:2])
+        for joints in default_initial_guesses(robot, goal):
+            yield make_initial_configuration(robot, goal, joints, goal.centre[:2])
         if self._is_underactuated:
             yield from (
-                make_seed(robot, goal, joints, goal.centre[:2])
-                for joints in random_postures(goal, _NUM_RANDOM_SEEDS)
+                make_initial_configuration(robot, goal, joints, goal.centre[:2])
+                for joints in random_postures(goal, _NUM_RANDOM_GUESSES)
             )
-        closest = self.result()
+        closest = self.best_stand()
         if closest.foot_error < _CLOSE_MISS:  # elsewhere there may be no obstacle
-            yield from islice(shifted_seeds(self.shapes, goal, closest.qpos), _MAX_SHIFTED_SEEDS)
+            yield from islice(
+                displaced_initial_guesses(self.shapes, goal, closest.qpos), _MAX_DISPLACED_GUESSES
+            )
 
-    def solve_from_nearest(self, programme: StanceProgram, qpos: Array) -> Stand | None:
-        """Minimise the foot error, then solve as in `solve_program`: slower, more robust."""
+    def solve_from_minimum(self, programme: StanceProgram, qpos: Array) -> Stand | None:
+        """Minimise the foot error from a configuration (nq,), then solve as in `solve_program`.
+
+        None if the CoM is not free, a stand with the feet in place is known, or no such stand is
+        found.
+        """
         if not self.goal.com_is_free or self.reached:
             return None
-        closest = find_nearest(self.context, self.goal, qpos, self.iterations)
+        closest = minimise_foot_errors(self.context, self.goal, qpos, self.iterations)
         self.misses.append(closest.foot_error)
         if self.closest is None or closest.foot_error < self.closest.foot_error:
             self.closest = closest
@@ -307,7 +317,7 @@ class _Search:
         return min(self.points, key=lambda point: point.foot_error)
 
     def add(self, point: SolverResult) -> Stand | None:
-        """Register an IK result, and return the stand if the stand is solved."""
+        """Register an IK result, and return its stand if this stand is solved; else None."""
         self.points.append(point)
         self.iterations += point.iterations
         goal = self.goal
@@ -317,20 +327,21 @@ class _Search:
             return None
         stand = self._evaluate(point, goal)
         if goal is not self.goal:
-            stand = lay_soles_flattest(self.context, self.goal, stand)
+            stand = flatten_soles(self.context, self.goal, stand)
         self.reached.append(stand)
         return stand if stand.solved else None
 
     def solve_program(self, programme: StanceProgram, qpos: Array) -> Stand | None:
-        """Return the stand at the result of a program, if the feet are in place; else None.
+        """Solve a program from a configuration (nq,), and return the stand of the refined result.
 
-        Also None if the violation of the program exceeds `NEAR_MISS`.
+        None if the violation of the program exceeds `NEAR_MISS`, or the refined feet are not at
+        their targets. The stand may violate clearances or the CoM margin.
         """
         found = programme.solve(qpos)
         return None if found.violation > NEAR_MISS else self._refine(found.qpos)
 
     def _refine(self, qpos: Array) -> Stand | None:
-        """Return the stand next to a configuration (nq,), if the feet are in place; else None.
+        """Return the stand near a configuration (nq,), if the feet reach their targets; else None.
 
         IK removes the remaining foot errors; soles of underactuated legs may stay tilted.
         """
@@ -345,8 +356,12 @@ class _Search:
         self.reached.append(stand)
         return stand
 
-    def result(self) -> Stand:
-        """Return the stand in place with the smallest violation, or the closest failure."""
+    def best_stand(self) -> Stand:
+        """Return the best stand of the search, which may violate the goal.
+
+        A solved stand; else feet in place with the smallest violation; else the smallest foot error
+        of the nonlinear program, or of IK.
+        """
         if self.reached:
             return max(self.reached, key=lambda stand: (stand.solved, stand.constraint_slack))
         return self.closest or self._evaluate(self._nearest())
@@ -356,11 +371,11 @@ class _Search:
         return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
 
 
-def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
-    """Yield the usual initial guesses of the joint positions, shape (nu,) [rad, m].
+def default_initial_guesses(robot: Robot, goal: Goal) -> Iterator[Array]:
+    """Yield the default initial guesses of the joint positions, shape (nu,) [rad, m].
 
-    In this order: ``ik_seed`` of the task, if present; the robot's home position; the middle
-    of the joint limits (zero for a joint without a lower or an upper limit).
+    In this order: ``ik_seed`` of the task, if present; the robot's home position; the middle of the
+    joint limits (zero for a joint without a lower or an upper limit).
     """
     if goal.task.ik_seed is not None:
         yield np.array(goal.task.ik_seed)
@@ -370,22 +385,28 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
     yield np.where(bounded, middle, 0.0)
 
 
-def find_nearest(context: SearchContext, goal: Goal, qpos: Array, iterations: int = 0) -> Stand:
-    """Minimise the distance of the feet from the targets, for an unreachable goal.
+def minimise_foot_errors(
+    context: SearchContext, goal: Goal, qpos: Array, iterations: int = 0
+) -> Stand:
+    """Minimise the distances of the feet from the targets of a goal, and return the configuration.
 
-    The minimum is searched with the nonlinear program from the configuration ``qpos``, shape (nq,).
-    Clearances are ignored. PlaCo's Gauss-Newton steps assume that errors vanish, and end before
-    this minimum. ``iterations`` is the number of QPs so far.
+    The nonlinear program starts at the configuration ``qpos``, shape (nq,). Clearances are ignored.
+    PlaCo's Gauss-Newton steps assume that errors vanish, and end before this minimum.
+    ``iterations`` is the number of quadratic programs so far, for the result.
     """
     feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, goal, feet.minimise_foot_distances(qpos), iterations)
 
 
-def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
-    """Return a stand with flatter soles if the CoM is free and there is one; else the stand.
+def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
+    """Reduce the tilt of soles on legs with fewer than six joints, by moving a free CoM.
 
-    Underactuated legs may tilt the soles to bring the CoM to the target. Servos that press these
-    soles flat would give torques that the static balance lacks.
+    Such legs may tilt the soles to bring the CoM to the target. Servos that press these soles flat
+    would give torques that the static balance lacks.
+
+    Returns:
+        The stand with smaller foot errors. The unchanged stand if the CoM is not free, or no solved
+        stand with smaller foot errors is found.
 
     Args:
         context: Search context of the robot.
@@ -401,7 +422,7 @@ def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stan
         places = Configuration(robot, tried.qpos).foot_positions()
         return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
 
-    closest = find_nearest(context, goal, stand.qpos, stand.iterations)
+    closest = minimise_foot_errors(context, goal, stand.qpos, stand.iterations)
     at = replace(goal, place=Configuration(robot, closest.qpos).center_of_mass()[:2])
     point = SolverResult(closest.qpos, closest.foot_error, stand.iterations)
     at = relax_foot_orientation(robot, at, point)
@@ -411,14 +432,15 @@ def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stan
 
 _MAX_SOLE_ERROR = 5e-5
 """Upper bound of the foot error [m] with which a sole on a leg of fewer than six joints is accepted
-as in place: a tenth of the penetration of feet."""
+as in place. Chosen as a tenth of the usual penetration of feet into MuJoCo's ground."""
 
 _NUM_POSE_JOINTS = 6
-"""Number of joints with which a leg can give the sole any position and orientation."""
+"""Number of joints with which a leg can give the sole any position and orientation: a pose has six
+degrees of freedom."""
 
 
 def has_underactuated_feet(robot: Robot) -> bool:
-    """Return True if a sole is moved by a leg with fewer than six joints.
+    """Return True if a sole (several contact points) is on a leg with fewer than six joints.
 
     A leg of four joints can place the sole in a plane with a pitch; roll and yaw follow. A sole
     that is a microradian off level cannot be laid exactly.
@@ -429,12 +451,12 @@ def has_underactuated_feet(robot: Robot) -> bool:
     )
 
 
-def find_missing_joints(robot: Robot, goal: Goal) -> Diagnostic | None:
-    """Describe a reason in the mechanism why a goal has no stand, for an error message.
+def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
+    """Create a message if the robot's mechanism may be the reason why a goal has no stand.
 
     Returns:
-        Message: closed loops must open under load; or a sole that is lifted or moved has a leg with
-        fewer than six joints. None if neither applies.
+        Message: closed loops must open under load; or else a sole that the task lifts or moves is
+        on a leg with fewer than six joints. None if neither applies.
     """
     task = goal.task
     if goal.give is not None and goal.give.any():
@@ -462,10 +484,11 @@ def _count_leg_joints(robot: Robot, point: str) -> int:
 
 
 def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
-    """Return a goal whose foot targets are the reached positions, if soles miss by micrometres.
+    """Replace the foot targets of a goal by the positions that IK reached, if the error is small.
 
     A leg with fewer than six joints cannot lay the sole exactly. The goal is returned unchanged if
-    IK converged, the foot error is larger, or all soles have six joints.
+    IK converged, the foot error is at least `_MAX_SOLE_ERROR`, or no sole is on a leg with fewer
+    than six joints.
 
     Args:
         robot: Robot.
@@ -487,26 +510,25 @@ _MAX_BASE_SHIFT = 0.75
 displaced base. Chosen, not tuned."""
 
 _NUM_SHIFTS = 11
-"""Number of displaced base positions per axis that are tried as initial guesses. The positions are
-20 mm apart for Pupper: the displacement that frees a thigh that penetrates the ground by 20 mm.
-Measured: with 5, a stand was missed."""
+"""Number of displaced base positions along x and along y that are tried as initial guesses. The
+positions are 20 mm apart for Pupper v3. Measured: with 5, a stand was missed."""
 
 _MAX_TRIED_COMBINATIONS = 64
 """Upper bound of the combinations of IK branches that are evaluated per displaced base position.
-Measured: with 16, the combination with which a Mini Cheetah stands on a slope of 62 deg was
-missed."""
+Measured with 16: the combination was missed with which a Mini Cheetah stands on a slope of
+62 deg."""
 
-_SEEDS_PER_PLACE = 4
-"""Number of initial guesses per displaced base position, in ascending order of violation.
-Chosen, not tuned."""
+_GUESSES_PER_BASE_POSITION = 4
+"""Upper bound of the number of initial guesses per displaced base position, those with the smallest
+violation. Chosen, not tuned."""
 
 _MAX_REACH_ERROR = 5e-3
 """Foot error [m] below which an IK branch counts as in reach at a displaced base. Chosen, not
 tuned."""
 
 _SHIFT_SAFETY_FACTOR = 1.5
-"""Safety factor on the estimated displacement of the base if legs change the IK branch. A too
-small estimate would reject branches that are in reach. Chosen, not tuned."""
+"""Safety factor of `bound_com_shift` on the estimated displacement of the base if legs change the
+IK branch. Too small an estimate would reject branches that are in reach. Chosen, not tuned."""
 
 
 def random_postures(goal: Goal, count: int) -> Iterator[Array]:
@@ -519,10 +541,10 @@ def random_postures(goal: Goal, count: int) -> Iterator[Array]:
     yield from random.uniform(low, np.maximum(low, high), (count, len(low)))
 
 
-def branch_seeds(
+def branch_initial_guesses(
     robot: Robot, goal: Goal, found: Mapping[Limb, tuple[Branch, ...]], reach: float, most: int
 ) -> Iterator[Array]:
-    """Yield joint positions, shape (nu,) [rad, m], for combinations of the limbs' IK branches.
+    """Yield initial guesses of the joint positions, (nu,) [rad, m], by combining IK branches.
 
     Combinations near ``ik_seed`` of the task, or else near the home position, come first.
 
@@ -533,7 +555,7 @@ def branch_seeds(
         reach: Upper bound of the base displacement [m] from the base pose for which the branches
             were computed. A displacement of the base by d changes a foot error by at most d.
             Therefore, branches with a foot error above ``reach + NEAR_MISS`` are omitted.
-        most: Upper bound of the number of combinations.
+        most: Upper bound of the number of guesses.
     """
     near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)
     likely = {
@@ -568,17 +590,18 @@ def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch
 
 
 def support_radius(goal: Goal) -> float:
-    """Return the largest horizontal distance [m] between the feet's centre and a support corner.
+    """Return the largest horizontal distance [m] of a support region's corner from the feet centre.
 
-    Without a support polygon (all feet are welded), the largest distance to a foot target.
+    If the support region has no corners (all feet are welded), the largest distance of a foot
+    target.
     """
     corners = goal.corners or [target[:2] for target in goal.targets.values()]
     distances = [np.linalg.norm(corner - goal.centre[:2]) for corner in np.array(corners)]
     return float(max(distances, default=0.0))
 
 
-def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
-    """Return an initial configuration, shape (nq,), with a given horizontal CoM position.
+def make_initial_configuration(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
+    """Return a configuration, shape (nq,), with given joint and horizontal CoM positions.
 
     The base has the height and orientation of the goal.
 
@@ -594,13 +617,14 @@ def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
     return qpos
 
 
-def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[Array]:
-    """Yield configurations (nq,) with displaced base and feet in reach, in several IK branches.
+def displaced_initial_guesses(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[Array]:
+    """Yield initial configurations (nq,) with a displaced base, in several IK branches.
 
-    For each base position, up to `_MAX_TRIED_COMBINATIONS` combinations of branches are evaluated,
-    and the `_SEEDS_PER_PLACE` with the smallest sum of violations are yielded. All are sorted by
-    this sum, to which footholds do not contribute. No violation is required to vanish, since
-    another leg may carry the load.
+    The cost of a configuration is the sum of the violations of all constraints except the foot
+    positions [m and rad mixed]. For each base position, up to `_MAX_TRIED_COMBINATIONS`
+    combinations of branches with all feet near their targets are evaluated, and the
+    `_GUESSES_PER_BASE_POSITION` with the smallest cost are kept. They are yielded in ascending
+    order of cost.
 
     Args:
         shapes: Robot with collision shapes.
@@ -626,5 +650,5 @@ def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[
             start = np.concatenate([qpos[:3] + move, qpos[3:7], joints])
             at = shapes.move_to(start)
             here.append((sum(c.violation(goal, at) for c in constraints), start))
-        starts += sorted(here, key=itemgetter(0))[:_SEEDS_PER_PLACE]
+        starts += sorted(here, key=itemgetter(0))[:_GUESSES_PER_BASE_POSITION]
     yield from (start for _, start in sorted(starts, key=itemgetter(0)))

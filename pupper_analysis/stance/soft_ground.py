@@ -1,7 +1,10 @@
-"""Stands on MuJoCo's soft ground: feet penetrate under load, base and CoM stay in place.
+"""Stands on MuJoCo's soft ground: feet penetrate under load, base and CoM keep their positions.
 
-`solve_stand_on_soft_ground` iterates between contact forces and penetration depths.
-`solve_stand_as_simulated` returns the stand that all simulations of a task use.
+`solve_stand_on_soft_ground` extends the legs by the penetration depths [m]. Since depths and
+contact forces depend on each other, it iterates between both until the depths converge; a sole
+stays a rigid body (`_fit_soles`). Closed loops open under load in the same way
+(`compute_loop_opening`). `solve_stand_as_simulated` returns the stand at which simulations of a
+task start: on soft ground, or else on rigid ground.
 """
 
 from __future__ import annotations
@@ -47,7 +50,7 @@ _MAX_ITERATIONS = 50
 
 _MAX_STALLED_ITERATIONS = 8
 """Number of successive iterations without a smaller change of the depths, after which the iteration
-fails: a sole that is loaded at the edge tilts ever further. Chosen, not tuned."""
+fails: for example, a sole that is loaded at its edge tilts ever further. Chosen, not tuned."""
 
 
 @check_arguments
@@ -56,20 +59,21 @@ def solve_stand_on_soft_ground(
 ) -> Stand:
     """Solve a stand task on ground with MuJoCo's contact softness.
 
-    MuJoCo's ground yields by millimetres, in proportion to the load of a foot. A robot that is
+    MuJoCo's ground yields by millimetres under the load of a foot. A robot that is
     commanded the joints of `solve_stand` sinks and, with unequal loads, tilts. Here the legs are
-    extended by the penetration of the feet, so that base and CoM are at the places of the task.
-    The criterion of the contact forces is minimum tangential. Depths and forces depend on each
-    other; fixed-point iteration mostly converges in 1 to 3 rounds.
+    extended by the penetration of the feet, so that base and CoM are at the positions of the task.
+    The contact forces are those with minimum tangential components. Depths and forces depend on
+    each other; fixed-point iteration mostly converges in 1 to 3 rounds.
 
     Args:
         robot: Robot with a floating base and a ground.
         task: Stand task, or a stand that satisfies a task on rigid ground and is not solved again.
             Default: the nominal stand.
-        explain: If the stance is unreachable, determine the reason.
+        explain: If the stance is unreachable, compute the reason, as in `solve_stand`.
 
     Returns:
-        The stand; ``depths`` equal the depths of MuJoCo's contacts under the computed forces.
+        The stand; ``depths`` are the penetrations [m] by MuJoCo's contact model under the computed
+        forces, to 1e-9 m.
 
     Raises:
         ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
@@ -77,7 +81,7 @@ def solve_stand_on_soft_ground(
         ModelError: As for `solve_stand`.
         StanceUnreachableError: If the stance is unreachable, at least with the feet in the ground.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the depths do not converge.
+        NotSettlingError: If the depths, or the openings of closed loops, do not converge.
     """
     owner = robot
     if isinstance(task, Stand):
@@ -103,7 +107,7 @@ def solve_stand_on_soft_ground(
         depths |= _fit_soles(robot, stand, depths)
         change = max([abs(depths[foot] - stand.depths[foot]) for foot in depths], default=0.0)
         if robot.closure is not None:
-            before, give = give, open_loops(robot, stand, held)
+            before, give = give, compute_loop_opening(robot, stand, held)
             change = max(change, float(np.abs(give - before).max(initial=0.0)))
             # The stiffness of loops increases with their opening, so steps would alternate.
             give = (give + before) / 2 if any(stand.depths.values()) else give
@@ -123,16 +127,16 @@ def solve_stand_on_soft_ground(
 
 @check_arguments
 def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
-    """Solve a stand task in the form that all simulations, pushes and payloads use.
+    """Solve a stand task as simulations use it: on soft ground if possible, else on rigid ground.
 
-    This is the stand of `solve_stand_on_soft_ground`, which MuJoCo holds as predicted. If the legs
-    are too short, or the depths of a robot with soft loops do not converge, it is the stand
-    on rigid ground, with ``depths`` of 0. In a posture (`held_stand`), joint couplings deflect.
+    The result is the stand of `solve_stand_on_soft_ground`. If this stance is out of reach, or the
+    depths of a robot with soft closed loops do not converge, the result is the stand on rigid
+    ground, with ``depths`` of 0. In a posture (`held_stand`), joint couplings deflect under load.
 
     Args:
-        robot: Robot with a floating base and a ground.
-        task: Stand task, or a stand that satisfies a task on rigid ground. Default: the nominal
-            stand.
+        robot: Robot with a floating base and a ground; of a posture, with a fixed base.
+        task: Stand task, or a stand that satisfies a task on rigid ground, or a posture. Default:
+            the nominal stand.
 
     Raises:
         ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
@@ -157,7 +161,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
 
 def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
-    """Return joint positions (nu,) with the static deflection of MuJoCo's soft couplings."""
+    """Return joint positions (nu,) [rad, m] with the static deflection of MuJoCo's couplings."""
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
         return qpos
@@ -200,8 +204,8 @@ def solve_loaded_stand(
     return loaded, solve_stand_as_simulated(loaded, task)
 
 
-def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
-    """Compute the opening of MuJoCo's closed loops and joint couplings in a stand.
+def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
+    """Compute the opening of MuJoCo's closed loops and joint couplings under the load of a stand.
 
     Args:
         robot: Robot with a ``closure``.
@@ -209,7 +213,7 @@ def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
         held: Statics of the stand.
 
     Returns:
-        Opening for each equation of the constraints, shape (m,) [m, rad].
+        Opening in each equation of the loops and couplings, shape (m,) [m, rad].
     """
     assert robot.closure is not None
     config = Configuration(robot, stand.qpos)
@@ -225,10 +229,10 @@ def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
 
 
 def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
-    """Return penetrations of the contact points of soles [m], in a plane per sole.
+    """Return {contact point of a sole: penetration [m]}, as a rigid sole has under the same load.
 
-    The plane is that in which the contact forces have the given resultant force and moment. A
-    corner may lift: the depth is then negative.
+    The contact forces of a sole keep resultant force and moment. A corner may lift: its depth is
+    then negative.
     """
     sole_depths: dict[str, float] = {}
     for foot in robot.feet_with(depths):
@@ -246,15 +250,15 @@ def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[
 
 
 def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
-    """Return penetrations (n,) [m] in a plane, with the resultant of given penetrations.
+    """Return penetrations (n,) [m] of a rigid sole, with the resultant force of given penetrations.
 
     The potential of the forces is convex, so the solution is unique.
 
     Args:
-        table: Columns span the planes: constant and two slopes, in the points of a sole; shape (n,
-            k).
-        laws: Contact law of each point.
-        given: Penetrations that are not in a plane, shape (n,) [m].
+        table: Row per contact point: 1 and the position in the sole's plane, normalised, shape
+            (n, k). Penetrations of a rigid sole are linear combinations of the columns.
+        laws: Force-penetration law of each contact point.
+        given: Penetrations that a rigid sole cannot have, shape (n,) [m].
     """
 
     def compute_forces(depths: Array) -> Array:
@@ -271,13 +275,16 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     basis = linalg.orth(table)  # collinear points have a smaller basis
     wanted, start = basis.T @ compute_forces(np.array(given)), basis.T @ np.array(given)
 
-    def residual(place: Array) -> Array:
-        """Return the resultant force and moments minus the required values, in the basis."""
-        return np.asarray(basis.T @ compute_forces(basis @ place) - wanted)
+    def residual(coefficients: Array) -> Array:
+        """Return resultant minus required forces [N], projected on the columns of ``basis``.
 
-    def derivative(place: Array) -> Array:
-        """Return the derivative of the residual."""
-        depths = (basis @ place).tolist()
+        ``coefficients`` [m] multiply the columns, and give the penetrations.
+        """
+        return np.asarray(basis.T @ compute_forces(basis @ coefficients) - wanted)
+
+    def derivative(coefficients: Array) -> Array:
+        """Return the derivative of the residual by the coefficients, shape (k, k) [N/m]."""
+        depths = (basis @ coefficients).tolist()
         stiff = np.array([law.rate(d) for law, d in zip(laws, depths, strict=True)])
         return np.asarray(basis.T @ (stiff[:, None] * basis))
 

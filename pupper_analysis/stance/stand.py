@@ -21,7 +21,11 @@ from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
-from pupper_analysis.stance.search import continue_stand, find_nearest, search_stand
+from pupper_analysis.stance.search import (
+    minimise_foot_errors,
+    search_from_configuration,
+    search_stand,
+)
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import Contacts, make_contacts
@@ -88,7 +92,7 @@ def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
     if stand.solved:
         return stand
     if explain and stand.foot_error >= TASK_TOLERANCE:
-        closest = find_nearest(context, goal, stand.qpos, stand.iterations)
+        closest = minimise_foot_errors(context, goal, stand.qpos, stand.iterations)
         stand = min(stand, closest, key=lambda failure: failure.foot_error)
     raise explain_refusal(context, goal, stand, explain=explain)
 
@@ -208,7 +212,7 @@ def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Arra
     for weight, qpos in zip(weights[1:], before[1:], strict=True):
         ahead += weight * qpos
     for start in (ahead, last) if _joint_distance(ahead, last) < _MAX_JOINT_DISTANCE else (last,):
-        stand = continue_stand(context, goal, start)
+        stand = search_from_configuration(context, goal, start)
         if stand is not None and _joint_distance(stand.qpos, last) < _MAX_JOINT_DISTANCE:
             return stand
     return None

@@ -1,8 +1,10 @@
 """Whole-body inverse kinematics: a posture that satisfies tasks, by PlaCo's kinematics solver.
 
-Each iteration linearises all tasks and solves a quadratic program within the joint limits
-(Gauss-Newton). Feet that carry load keep their positions. The result contains the residual of each
-task by Pinocchio's kinematics of the URDF and by MuJoCo's of the MJCF.
+`solve_posture` finds joint positions, and the pose of a free base, for targets of links, CoM and
+joints (`stance.posture_tasks`) [m, rad]. Each iteration linearises all tasks and solves a quadratic
+program within the joint limits (Gauss-Newton). Feet that carry load keep their positions. The
+result contains the residual of each task by Pinocchio's kinematics of the URDF and by MuJoCo's of
+the MJCF.
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ _MAX_STEP = 0.3
 
 _NUM_NEAREST_PAIRS = 12
 """Number of nearest pairs of links that `SelfClearanceTask` keeps apart in an iteration. Of the 300
-pairs of a quadruped no more touch at once."""
+pairs of a quadruped, no more than these are close to each other at once. Chosen, not tuned."""
 
 _MAX_MEASURED_DISTANCE = 1e3
 """Upper bound of the distances that MuJoCo measures [m]: larger than any robot. Chosen, not tuned.
@@ -73,7 +75,8 @@ small against required tasks, large against `_REGULARIZATION`. A second iteratio
 preferences removes the remaining residuals of required tasks."""
 
 _RADIUS_REDUCTION = 4
-"""Factor by which the trust radius shrinks after a step that increases the error. Chosen."""
+"""Factor by which the trust radius shrinks after a step that increases the error. Chosen, not
+tuned."""
 
 _ROUNDING_ERROR = 1e-24
 """Weighted sum of squared residuals [m^2 and rad^2 mixed] that counts as rounding: 1e-12 of one
@@ -84,7 +87,8 @@ _ROUNDING_STEP = 1e-7
 iteration ends. Chosen, not tuned."""
 
 _NEGLIGIBLE_STEP = 1e-10
-"""Norm of a step [rad and m mixed], or trust radius, below which the iteration ends."""
+"""Norm of a step [rad and m mixed], or trust radius, below which the iteration ends. Chosen, not
+tuned."""
 
 _NUM_RESTARTS = 8
 """Number of random initial guesses after a failure, within the joint limits. Chosen, not tuned."""
@@ -94,10 +98,12 @@ _REGULARIZATION = 1e-9
 joints, and does not bias the solution."""
 
 _UNLIMITED_POSITION = 1e3
-"""Finite limit [rad, m] that replaces an infinite joint limit, as PlaCo needs numbers."""
+"""Finite limit [rad, m] that replaces an infinite joint limit, since PlaCo requires finite limits.
+Chosen, not tuned: beyond the positions of any posture."""
 
 _AT_LIMIT = 1e-6
-"""Distance from a joint limit [rad, m] up to which a joint counts as being at the limit."""
+"""Distance from a joint limit [rad, m] up to which a joint counts as being at the limit, in the
+error of an unreachable posture. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +139,7 @@ class SolvedPosture(Pictured, Tabular):
         return robot
 
     def _columns(self) -> dict[str, Any]:
+        """Return {column: values} of a table with one row per task: residuals with units."""
         return {
             "task": self.tasks,
             "residual": self.residuals,
@@ -149,10 +156,10 @@ def solve_posture(
     start: ArrayLike | None = None,
     contacts: Iterable[str] | None = None,
 ) -> SolvedPosture:
-    """Solve for a posture that satisfies tasks within the joint limits.
+    """Solve for a configuration that satisfies tasks within the joint limits.
 
     PlaCo minimises the weighted squared residuals. The iteration starts at ``start``; after a
-    failure, at eight random postures. Links are kept apart by a ``SelfClearanceTask`` only; see
+    failure, at up to eight random postures. Links may collide without a ``SelfClearanceTask``. See
     ``examples/first_look.ipynb`` for pictures of the result (``posture.show()``).
 
     Statics of the result: ``pa.gravity_compensation(pa.Configuration(robot, posture.qpos))``.
@@ -236,7 +243,7 @@ def _check_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:
 
 
 def _list_guesses(robot: Robot, qpos: Array) -> Iterable[Array]:
-    """Yield initial guesses (nq,): the given one within the limits, then random joint positions."""
+    """Yield initial guesses (nq,): ``qpos`` within the limits, then random joint positions."""
     first = robot.nq - robot.nu
     lower, upper = robot.lower_limits, robot.upper_limits
     start = qpos.copy()
@@ -299,7 +306,7 @@ class _PostureSolver:
         ]
 
     def _make_stage(self, tasks: Sequence[PostureTask], num_contacts: int) -> _Stage:
-        """Return a PlaCo solver of some tasks; the last are kept contacts."""
+        """Return a PlaCo solver of some tasks; the last ``num_contacts`` are kept contacts."""
         solver = placo.KinematicsSolver(self._placo_robot.wrapper)
         solver.mask_fbase(not self._robot.floating)
         solver.enable_joint_limits(True)
@@ -381,7 +388,10 @@ class _PostureSolver:
                 return
 
     def _evaluate(self, stage: _Stage) -> float:
-        """Return the weighted squared error at PlaCo's configuration, with moved targets."""
+        """Return the weighted sum of squared residuals [m^2, rad^2] at PlaCo's configuration.
+
+        Targets that depend on the configuration, such as a gaze direction, are updated first.
+        """
         if any(task.update_target for _, task in stage.tasks):
             body = _PinocchioBody(self._robot, self._current_qpos(), self._collision)
             for _, task in stage.tasks:
@@ -410,7 +420,7 @@ class _LazyShapes:
 
     @cached_property
     def shapes(self) -> ClearanceShapes:
-        """Shapes with the pairs of links whose distances count."""
+        """Collision shapes of the robot, with the pairs of links that are not neighbours."""
         return ClearanceShapes(self._robot)
 
 
@@ -425,7 +435,7 @@ class _PinocchioBody:
         return self._config.frame_rotation(frame), self._config.frame_position(frame)
 
     def com(self) -> Array:
-        """Return the CoM (3,) [m] in the world."""
+        """Return the position of the CoM, shape (3,) [m], in the world frame."""
         return self._config.center_of_mass()
 
     def joint(self, name: str) -> float:
@@ -440,7 +450,10 @@ class _PinocchioBody:
         return np.array([pair.distance for pair in pairs])
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
-        """Return the derivatives by q (n, nq), those of the base zero, and q (nq,)."""
+        """Return the derivatives of the clearances by PlaCo's q, (n, nq), and q (nq,).
+
+        Derivatives by the pose of the base are zero.
+        """
         robot, convention = self._config.robot, self._config.robot.pin_convention
         rates = self._collision.shapes.distance_jacobian(self._config, _NUM_NEAREST_PAIRS)
         # PlaCo's robot has a free base, which a fixed-base robot does not move.
@@ -472,7 +485,10 @@ class _MujocoBody(_PinocchioBody):
         return rotation @ relative, self._data.xpos[body] + rotation @ offset
 
     def self_clearances(self) -> Array:
-        """Return MuJoCo's distances (n,) [m] of the pairs that are nearest by Pinocchio."""
+        """Return MuJoCo's distances (n,) [m] of the link pairs that are nearest by Pinocchio.
+
+        In ascending order.
+        """
         shapes, model = self._collision.shapes, self._robot.mj_model
         pairs = shapes.nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
         found = [
@@ -489,7 +505,7 @@ class _MujocoBody(_PinocchioBody):
         return np.sort(found)
 
     def com(self) -> Array:
-        """Return the CoM (3,) [m] in the world."""
+        """Return the position of the CoM, shape (3,) [m], in the world frame."""
         base = self._robot.mj_model.body(self._robot.mj_base).id
         return np.array(self._data.subtree_com[base])
 

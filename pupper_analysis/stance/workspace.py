@@ -1,6 +1,8 @@
-"""Workspace of the base with planted feet: intervals of height, angles and shifts.
+"""Workspace of the base with planted feet: reachable intervals of height [m], angles [rad], x, y.
 
-Each direction is searched separately, outward from a stand, until a stand is unreachable.
+`base_workspace` searches each coordinate separately from the stand of a task, outward in both
+directions. Steps are halved until a stand is unreachable (bisection). Each step starts at the last
+stand; before an end is accepted, all initial guesses of `search_stand` are tried as well.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.stance.problem import can_move_com, make_goal
-from pupper_analysis.stance.search import follow_stand, search_stand
+from pupper_analysis.stance.search import search_near_stand, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -39,10 +41,13 @@ _RESTART_RATIO = 0.2
 full search has found a stand that IK from the last stand missed. Chosen, not tuned."""
 
 _GAP_RATIO = 8e-3
-"""Distance, relative to the first step, beyond an unreachable stand at which another stand is
-tried: another IK branch may start there. v3's pitch has such a gap of 1.3 mrad."""
+"""Distance beyond an unreachable stand, relative to the first step of the search, at which another
+stand is tried: another IK branch may start there. The pitch of Pupper v3 has such a gap of
+1.3 mrad."""
 
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
+"""Base coordinates whose reachable intervals `base_workspace` determines."""
+
 _FIRST_STEPS = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
 """{direction: first step [m or rad]}. Chosen, not tuned."""
 _MAX_VALUES = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
@@ -81,9 +86,9 @@ class BaseWorkspace(Result):
 
 @check_arguments
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
-    """Find the interval of base heights [m], with all else as in the task.
+    """Find the reachable interval of base heights [m]; all other requirements stay as in the task.
 
-    See `base_workspace` for the conditions.
+    Feet stay planted. See `base_workspace` for the CoM.
 
     Args:
         robot: Robot.
@@ -101,14 +106,16 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 
 @check_arguments
 def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace:
-    """Find the reachable intervals of the base in height, roll, pitch, yaw, x and y.
+    """Find the reachable intervals of the base in height [m], roll, pitch, yaw [rad], x and y [m].
 
-    Each direction is searched outward from the task to the first unreachable stand, apart from gaps
-    below 0.8 % of the first step. The CoM stays at the place in the task; if the task permits any
-    place inside the support polygon, at its place in the task's stand, or free for legs that cannot
-    hold the CoM there (with two joints). With an ``offset`` in the task, the base keeps this offset
-    instead. For shifts in x and y, the CoM follows the base and must keep
-    the task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2, since larger angles
+    Each coordinate is searched alone, outward from the task to the first unreachable stand, apart
+    from gaps below 0.8 % of the first step. Feet stay planted.
+
+    The CoM keeps the horizontal position that the task requires. If the task permits any position
+    inside the support polygon, the CoM keeps its position in the task's stand, or stays free if the
+    legs cannot move it in two directions (`can_move_com`). With an ``offset`` in the task, the base
+    keeps this offset instead. For shifts in x and y, the CoM follows the base and must keep the
+    task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2, since larger angles
     describe the same rotations.
 
     Args:
@@ -133,9 +140,9 @@ def find_interval(
     direction: str,
     enough: float = math.inf,
     *,
-    usual_starts_only: bool = False,
+    default_guesses_only: bool = False,
 ) -> Interval:
-    """Find the reachable interval of a base coordinate, with the feet planted.
+    """Find the reachable interval of one base coordinate [m or rad], with the feet planted.
 
     The search moves outward from the stand in both directions, to the first unreachable stand.
     `base_workspace` describes which other quantities stay constant.
@@ -145,16 +152,22 @@ def find_interval(
         start: Stand at which the search starts.
         direction: An element of ``DIRECTIONS``.
         enough: Distance [m or rad] from the start beyond which the search ends.
-        usual_starts_only: Search from the usual initial guesses only, not in all IK branches.
+        default_guesses_only: Search from `default_initial_guesses` only, not in all IK branches.
     """
     low, high = (
-        _find_limit(robot, start, direction, way, enough, usual_starts_only) for way in (-1.0, 1.0)
+        _find_limit(robot, start, direction, way, enough, default_guesses_only)
+        for way in (-1.0, 1.0)
     )
     return Interval(low, high)
 
 
 def _find_limit(
-    robot: Robot, start: Stand, direction: str, sign: float, enough: float, usual_starts_only: bool
+    robot: Robot,
+    start: Stand,
+    direction: str,
+    sign: float,
+    enough: float,
+    default_guesses_only: bool,
 ) -> float:
     """Find an end of the reachable interval of a base coordinate; return the coordinate [m or rad].
 
@@ -169,7 +182,7 @@ def _find_limit(
         direction: Name of the coordinate, an element of ``DIRECTIONS``.
         sign: 1 to search towards larger values, -1 towards smaller values.
         enough: Distance [m or rad] from the start at which the search ends.
-        usual_starts_only: Omit the IK branches and the nonlinear program in `search_stand`.
+        default_guesses_only: Omit the IK branches and the nonlinear program in `search_stand`.
     """
     first, most = _FIRST_STEPS[direction], _MAX_VALUES.get(direction, math.inf)
     first_value = value = _get_coordinate(robot, start, direction)
@@ -177,11 +190,11 @@ def _find_limit(
     shortest = _FULL_SEARCH_RATIO * first  # step with a full search
 
     def try_value(further: float, near: Stand | None = None) -> bool:
-        """Return True if the stand at a value is reached, and store both."""
+        """Solve the stand at a value [m or rad]; if it exists, store both and return True."""
         nonlocal value, last
         if abs(further) > most:
             return False
-        stand = _solve_at(robot, start, direction, further, near, usual_starts_only)
+        stand = _solve_at(robot, start, direction, further, near, default_guesses_only)
         if stand is not None:
             value, last = further, stand
         return stand is not None
@@ -201,7 +214,7 @@ def _find_limit(
 
 
 def _get_coordinate(robot: Robot, start: Stand, direction: str) -> float:
-    """Return the coordinate of a stand in a direction [m or rad]."""
+    """Return the value [m or rad] of a base coordinate, one of ``DIRECTIONS``, in a stand."""
     if direction in ("x", "y"):
         return float(_base_offset(robot, start)["xy".index(direction)])
     return float(getattr(start.task, direction))
@@ -219,11 +232,12 @@ def _solve_at(
     direction: str,
     value: float,
     near: Stand | None,
-    usual_starts_only: bool,
+    default_guesses_only: bool,
 ) -> Stand | None:
     """Solve the stand at a value [m or rad] of a base coordinate.
 
-    None if the stand is unreachable, or the CoM margin is too small.
+    The search starts at the stand ``near`` only, or from all initial guesses if it is None. None if
+    no stand is found, or the CoM margin is too small.
     """
     try:
         goal = make_goal(robot, _make_task(robot, start, direction, value), {})
@@ -231,9 +245,11 @@ def _solve_at(
         return None
     with lend(robot, SearchContext) as context:
         if near is None:
-            stand: Stand | None = search_stand(context, goal, usual_starts_only=usual_starts_only)
+            stand: Stand | None = search_stand(
+                context, goal, default_guesses_only=default_guesses_only
+            )
         else:
-            stand = follow_stand(context, goal, near)
+            stand = search_near_stand(context, goal, near)
     if stand is None or not stand.solved:
         return None
     if direction in ("x", "y") and stand.com_margin < start.task.com_margin:

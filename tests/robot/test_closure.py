@@ -18,7 +18,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
-from pupper_analysis.stance.search import find_nearest
+from pupper_analysis.stance.search import minimise_foot_errors
 from pupper_analysis.stance.solver import SearchContext
 from tests.support.bound import LEGS, belts, four_bars
 from tests.support.legged import Pair, quadruped, rewritten
@@ -198,7 +198,7 @@ def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> Non
         height=0.273, yaw=-0.44, swing={"FL_calf": 0.203}, joint_margin=0.1, com="inside"
     )
     context, goal = SearchContext(robot), make_goal(robot, task, {})
-    nearest = find_nearest(context, goal, robot.home)
+    nearest = minimise_foot_errors(context, goal, robot.home)
     assert robot.closure is not None
     assert robot.closure.largest_violation(nearest.qpos) < 1e-6
     refusal = explain_refusal(context, goal, nearest, explain=False)

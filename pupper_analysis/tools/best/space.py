@@ -20,7 +20,7 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.search import continue_stand, search_stand
+from pupper_analysis.stance.search import search_from_configuration, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
@@ -143,7 +143,7 @@ class StanceSpace:
         max_changes |= dict.fromkeys(_BASE_ROTATIONS, MAX_BASE_ROTATION)
         workspace = {
             name: find_interval(
-                self.robot, self.nominal, name, max_changes[name], usual_starts_only=True
+                self.robot, self.nominal, name, max_changes[name], default_guesses_only=True
             )
             for name in BASE_COORDINATES
         }
@@ -248,9 +248,9 @@ class StanceSpace:
         goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
         with lend(self.robot, SearchContext) as context:
             if near is None:
-                stand: Stand | None = search_stand(context, goal, usual_starts_only=True)
+                stand: Stand | None = search_stand(context, goal, default_guesses_only=True)
             else:
-                stand = continue_stand(context, goal, near.qpos)
+                stand = search_from_configuration(context, goal, near.qpos)
         return stand.for_task(task) if stand is not None and stand.solved else None
 
     def room(self, stand: Stand) -> StanceSlack:
