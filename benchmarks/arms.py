@@ -92,8 +92,8 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> float:
     if alone:
         postures = rng.uniform(*motions.ranges.T, size=(SAMPLES, robot.nu))
     else:  # each loop that bends is closed anew, by some 15 ms
-        bends = bool(motions.bent.any())
-        postures = np.array(motions.random(BOUND if bends else SAMPLES))
+        bends = bool(motions.nonlinear.any())
+        postures = np.array(motions.draw_postures(BOUND if bends else SAMPLES))
     same = bool(motions.constant.all())  # couplings pass on the same parts everywhere
     parts = np.eye(robot.nu) if alone else by_motors(robot, postures[0], np.eye(robot.nu))
     most = np.zeros(robot.nu)
@@ -163,7 +163,7 @@ def row(files: str) -> str:
     except pa.PupperAnalysisError as error:
         return f"| {name} | | {type(error).__name__}: {str(error)[:110]} |"
     took, own = time.process_time() - begin, ByMujoco(robot)
-    postures = JointMotions(robot, held.posture).random(POSTURES)
+    postures = JointMotions(robot, held.posture).draw_postures(POSTURES)
     both = [(Configuration(robot, qpos).load(), own.load(qpos)) for qpos in postures]
     gravity = own.gravity(postures)
     apart = max(float(np.abs(one - other).max()) for one, other in both) / max(gravity, 1e-300)

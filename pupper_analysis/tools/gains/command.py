@@ -57,7 +57,7 @@ def command(
 
     The servos are an explicit PD controller: it measures angles and velocities once per control
     period, and its torque acts after the delay. Robot and stance are given as for `stand`. Each
-    bound follows from the modes of the robot on its feet, and is repeated by simulation.
+    bound follows from the modes of the robot on its feet, and is checked by simulation.
 
     \b
     Examples:

@@ -45,7 +45,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
 
 
 def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
-    """State the mode that grows, and the classes whose gains exceed torque or encoder bounds."""
+    """Yield texts: the unstable mode, and joint classes whose gains exceed a bound."""
     if not study.worst.stable:
         joints = join_words([doc.Name(name) for name in study.worst.joints])
         time = f"{1e3 * math.log(2) / study.worst.growth_rate:.3g}"
@@ -106,7 +106,7 @@ def _describe_controller(study: GainStudy) -> doc.Words:
 
 
 def _select_next_step(study: GainStudy) -> NextStep:
-    """Return the stand with the recommended gains, if these are equal at all joints."""
+    """Return the next command: `stand`, with the recommended gains if all joints have the same."""
     first = study.classes[0]
     if study.uniform and first.recommended_kp is not None and first.recommended_kd is not None:
         return NextStep(
@@ -199,7 +199,7 @@ def _make_bound_table(study: GainStudy) -> doc.Table:
 
 
 def _name_first_joints(bound: GainBound) -> doc.Words:
-    """Return the names of the joints that move most, or a dash."""
+    """Return the names of the joints that move most in the mode of a bound, or a dash."""
     return (
         join_words([doc.Name(name) for name in bound.joints[:2]]) if bound.joints else doc.Name("-")
     )

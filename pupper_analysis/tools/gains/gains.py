@@ -2,8 +2,8 @@
 
 `study_gains` scales the gains of all joints together, and finds the factors between which the robot
 on its feet is stable under a sampled PD controller with a delay (`ControlledStand`). Each bound of
-the linear model is repeated by bisection in simulations of the unmodified model. Torque limits and
-encoders bound the gains of each joint on their own.
+the linear model is repeated by bisection in simulations with all friction. Torque limits and
+encoders bound the gains of each joint separately.
 """
 
 from __future__ import annotations
@@ -33,21 +33,27 @@ from pupper_analysis.tools.gains.loop import ControlledStand, WorstMode
 Array = NDArray[np.float64]
 
 _MAX_POWER = 12
+"""Largest exponent of the factors 2^-12 ... 2^12 on the gains that are tried; see `MAX_FACTOR`."""
+
 MAX_FACTOR = 2.0**_MAX_POWER
 """Largest factor on the gains, and inverse of the smallest, that is tried. Chosen: the tools add
 servos with kp of 5 to 2000 N m/rad."""
 
 _FACTOR_TOLERANCE = 0.005
-"""Relative tolerance of a factor."""
+"""Relative tolerance of a bound of the gains in the linear model (bisection of the factor on the
+gains). Chosen, not tuned."""
 
 _SIMULATED_TOLERANCE = 0.02
-"""Relative tolerance of a factor that is found by simulation."""
+"""Relative tolerance of a bound of the gains in simulation, which is slower than the linear model.
+Chosen, not tuned."""
 
 _SIMULATED_RANGE = 2.0
-"""Ratio between the predicted bound and the ends of the bisection in simulation."""
+"""Ratio of the ends of the bisection in simulation to the bound of the linear model: the simulated
+bound is searched between 1/2 and 2 times the predicted bound. Chosen, not tuned."""
 
 _SHAKE_DURATION = 3.0
-"""Duration of the simulations of a damping [s]. Modes beyond the bound double within 0.1 s."""
+"""Duration [s] of the simulations at an upper bound of stiffness or damping. The unstable modes
+double within 0.1 s."""
 
 GAIN_MARGIN = 2.0
 """Ratio between a recommended gain and a bound: the usual gain margin of 6 dB (Åström and Murray
@@ -59,16 +65,19 @@ within the stability margins reaches the bound, the damping with the largest rat
 0.5 is an overshoot of 16 %; chosen, not tuned."""
 
 MAX_NOISE_RATIO = 0.1
-"""Largest torque step by one encoder count, relative to the torque limit. Chosen, not tuned."""
+"""Upper bound of the torque step by which the damping answers one encoder count per control period,
+relative to the torque limit. Chosen, not tuned."""
 
 MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
-"""Bounds of the resolution of an encoder [bit]."""
+"""Bounds of the accepted resolution of a joint encoder [bits per turn]. Chosen, not tuned."""
 
 _CURVE_RATIO = 2.0**0.5
-"""Ratio of successive stiffnesses of the curve of largest dampings."""
+"""Ratio of successive stiffnesses in the plot of the largest stable damping over the stiffness.
+Chosen, not tuned."""
 
 _CURVE_HALF_LENGTH = 6
-"""Number of points of the curve on each side of the present stiffness."""
+"""Number of points on each side of the present stiffness in the plot of the largest stable damping
+over the stiffness: a factor of 8. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -180,12 +189,16 @@ class GainStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the present gains are stable and within all bounds, also without feed-forward."""
+        """Whether the robot stands stably with the present gains.
+
+        The modes with feed-forward are stable, the robot stands without feed-forward, and no gain
+        exceeds the bound of a torque limit or encoder.
+        """
         return self.worst.stable and self.sag_failure is None and not self.exceeded
 
     @property
     def uniform(self) -> bool:
-        """Whether all joints have the same stiffness and the same damping."""
+        """Whether all driven joints have the same stiffness and the same damping."""
         return len({(one.kp, one.kd) for one in self.classes}) == 1
 
     @property
@@ -242,12 +255,12 @@ def study_gains(
     stiffness, damping = gains.find_stable_pair()
 
     def with_stiffness(factor: float) -> _Pair:
-        """Return the gains with a factor on the stiffness."""
-        return gains.scaled(factor, damping)
+        """Return kp and kd, shape (nu,), with a factor on the present stiffness of all joints."""
+        return gains.scale_gains(factor, damping)
 
     def with_damping(factor: float) -> _Pair:
-        """Return the gains with a factor on the damping."""
-        return gains.scaled(stiffness, factor)
+        """Return kp and kd, shape (nu,), with a factor on the present damping of all joints."""
+        return gains.scale_gains(stiffness, factor)
 
     least, largest = gains.find_stable_factors(with_stiffness, stiffness)
     least_kp = gains.make_bound(least, with_stiffness, below=True)
@@ -261,7 +274,7 @@ def study_gains(
             alone = minimum_stiffness(robot, settled)
         except NoStiffnessError:
             alone = None
-    recommended = gains.recommend((least, largest), alone)
+    recommended = gains.recommend_factors((least, largest), alone)
     classes = tuple(
         gains.describe_class(
             robot,
@@ -293,9 +306,9 @@ def study_gains(
         least_kp_alone=alone,
         sag_failure=failure,
         worst=loop.find_worst_mode(gains.kp, gains.kd),
-        damping_ratio=loop.least_damping_ratio(gains.kp, gains.kd),
+        damping_ratio=loop.find_smallest_damping_ratio(gains.kp, gains.kd),
         curve_factors=curve,
-        curve_dampings=np.array([gains.largest_damping(factor) for factor in curve.tolist()]),
+        curve_dampings=np.array([gains.find_largest_damping(factor) for factor in curve.tolist()]),
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
     )
@@ -329,38 +342,43 @@ class _Gains:
     def __init__(self, loop: ControlledStand, kp: Array, kd: Array) -> None:
         self.loop, self.kp, self.kd = loop, kp, kd
 
-    def scaled(self, stiffness: float, damping: float) -> _Pair:
-        """Return the gains of all joints, multiplied by factors."""
+    def scale_gains(self, stiffness: float, damping: float) -> _Pair:
+        """Return kp [N m/rad] and kd [N m s/rad] of all joints, shape (nu,), times factors."""
         return stiffness * self.kp, damping * self.kd
 
     def find_stable_pair(self) -> tuple[float, float]:
-        """Find stable factors on stiffness and damping near to (1, 1), in powers of two.
+        """Find a stable pair of factors on stiffness and damping, both powers of two.
+
+        Pairs are tried in the order of their distance from (1, 1), the sum of the absolute
+        exponents.
 
         Raises:
-            ConfigurationError: If no tried pair is stable.
+            ConfigurationError: If no pair within `MAX_FACTOR` is stable.
         """
         powers = range(-_MAX_POWER, _MAX_POWER + 1)
         pairs = sorted(product(powers, powers), key=lambda pair: abs(pair[0]) + abs(pair[1]))
         for stiffness, damping in pairs:
-            if self._is_stable(self.scaled(2.0**stiffness, 2.0**damping)):
+            if self._is_stable(self.scale_gains(2.0**stiffness, 2.0**damping)):
                 return 2.0**stiffness, 2.0**damping
         raise ConfigurationError("kp", diagnose("no-stable-gains", most=MAX_FACTOR))
 
     def find_stable_factors(
         self, gains: Callable[[float], _Pair], inside: float
     ) -> tuple[float | None, float | None]:
-        """Find both ends of an interval of stable factors.
+        """Find both ends of the interval of stable factors around a stable factor.
 
         Args:
-            gains: Function that returns kp and kd for a factor.
+            gains: Function that returns kp and kd of all joints, shape (nu,), for a factor.
             inside: A stable factor.
 
         Returns:
-            Lower and upper end; None without an end within ``MAX_FACTOR``.
+            Lower and upper end, the last stable factors of a bisection. An end is None if all
+            tried factors up to ``MAX_FACTOR`` (or down to its inverse) are stable.
         """
         return self._find_end(gains, inside, 0.5), self._find_end(gains, inside, 2.0)
 
     def _is_stable(self, pair: _Pair) -> bool:
+        """Return True if no mode grows with kp and kd of all joints, shape (nu,) each."""
         return self.loop.is_stable(*pair)
 
     def _find_end(
@@ -383,12 +401,12 @@ class _Gains:
     def make_bound(
         self, factor: float | None, gains: Callable[[float], _Pair], *, below: bool
     ) -> GainBound:
-        """Describe a bound: the mode beyond it, and the bound in simulation.
+        """Create the result of a bound of the gains: unstable mode, and bound found by simulation.
 
         Args:
-            factor: Factor at the bound; None without a bound.
-            gains: Function that returns kp and kd for a factor.
-            below: Whether smaller factors are unstable.
+            factor: Factor on the gains at the bound of the linear model; None without a bound.
+            gains: Function that returns kp and kd of all joints for a factor.
+            below: Whether smaller factors (otherwise larger factors) are unstable.
         """
         if factor is None:
             return GainBound(None, None, 0.0, ())
@@ -396,24 +414,27 @@ class _Gains:
         mode = self.loop.find_worst_mode(*gains(beyond))
         duration = HOLD_DURATION if below else _SHAKE_DURATION
 
-        def stays(tried: float) -> bool:
-            """Return True if the robot stays in a simulation."""
-            return self.loop.stays_in_simulation(*gains(tried), duration=duration, mode=mode)
+        def survives_simulation(factor: float) -> bool:
+            """Return True if the robot stays in the stand in a simulation with scaled gains."""
+            return self.loop.survives_simulation(*gains(factor), duration=duration, mode=mode)
 
         ratio = 1 / _SIMULATED_RANGE if below else _SIMULATED_RANGE
         simulated = None
-        if stays(factor / ratio) and not stays(factor * ratio):
-            simulated = _bisect_factor(stays, factor / ratio, factor * ratio, _SIMULATED_TOLERANCE)
+        if survives_simulation(factor / ratio) and not survives_simulation(factor * ratio):
+            simulated = _bisect_factor(
+                survives_simulation, factor / ratio, factor * ratio, _SIMULATED_TOLERANCE
+            )
         return GainBound(factor, simulated, mode.frequency, mode.joints)
 
-    def largest_damping(self, stiffness: float) -> float:
-        """Return the largest stable factor on the damping with a factor on the stiffness.
+    def find_largest_damping(self, stiffness: float) -> float:
+        """Return the largest stable factor on the damping, for a factor on the stiffness.
 
-        Infinite without a bound; not a number if no damping is stable.
+        Infinite if all tried factors up to `MAX_FACTOR` are stable; NaN if no tried factor is
+        stable.
         """
 
         def with_damping(factor: float) -> _Pair:
-            return self.scaled(stiffness, factor)
+            return self.scale_gains(stiffness, factor)
 
         powers = sorted(range(-_MAX_POWER, _MAX_POWER + 1), key=abs)
         stable = (2.0**power for power in powers if self._is_stable(with_damping(2.0**power)))
@@ -423,39 +444,42 @@ class _Gains:
         end = self._find_end(with_damping, inside, 2.0)
         return math.inf if end is None else end
 
-    def recommend(
-        self, stiffness: tuple[float | None, float | None], alone: float | None
+    def recommend_factors(
+        self, stiffness: tuple[float | None, float | None], least_kp_alone: float | None
     ) -> tuple[float | None, float | None]:
-        """Recommend factors with a margin of ``GAIN_MARGIN`` to each stability bound.
+        """Recommend factors on the gains with a margin of ``GAIN_MARGIN`` to each stability bound.
 
-        The stiffness is the present one, or the nearest within the margins. The damping is the
-        smallest with which each oscillation has the damping ratio ``MIN_DAMPING_RATIO``; without
-        one, that with the largest damping ratio.
+        The factor on the stiffness is 1, or the nearest factor within the margins. The factor on
+        the damping is the smallest tried one with which each oscillation has a damping ratio of at
+        least ``MIN_DAMPING_RATIO``; if no damping reaches this ratio, the one with the largest
+        damping ratio.
 
         Args:
-            stiffness: Bounds of the factor on the stiffness.
-            alone: Least stiffness without feed-forward [N m/rad], equal at all joints.
+            stiffness: Lower and upper bound of the factor on the stiffness; None without a bound.
+            least_kp_alone: Smallest stiffness, equal at all joints, with which the robot stands
+            without feed-forward [N m/rad]; None if there is none.
 
         Returns:
-            Factors on stiffness and damping; (None, None) if the margins leave nothing.
+            Factors on stiffness and damping; (None, None) if the margins exclude all gains, all
+            present dampings are 0, or no tried damping is stable.
         """
         low, high = stiffness
         if not self.kd.any():
             return None, None
         used = self.kp[self.kp > 0]
-        least = max(low or 0.0, (alone or 0.0) / float(used.min(initial=math.inf)))
+        least = max(low or 0.0, (least_kp_alone or 0.0) / float(used.min(initial=math.inf)))
         least, most = least * GAIN_MARGIN, (math.inf if high is None else high / GAIN_MARGIN)
         if least > most:
             return None, None
         factor = float(np.clip(1.0, least, most))
-        end = self.largest_damping(factor) / GAIN_MARGIN
+        end = self.find_largest_damping(factor) / GAIN_MARGIN
         if math.isnan(end):
             return None, None
         tried = [2.0 ** (power / 2) for power in range(-20, 21) if 2.0 ** (power / 2) <= end]
         ratios = {
-            damping: self.loop.least_damping_ratio(*self.scaled(factor, damping))
+            damping: self.loop.find_smallest_damping_ratio(*self.scale_gains(factor, damping))
             for damping in tried
-            if self._is_stable(self.scaled(factor, damping))
+            if self._is_stable(self.scale_gains(factor, damping))
         }
         if not ratios:
             return None, None
@@ -468,23 +492,35 @@ class _Gains:
         members: Sequence[int],
         least_kp: GainBound,
         largest_kd: GainBound,
-        base: tuple[float, float],
+        stable_pair: tuple[float, float],
         recommended: tuple[float | None, float | None],
         error: float | None,
         encoder_bits: int | None,
     ) -> JointClass:
-        """Create the result of a joint class."""
+        """Create the result of a joint class: present gains, bounds, recommended gains.
+
+        Args:
+            robot: Robot.
+            members: Indices of the joints of the class.
+            least_kp: Lower bound of the stiffness of all joints.
+            largest_kd: Upper bound of the damping of all joints.
+            stable_pair: Stable factors on the stiffness and damping of all joints.
+            recommended: Recommended factors on stiffness and damping.
+            error: Position error for which the motors must have torque [rad, m]; None if not
+                requested.
+            encoder_bits: Encoder resolution [bits per turn]; None if not requested.
+        """
         kp, kd = float(self.kp[members[0]]), float(self.kd[members[0]])
         limit = float(robot.effort_limits[list(members)].min())
         limited = math.isfinite(limit) and limit > 0
 
-        def changed(factor: float) -> _Pair:
-            """Return the gains with a factor on the damping of this class."""
-            stiffness, damping = self.scaled(*base)
+        def scale_class_damping(factor: float) -> _Pair:
+            """Return kp and kd of all joints with a factor on the damping of this joint class."""
+            stiffness, damping = self.scale_gains(*stable_pair)
             damping[list(members)] *= factor
             return stiffness, damping
 
-        alone = self._find_end(changed, 1.0, 2.0) if kd else None
+        alone = self._find_end(scale_class_damping, 1.0, 2.0) if kd else None
         count = 2 * math.pi / 2**encoder_bits if encoder_bits is not None else 0.0
         return JointClass(
             name=name_joints([robot.joint_names[joint] for joint in members]),
@@ -493,7 +529,7 @@ class _Gains:
             kd=kd,
             least_kp=_scale(kp, least_kp.factor),
             largest_kd=_scale(kd, largest_kd.factor),
-            largest_kd_alone=_scale(kd * base[1], alone),
+            largest_kd_alone=_scale(kd * stable_pair[1], alone),
             largest_kp_of_torque=limit / error if limited and error is not None else None,
             largest_kd_of_encoder=(
                 MAX_NOISE_RATIO * limit * self.loop.period / count if limited and count else None
@@ -509,17 +545,20 @@ def _scale(gain: float, factor: float | None) -> float | None:
 
 
 def _bisect_factor(
-    stays: Callable[[float], bool], inside: float, outside: float, tolerance: float
+    is_inside: Callable[[float], bool], inside: float, outside: float, tolerance: float
 ) -> float:
-    """Bisect the end of an interval of factors on a logarithmic scale; return the inner end."""
+    """Bisect the end of an interval of factors on a logarithmic scale; return the inner end.
+
+    ``tolerance`` is relative; ``is_inside`` is True at ``inside`` and False at ``outside``.
+    """
     while abs(math.log(outside / inside)) > tolerance:
         middle = math.sqrt(inside * outside)
-        inside, outside = (middle, outside) if stays(middle) else (inside, middle)
+        inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
     return inside
 
 
 def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
-    """Group the driven joints that have equal gains and limits at the same place in similar limbs.
+    """Group driven joints at the same place in similar limbs, with equal gains and effort limits.
 
     Args:
         robot: Robot.
@@ -545,9 +584,10 @@ def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
 
 
 def name_joints(names: Sequence[str]) -> str:
-    """Return the common beginning and end of names, with * between; the name of a single joint.
+    """Return one name for several joints, for example ``leg_*_1``; the name of a single joint.
 
-    The common parts end at an underscore. Without a common part, the first names are listed.
+    The common beginning and end of the names, cut at underscores, are joined by ``*``. Without a
+    common part, the first two names and the number of further names are listed.
     """
     if len(names) == 1:
         return names[0]

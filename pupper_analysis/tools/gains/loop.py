@@ -8,7 +8,7 @@ q and velocities v once per control period and commands
     u = torque that holds the stand + kp (q of the stand - q) - kd v,
 
 which acts after the delay. `find_worst_mode` returns the mode of the closed loop that grows
-fastest; `stays_in_simulation` simulates the same controller in the unmodified model.
+fastest; `survives_simulation` simulates the same controller in MuJoCo, with all friction.
 
 The linear model has no dry friction of joints. While a joint is at rest, this friction holds the
 joint like a large damper, so that each gain appears stable; a moving joint lacks this damping.
@@ -34,55 +34,65 @@ from pupper_analysis.simulation.rollout import StandStart
 Array = NDArray[np.float64]
 
 MAX_RATE = 100_000.0
-"""Upper bound of the control rate [Hz]. Drives of motors run at 10 to 40 kHz."""
+"""Upper bound of the accepted control rate [Hz]: motor drives run at 10 to 40 kHz. Chosen, not
+tuned."""
 
 MAX_DELAY = 0.5
-"""Upper bound of the delay [s]. Chosen: legged robots are controlled within 0.1 s."""
+"""Upper bound of the accepted delay [s] between measurement and effect of a command. Chosen: legged
+robots are controlled within 0.1 s."""
 
 MAX_GROWTH_RATE = math.log(2) / HOLD_DURATION
 """Growth rate [1/s] above which a mode counts as unstable: it doubles within the time for which a
 stand must hold. Slower modes are creep of MuJoCo's friction."""
 
 _MAX_STEPS_PER_PERIOD = 64
-"""Upper bound of the time steps per control period. Finer delays are rounded."""
+"""Upper bound of the number of time steps per control period, if the model's time step does not
+require more. A delay that would need more is rounded to a time step. Chosen, not tuned."""
 
 _DELAY_TOLERANCE = 1e-6
-"""Relative deviation of a delay from a multiple of the time step that counts as rounding."""
+"""Deviation of a delay from a multiple of the time step, relative to the larger of the time step
+and the delay, that counts as rounding. Also the absolute value up to which an eigenvalue of the
+closed loop, or its imaginary part, counts as zero. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-6
-"""Step of centred differences [m, rad, N m, and rates]. Measured: modes of v3 are equal to 1e-6
-with 1e-7."""
+"""Step of the central differences that linearise a time step [m, rad, m/s, rad/s, N m]. Measured on
+v3: the modes differ by 1e-6 (relative) from those with a step of 1e-7."""
 
 _SOLVER_TOLERANCE = 1e-14
-"""Solver tolerance during the differences, as in ``robot/stability.py``."""
+"""Upper bound of MuJoCo's solver tolerance (``mjOption.tolerance``) during the finite differences,
+as in ``robot/stability.py``."""
 
 _NUDGE_ANGLE, _NUDGE_SPEED = 0.02, 0.2
-"""Largest displacement [rad, m] and velocity [rad/s, m/s] of a joint at the start of a simulation.
-Chosen: more than dry friction holds, and less than moves a foot off its place."""
+"""Displacement [rad, m] or velocity [rad/s, m/s] of the joint that moves most at the start of a
+simulation along a mode. Chosen: more than dry friction holds, and less than makes a foot slip."""
 
 _REST_SPEED = 0.01
-"""Largest joint velocity of a robot at rest [rad/s, m/s]. Chosen: 5 % of ``_NUDGE_SPEED``."""
+"""Largest joint velocity [rad/s, m/s] at the end of a simulation with which the robot counts as at
+rest. Chosen: 5 % of ``_NUDGE_SPEED``."""
 
 _COMPARED_SHARE = 0.2
-"""Share of a simulation, before the middle and before the end, in which velocities are compared."""
+"""Length, as a fraction of the simulation, of the two intervals (before the middle and before the
+end) whose largest joint velocities are compared. Chosen, not tuned."""
 
 _MAX_DECAY_RATIO = 0.9
-"""Largest ratio of the velocities at the end and at the middle of an oscillation that decays."""
+"""Ratio of the largest joint velocities before the end and before the middle of a simulation, below
+which an oscillation counts as decaying. Chosen, not tuned."""
 
 _MAX_JOINT_SPEED = 100.0
-"""Joint velocity [rad/s, m/s] with which a simulation has failed."""
+"""Joint velocity [rad/s, m/s] from which a simulation of the controller has failed. Chosen, not
+tuned."""
 
 _MAX_SHIFT_RATIO = 1.1
-"""Ratio between the displacement of a joint in the second half of a simulation and at its middle
-above which the robot leaves the stand. Chosen, not tuned."""
+"""Ratio of the largest joint displacement in the second half of a simulation to the displacement at
+the middle, above which (plus `_MIN_SHIFT`) the robot leaves the stand. Chosen, not tuned."""
 
 _MIN_SHIFT = 1e-3
-"""Growth of a displacement [rad, m] in the second half that counts as creep. v3's friction
-creeps by 0.01 mrad in 12 s."""
+"""Growth of a joint displacement [rad, m] in the second half of a simulation that counts as creep
+of MuJoCo's friction. Measured on v3: 0.01 mrad in 12 s."""
 
 _MAX_SHIFT = 0.1
-"""Displacement of a joint from the stand [rad, m] with which a simulation has failed. Chosen: five
-times ``_NUDGE_ANGLE``."""
+"""Displacement of a joint from the stand [rad, m] above which a simulation of the controller has
+failed. Chosen: five times ``_NUDGE_ANGLE``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +112,7 @@ class WorstMode(Result):
 
     @property
     def stable(self) -> bool:
-        """Whether the mode grows by less than `MAX_GROWTH_RATE`."""
+        """Whether the mode decays, or grows at a rate of at most `MAX_GROWTH_RATE` [1/s]."""
         return self.growth_rate <= MAX_GROWTH_RATE
 
 
@@ -157,10 +167,11 @@ class ControlledStand:
         return data
 
     def _linearise(self) -> tuple[Array, Array, Array]:
-        """Compute a control period of the linear model: x' = F x + L u_late + P u_prompt.
+        """Linearise a control period of the stand, x' = F x + L u_late + P u_prompt.
 
-        During the first ``delay_steps % steps`` time steps of a period the previous command,
-        u_late, still acts.
+        x is the deviation of (qpos, qvel, act) from the stand, u are motor torques [N m]. During
+        the first ``delay_steps % steps`` time steps of a period the previous command, u_late, still
+        acts.
 
         Returns:
             F, shape (n, n), L and P, shape (n, number of driven joints).
@@ -190,9 +201,9 @@ class ControlledStand:
     def find_worst_mode(self, kp: Array, kd: Array) -> WorstMode:
         """Find the mode of the closed loop with the largest growth rate.
 
-        The state of the closed loop is x with the commands that have not acted yet. Modes of the
-        linear model that no command and no motion changes, such as a translation on frictionless
-        ground, have a growth rate of zero.
+        The state of the closed loop consists of the state of the robot (qpos, qvel, act) and the
+        commands that have not acted yet. Modes of the linear model that no command and no motion
+        changes, such as a translation on frictionless ground, have a growth rate of zero.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad].
@@ -211,7 +222,12 @@ class ControlledStand:
         )
 
     def _scale_direction(self, vector: NDArray[np.complex128]) -> Array:
-        """Return the real part of a mode, shape (2 nv,), with joints that move by the nudge."""
+        """Scale a mode for the initial displacement of a simulation, and return its real part.
+
+        In the scaled mode, the joint that moves most has a displacement of `_NUDGE_ANGLE` or a
+        velocity of `_NUDGE_SPEED`. ``vector`` and the result have the shape (2 nv,): displacements
+        [m, rad] and velocities [m/s, rad/s]. The result is zero if no joint moves.
+        """
         nv = self.model.nv
         scales = np.repeat([_NUDGE_ANGLE, _NUDGE_SPEED], nv)
         joints = np.concatenate([self._dofs, nv + self._dofs])
@@ -223,19 +239,31 @@ class ControlledStand:
         return scaled
 
     def is_stable(self, kp: Array, kd: Array) -> bool:
-        """Return True if no mode of the closed loop grows by more than `MAX_GROWTH_RATE`."""
+        """Return True if no mode of the closed loop grows at a rate above `MAX_GROWTH_RATE` [1/s].
+
+        Args:
+            kp: Stiffness of all joints, shape (nu,) [N m/rad].
+            kd: Damping of all joints, shape (nu,) [N m s/rad].
+        """
         values = np.linalg.eigvals(self._closed_loop(kp, kd))
         return math.log(float(np.abs(values).max())) / self.period <= MAX_GROWTH_RATE
 
-    def least_damping_ratio(self, kp: Array, kd: Array) -> float:
-        """Return the smallest damping ratio of an oscillation; 1 if nothing oscillates."""
+    def find_smallest_damping_ratio(self, kp: Array, kd: Array) -> float:
+        """Return the smallest damping ratio of the oscillating modes of the closed loop, at most 1.
+
+        1 without an oscillating mode.
+
+        Args:
+            kp: Stiffness of all joints, shape (nu,) [N m/rad].
+            kd: Damping of all joints, shape (nu,) [N m s/rad].
+        """
         values = np.linalg.eigvals(self._closed_loop(kp, kd))
         values = values[(np.abs(values) > _DELAY_TOLERANCE) & (values.imag > _DELAY_TOLERANCE)]
         exponents = np.log(values)
         return float(np.min(-exponents.real / np.abs(exponents), initial=1.0))
 
     def _closed_loop(self, kp: Array, kd: Array) -> Array:
-        """Return the matrix of a control period, with the pending commands as states."""
+        """Return the transition matrix of a control period, with the pending commands as states."""
         nv, count = self.model.nv, len(self._driven)
         feedback = np.zeros((count, len(self._first)))
         rows = np.arange(count)
@@ -257,10 +285,12 @@ class ControlledStand:
             matrix[older, newer] = np.eye(count)
         return matrix
 
-    def stays_in_simulation(
+    def survives_simulation(
         self, kp: Array, kd: Array, *, duration: float, mode: WorstMode
     ) -> bool:
-        """Simulate the controller in the unmodified model, displaced along a mode.
+        """Simulate the controlled stand in MuJoCo, displaced along a mode, and judge if it stays.
+
+        The model has torque motors in place of the servos, and all its friction.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad].
@@ -269,8 +299,9 @@ class ControlledStand:
             mode: Mode of this controlled stand.
 
         Returns:
-            True if the joints come to rest or their oscillation decays, and the robot does not
-            leave the stand in the second half of the simulation.
+            True if the joints come to rest or their oscillation decays, no joint displacement or
+            velocity exceeds `_MAX_SHIFT` or `_MAX_JOINT_SPEED`, and the displacement does not grow
+            in the second half of the simulation.
         """
         data = copy_data(self.model, self._start)
         target, stiff = data.qpos[self._places].copy(), kp[self._driven]

@@ -52,7 +52,7 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             _make_torque_table(hold, limits),
             torque_plot(hold.statics, run.joint_torques.tolist(), limits),
             _make_tool_table(hold),
-            _make_worst_table(hold.worst, shown_scales(hold.units)),
+            _make_worst_table(hold.worst, get_display_scales(hold.units)),
             reach_plot(hold.reach),
             _make_payload_table(hold),
             _make_force_table(hold),
@@ -83,10 +83,10 @@ def _find_overloaded_motors(hold: Hold) -> list[str]:
 
 
 def _select_next_step(hold: Hold) -> doc.NextStep:
-    """Return the command that simulates the payload of all postures, or that shows the cause.
+    """Return the next command: `hold` with the payload that all postures hold, rounded down.
 
-    A payload that is unknown, unlimited or zero, or a posture that fails, is a matter of the files:
-    they are audited.
+    If this payload is unknown, unlimited or zero, or the posture fails, the next command is
+    `audit`, which checks the files.
     """
     payload = hold.payload.worst_posture_mass
     if not hold.passed or not math.isfinite(payload) or payload <= 0:
@@ -97,7 +97,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:
-    """State the motor with the largest utilisation over all postures found, and the payload there.
+    """Return the text of the motor with the largest utilisation in all postures, and the payload.
 
     Without a known utilisation, the largest torque of a motor is stated; with unknown limits, the
     payload is omitted.
@@ -120,7 +120,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
 
 
 def _describe_limit(payload: float) -> doc.Words:
-    """Return a mass with its unit; a word if it is unlimited or unknown."""
+    """Return the text of a payload limit [kg] with its unit; a word if unlimited or unknown."""
     if math.isfinite(payload):
         return doc.Name(f"{_format_limit(payload)} kg")
     return text("limit-unknown") if math.isnan(payload) else text("no-tool-limit")
@@ -128,7 +128,7 @@ def _describe_limit(payload: float) -> doc.Words:
 
 def _list_limits(hold: Hold) -> Iterator[doc.Words]:
     """State the posture of the verdict, its motor with the largest utilisation, its payload."""
-    loads = tuple(hardest_motor(hold.statics, hold.limits))
+    loads = tuple(describe_hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)
     yield text(
         "posture-and-load",
@@ -142,7 +142,7 @@ def _list_limits(hold: Hold) -> Iterator[doc.Words]:
 def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
     """Create the table of motor torques and joint deflections."""
     sag: list[float | None] = [None] * len(limits)
-    scales = shown_scales(hold.units)
+    scales = get_display_scales(hold.units)
     if hold.settled is not None:
         sag = (scales * (hold.settled.qpos - hold.posture.qpos)).tolist()
     simulated = (scales * (hold.sagging.joint_positions - hold.posture.qpos)).tolist()
@@ -191,8 +191,8 @@ def _make_tool_table(hold: Hold) -> doc.Table:
     return doc.Table(text("tool-of-link", tool=doc.Name(hold.tool.name)), columns, tuple(rows))
 
 
-def shown_scales(units: Iterable[str]) -> NDArray[np.float64]:
-    """Return the factors (nu,) from joint positions to printed positions: to degrees, or to mm.
+def get_display_scales(units: Iterable[str]) -> NDArray[np.float64]:
+    """Return the factors, shape (nu,), from joint positions [rad, m] to printed ones [deg, mm].
 
     Args:
         units: Units of the positions, rad or m, shape (nu,).
@@ -263,12 +263,12 @@ def _make_limit_table(
 
 
 def _make_limit_cell(value: float) -> doc.Cell:
-    """Create a cell with a limit; a word for NaN, a limit that depends on unknown effort limits."""
+    """Create a table cell with a limit; a word if the limit is NaN (effort limits are unknown)."""
     return text("limit-unknown") if math.isnan(value) else doc.number_cell(value, ".4g")
 
 
 def _describe_trial(hold: Hold) -> Iterator[doc.Text]:
-    """State the result of the simulation with a payload; nothing without a simulation."""
+    """Yield the text of the result of the simulation with a payload; nothing without one."""
     trial, fraction = hold.payload_trial, f"{VERIFIED_FRACTION:.0%}"
     if trial is not None and trial.passed:
         yield text("payload-trial-holds", share=fraction)
@@ -312,9 +312,9 @@ def force_plot(force: ToolForce) -> doc.LinePlot:
 
 
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:
-    """Create the plot of motor utilisation over the tool's distance from the first joint.
+    """Create the plot of motor utilisation [%] over the tool's distance from the first joint [mm].
 
-    The plot shows the maximum and the mean over random postures, in percent over mm.
+    The plot shows the maximum and the mean over random postures.
     """
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _NUM_DISTANCE_BINS + 1)
     bins = np.clip(np.digitize(reach.distances, edges) - 1, 0, _NUM_DISTANCE_BINS - 1)
@@ -356,10 +356,12 @@ def _describe_posture(hold: Hold) -> doc.Words:
     return text("posture-with-payload", where=description, mass=f"{hold.carried:g}")
 
 
-def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> Iterable[doc.Words]:
-    """State the motor with the largest finite utilisation.
+def describe_hardest_motor(
+    statics: GravityCompensation, limits: NDArray[np.float64]
+) -> Iterable[doc.Words]:
+    """Yield the text of the motor with the largest torque relative to its limit.
 
-    The result is empty if no utilisation is known. It is also empty if a motor has a limit of zero,
+    Nothing is yielded if no utilisation is known and finite, or if a motor has a limit of zero,
     because any load exceeds this limit.
 
     Args:
@@ -435,5 +437,5 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
 
 
 def _format_limit(limit: float) -> str:
-    """Format a limit; "" if not finite."""
+    """Return a limit with three significant digits as text; "" if not finite."""
     return (f"{limit:.3g}" if limit < 1e3 else f"{limit:.0f}") if math.isfinite(limit) else ""

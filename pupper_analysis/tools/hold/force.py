@@ -73,6 +73,7 @@ class ToolForce(Tabular):
     frontal: Array = field(metadata={"unit": "N"})
 
     def _columns(self) -> dict[str, object]:  # type: ignore[override]  # directions are tuples
+        """Return the columns of the result's table, a row per direction."""
         return {
             "direction": [tuple(direction) for direction in self.directions.tolist()],
             "force": self.forces,
@@ -82,23 +83,26 @@ class ToolForce(Tabular):
 
 @check_arguments
 def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
-    """Compute the largest external forces on a tool that the motors withstand in a posture.
+    """Compute the largest external forces [N] on a tool that the motors withstand in a posture.
+
+    Forces are in world axes: along +-x, +-y, +-z, in three plane sections, and in the direction in
+    which the smallest force suffices.
 
     Args:
         robot: Robot with a fixed base.
         posture: Posture of the robot.
         tool: Point of application of the force.
     """
-    rows, room = force_inequalities(Configuration(robot, posture.qpos), tool)
+    rows, margins = force_inequalities(Configuration(robot, posture.qpos), tool)
     directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])
-    forces, limiting = force_limits_along(rows, room, directions)
+    forces, limiting = force_limits_along(rows, margins, directions)
     angles = 2 * np.pi * np.arange(_NUM_SECTION_DIRECTIONS) / _NUM_SECTION_DIRECTIONS
     plane_directions = np.column_stack([np.cos(angles), np.sin(angles)])
     sections = [
-        force_limits_along(rows, room, plane_directions @ np.eye(3)[list(axes)])[0]
+        force_limits_along(rows, margins, plane_directions @ np.eye(3)[list(axes)])[0]
         for axes in ((0, 1), (0, 2), (1, 2))
     ]
-    weakest, direction, joint = _find_weakest_direction(rows, room)
+    weakest, direction, joint = _find_weakest_direction(rows, margins)
     return ToolForce(
         directions=directions,
         forces=forces,
@@ -113,19 +117,26 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
     )
 
 
-def _find_weakest_direction(rows: Array, room: Array) -> tuple[float, Array, int]:
-    """Find the smallest force with a motor at the effort limit.
+def _find_weakest_direction(rows: Array, margins: Array) -> tuple[float, Array, int]:
+    """Find the smallest force f on a tool with a motor at the effort limit.
+
+    Args:
+        rows: Normals of the 2 nu inequalities rows f <= margins, shape (2 nu, 3) [N m / N].
+        margins: Torques that remain up to the effort limits, shape (2 nu,) [N m]; infinite for an
+            unknown limit, negative if the static load alone exceeds a limit.
 
     Returns:
         Distance of the nearest face of the polytope from the origin [N], unit normal (3,) of this
         face, and index of the joint; see `ToolForce.weakest` for values without such a face.
     """
-    if room.min() < 0:
-        return 0.0, np.zeros(3), int(room.argmin()) % (len(rows) // 2)
+    if margins.min() < 0:
+        return 0.0, np.zeros(3), int(margins.argmin()) % (len(rows) // 2)
     lengths = np.linalg.norm(rows, axis=1)
-    if (lengths[np.isinf(room)] > MIN_LEVER_ARM).any():  # a limit is unknown
+    if (lengths[np.isinf(margins)] > MIN_LEVER_ARM).any():  # a limit is unknown
         return float("nan"), np.zeros(3), -1
-    distances = np.where(lengths > MIN_LEVER_ARM, room / np.maximum(lengths, MIN_LEVER_ARM), np.inf)
+    distances = np.where(
+        lengths > MIN_LEVER_ARM, margins / np.maximum(lengths, MIN_LEVER_ARM), np.inf
+    )
     nearest = int(distances.argmin())
     if not np.isfinite(distances[nearest]):
         return float("inf"), np.zeros(3), -1

@@ -74,6 +74,7 @@ class ReachLoad(Tabular):
     utilisation: Array = field(metadata={"unit": "1"})
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return the columns of the result's table, a row per random posture."""
         return {
             "distance": self.distances,
             "height": self.heights,
@@ -83,7 +84,7 @@ class ReachLoad(Tabular):
 
 @check_arguments
 def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
-    """Compute the largest motor utilisation in random postures, over the reach of a tool.
+    """Compute tool position and largest motor utilisation (torque / limit) in random postures.
 
     Args:
         robot: Robot with a fixed base.
@@ -92,7 +93,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
         tool: Point of which the position is returned.
     """
     samples = []
-    for qpos in JointMotions(robot, posture).random(_NUM_REACH_POSTURES):
+    for qpos in JointMotions(robot, posture).draw_postures(_NUM_REACH_POSTURES):
         config = Configuration(robot, qpos)
         position = tool.position(config)
         centre = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
@@ -103,21 +104,21 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
 
 
 UNLIMITED_MASS_RATIO = 1e4
-"""Payload / mass of the robot above which a payload counts as unlimited: the lever arm of the
-motors is then rounding. Chosen, not tuned."""
+"""Ratio of payload to the robot's mass above which a payload counts as unlimited: the lever arm of
+the motors is then rounding. Chosen, not tuned."""
 
 _MAX_PAYLOAD_ROUNDS = 6
-"""Maximum number of searches for the worst postures with decreasing payloads: two or three mostly
-suffice."""
+"""Maximum number of searches for the worst postures with decreasing payloads; two or three mostly
+suffice. Bounds the computing time."""
 
 _PAYLOAD_RTOL = 1e-4
 """Relative change of the payload that ends the iteration over worst postures. Chosen, not
 tuned."""
 
 _MIN_SOFTENING = 1e-6
-"""Lower bound of the fraction of the stiffness that a payload as heavy as the robot cancels, in the
-motion with the largest cancellation. Below this bound the fraction is rounding, and the stiffness
-does not limit the mass. Chosen, not tuned."""
+"""Lower bound of the largest generalised eigenvalue of the negative load stiffness (of a payload as
+heavy as the robot) relative to the servo stiffness. Smaller eigenvalues are rounding: the stiffness
+then does not limit the mass. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,12 +171,13 @@ def tool_payload(
     *,
     kp: ArrayLike | None = None,
 ) -> ToolPayload:
-    """Compute the largest point masses at a tool that motors and servos hold.
+    """Compute the largest point masses [kg] at a tool that motors and servos hold.
 
     In a single posture, torques are linear in the mass, and the limit is in closed form. Over all
     postures, a mass M is reduced iteratively: the worst postures with payload M are searched, and M
     becomes the smallest limit of these postures. The iteration stops if this changes M by at most
-    `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches.
+    `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches. It is left out if a motor that may
+    bear the mass has an unknown limit or a limit of zero.
 
     Args:
         robot: Robot with a fixed base.
@@ -329,7 +331,7 @@ def servo_payload(
 def _find_smallest_payload(
     robot: Robot, tool: Tool, postures: list[Array]
 ) -> tuple[float, str, Array]:
-    """Return the smallest `posture_payload` of several postures, with the joint and the posture."""
+    """Return the smallest `posture_payload` [kg] of several postures, its joint and its posture."""
     limits = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
     return min(limits, key=lambda limit: limit[0])
 
@@ -416,10 +418,11 @@ class Hold(Tabular):
 
     @property
     def passed(self) -> bool:
-        """True if the verdict passes."""
+        """Whether the verdict of the simulation of the posture passes."""
         return self.verdict.passed
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return the columns of the result's table, a row per joint."""
         return {
             "joint": self.statics.joint_names,
             "position": self.posture.qpos,
@@ -440,6 +443,9 @@ def hold_posture(
     kd: ArrayLike | None = None,
 ) -> Hold:
     """Evaluate and simulate a posture of a robot with a fixed base.
+
+    The result contains motor torques, static deflection of the servos, payload and force limits at
+    the tool, and the verdict of the simulations with and without feed-forward.
 
     Args:
         robot: Robot with a fixed base: an arm, a hand, or a robot that is loaded with

@@ -63,15 +63,17 @@ class JointMotions:
         free: Indices of the independent joints, a joint per motion; n is the number of motions.
         steps: Velocities of all joints per velocity of each independent joint, at the posture,
             shape (nu, n).
-        moved: Indices of the joints that move with each motion; for a bent motion, all joints that
+        moved: Indices of the joints that move with each motion; for a nonlinear motion, all joints
+        that
             are coupled to the independent joint.
-        bent: True if the motion is part of a loop with joints that do not move in proportion, shape
+        nonlinear: True if the motion is part of a loop with joints that do not move in proportion,
+        shape
             (n,).
         ranges: Joint ranges, shape (nu, 2) [rad, m]. An infinite limit is replaced by the posture
             -+ pi.
         shares: Motor torques per load of the joints, shape (nu, nu), at the posture.
         constant: True if the row of ``shares`` is taken as the same in all postures, shape (nu,):
-            false for joints of bent motions.
+            false for joints of nonlinear motions.
         slides: True for a slide, shape (nu,).
         endless: True for a slide without a limit.
     """
@@ -88,7 +90,7 @@ class JointMotions:
         self.free = tuple(range(count))
         self.steps = self.shares = np.eye(count)
         self.constant = np.ones(count, dtype=bool)
-        self.bent = np.zeros(count, dtype=bool)
+        self.nonlinear = np.zeros(count, dtype=bool)
         self.moved = [np.array([joint]) for joint in self.free]
         # Per motion: all joints that are coupled to the independent joint, including that joint.
         self._coupled_joints = [np.array([joint]) for joint in self.free]
@@ -98,81 +100,86 @@ class JointMotions:
         if self._closure is not None:
             self._add_couplings(self._closure)
 
-    def random(self, count: int) -> list[Array]:
-        """Return random postures (nu,) with closed loops; the same postures in each call.
+    def draw_postures(self, count: int) -> list[Array]:
+        """Draw random postures with closed loops within the joint ranges, shape (nu,) [rad, m].
 
-        Along a bent motion, positions are restricted to the samples of `places`. A position at
-        which the loop cannot be closed is skipped.
+        Each call returns the same postures.
+
+        Along a nonlinear motion, positions are restricted to the samples of `count_samples`. A
+        position at which the loop cannot be closed is skipped.
         """
         random, postures = np.random.default_rng(0), []
         for _ in range(count):
             qpos = self.origin.copy()
             for motion in range(len(self.free)):
-                fraction, (low, high) = random.uniform(), self.span(qpos, motion)
-                if self.bent[motion]:
-                    last = self.places(motion) - 1
+                fraction, (low, high) = random.uniform(), self.find_range(qpos, motion)
+                if self.nonlinear[motion]:
+                    last = self.count_samples(motion) - 1
                     fraction = round(fraction * last) / last
-                moved = self.along(qpos, motion, low + fraction * (high - low))
+                moved = self.move_along(qpos, motion, low + fraction * (high - low))
                 qpos = qpos if moved is None else moved
             postures.append(qpos)
         return postures
 
-    def span(self, qpos: Array, way: int) -> tuple[float, float]:
-        """Return the displacements (low, high) [rad, m] along a motion to the ends of the ranges.
+    def find_range(self, qpos: Array, motion: int) -> tuple[float, float]:
+        """Return the displacements (low, high) [rad, m] from a posture along a joint motion.
 
-        The displacement is that of the independent joint. For a bent motion, only the range of the
-        independent joint counts: the ranges of the dependent joints are checked by `along`.
+        They reach to the ends of the joint ranges.
+
+        The displacement is that of the independent joint. For a nonlinear motion, only the range
+        of the independent joint counts: the ranges of the dependent joints are checked by
+        `move_along`.
 
         Args:
             qpos: Posture, shape (nu,).
-            way: Index of the motion.
+            motion: Index of the motion.
         """
-        moving, lead = self.moved[way], self.free[way]
-        if self.bent[way]:
+        moving, lead = self.moved[motion], self.free[motion]
+        if self.nonlinear[motion]:
             low, high = self.ranges[lead] - qpos[lead]
             return float(low), float(high)
-        ends = (self.ranges[moving] - qpos[moving, None]) / self.steps[moving, way, None]
+        ends = (self.ranges[moving] - qpos[moving, None]) / self.steps[moving, motion, None]
         ends.sort(axis=1)
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
-    def places(self, way: int) -> int:
-        """Return the number of samples along a motion, from the index.
+    def count_samples(self, motion: int) -> int:
+        """Return the number of samples along the motion with an index.
 
-        Samples of a bent motion are equally spaced over its range, so that the closed positions of
-        the loop are computed once, and then cached.
+        Samples of a nonlinear motion are equally spaced over its range, so that the closed
+        positions of the loop are computed once, and then cached.
         """
-        if not self.bent[way]:
+        if not self.nonlinear[motion]:
             return _NUM_LINEAR_SAMPLES
         return (
             _NUM_LOOP_SAMPLES
-            if len(np.intersect1d(self._coupled_joints[way], self.free)) == 1
+            if len(np.intersect1d(self._coupled_joints[motion], self.free)) == 1
             else _NUM_COMBINED_SAMPLES
         )
 
-    def along(self, qpos: Array, way: int, length: float) -> Array | None:
+    def move_along(self, qpos: Array, motion: int, length: float) -> Array | None:
         """Move a posture along a motion, and close the loop.
 
         Args:
             qpos: Posture, shape (nu,).
-            way: Index of the motion.
+            motion: Index of the motion.
             length: Displacement of the independent joint [rad, m].
 
         Returns:
-            Posture, shape (nu,). None for a bent motion if the loop cannot be closed in its
+            Posture, shape (nu,). None for a nonlinear motion if the loop cannot be closed in its
             assembly mode, or if a dependent joint exceeds its range.
         """
-        if not self.bent[way]:
-            moved: Array = qpos + length * self.steps[:, way]
+        if not self.nonlinear[motion]:
+            moved: Array = qpos + length * self.steps[:, motion]
             return moved
         assert self._closure is not None
-        bent, loop = qpos.copy(), self._coupled_joints[way]
-        bent[self.free[way]] += length
+        posture, loop = qpos.copy(), self._coupled_joints[motion]
+        posture[self.free[motion]] += length
         following = np.intersect1d(loop, self._closure.dependent_joints)
         leading = np.setdiff1d(loop, following)
-        key = (*leading.tolist(), *bent[leading].round(9).tolist())
+        key = (*leading.tolist(), *posture[leading].round(9).tolist())
         if key not in self._closed_positions:  # the cache is shared by all searches
             moving = np.isin(np.arange(len(qpos)), following).astype(np.float64)
-            closed, positions = self._closure.close_loops(bent, moving), None
+            closed, positions = self._closure.close_loops(posture, moving), None
             if closed is not None:
                 low, high = self.ranges[following].T
                 near = np.clip(closed[following], low, high)
@@ -183,11 +190,11 @@ class JointMotions:
         followed = self._closed_positions[key]
         if followed is None:
             return None
-        bent[following] = followed
-        return bent
+        posture[following] = followed
+        return posture
 
     def _add_couplings(self, closure: Closure) -> None:
-        """Set the motions of a robot with loops or couplings."""
+        """Set the attributes of the motions of a robot with loops or couplings."""
         count, following = len(self.origin), closure.dependent_joints
         rows = closure.jacobian(self.origin)
         self.free = tuple(joint for joint in range(count) if joint not in following)
@@ -196,21 +203,21 @@ class JointMotions:
         self.steps[following] = np.where(np.abs(ratios) > _MIN_COUPLING_RATIO, -ratios, 0.0)
         self.moved = [np.flatnonzero(np.abs(step) > _MIN_COUPLING_RATIO) for step in self.steps.T]
         self.shares = np.eye(count) - closure.load_transfer(self.origin)
-        self.bent = np.zeros(len(self.free), dtype=bool)
+        self.nonlinear = np.zeros(len(self.free), dtype=bool)
         loops = group_coupled_joints(closure, self.origin)
         self._coupled_joints = [
             next((loop for loop in loops if lead in loop), np.array([lead])) for lead in self.free
         ]
         for motion, loop in enumerate(self._coupled_joints):
             if len(loop) > 1 and self._opens_loop(closure, motion):
-                self.bent |= [lead in loop for lead in self.free]
+                self.nonlinear |= [lead in loop for lead in self.free]
                 self.constant[loop] = False
-        for motion in np.flatnonzero(self.bent).tolist():
+        for motion in np.flatnonzero(self.nonlinear).tolist():
             self.moved[motion] = self._coupled_joints[motion]
 
     def _opens_loop(self, closure: Closure, motion: int) -> bool:
         """Return True if proportional motion opens the loop at a tested fraction of the range."""
-        ends = np.array(self.span(self.origin, motion))
+        ends = np.array(self.find_range(self.origin, motion))
         return any(
             closure.violation_error(self.origin + fraction * end * self.steps[:, motion])
             > _MAX_LINEAR_OPENING
@@ -220,7 +227,7 @@ class JointMotions:
 
 
 def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
-    """Return the sets of joints that loops and couplings connect, as sorted joint indices.
+    """Return groups of joints that loops and couplings connect, as sorted joint indices.
 
     Two joints are connected if the same constraint depends on both, at the posture or at either of
     two random postures nearby (in a singular posture, single elements of the Jacobian vanish).

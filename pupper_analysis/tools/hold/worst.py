@@ -32,29 +32,31 @@ from pupper_analysis.tools.hold.motions import JointMotions
 Array = NDArray[np.float64]
 
 _NUM_AGREEING_SEARCHES = 3
-"""Number of searches that must end at the largest torque found; then no further search starts.
-Chosen, not tuned."""
+"""Number of searches from different postures that must end at the same largest torque of a motor
+before no further search starts. Chosen, not tuned."""
 
 _SAME_TORQUE_RTOL = 1e-9
-"""Relative difference of two torques that count as the same maximum."""
+"""Relative difference up to which the torques of two searches count as the same maximum. Chosen,
+not tuned."""
 
 _MAX_SWEEPS = 30
 """Maximum number of sweeps over all joints in a search. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
-"""Relative gain of a sweep at which a search stops, and relative variation of samples that count as
-constant (rounding)."""
+"""Relative gain of torque in a sweep over all joints up to which a search stops, and relative
+variation up to which samples of the torque count as constant (rounding). Chosen, not tuned."""
 
 _PEAK_POSITION_ATOL = 1e-6
-"""Tolerance [rad, m] of the position of a maximum between samples. The error of the torque is of
-second order, about 1e-12 of the torque."""
+"""Tolerance [rad, m] of the joint position of a torque maximum between samples. The error of the
+torque is of second order, about 1e-12 of the torque."""
 
 _UNDEFINED_TORQUE = 1e300
-"""Larger than any torque [N m, N]. The negative is the value of a posture with a loop that cannot
-be closed or is singular."""
+"""A value larger than any torque [N m, N]. Its negative is the torque of a posture with a loop that
+cannot be closed or is singular, so that the search avoids the posture."""
 
 _MIN_LOAD_FRACTION = 1e-12
-"""Fraction of a joint's load below which a motor does not bear that load (rounding)."""
+"""Motor torque per load of a joint up to which the motor counts as not bearing this load
+(rounding). Chosen, not tuned."""
 
 
 class TorqueSearch:
@@ -86,8 +88,10 @@ class TorqueSearch:
         # (nu, nu): whether the load of joint i may depend on the position of joint j.
         self._load_depends = carried | carried.T | (not self._is_sinusoidal)
 
-    def highest(self, joint: int, sign: float, starts: list[Array]) -> tuple[float, Array]:
-        """Find the largest torque of a motor by searches from several postures.
+    def find_highest_torque(
+        self, joint: int, sign: float, starts: list[Array]
+    ) -> tuple[float, Array]:
+        """Find the posture with the largest static torque of a motor, by searches from postures.
 
         No further search starts after `_NUM_AGREEING_SEARCHES` searches have ended at the largest
         torque. Samples along loops are refined from the best posture only.
@@ -102,14 +106,18 @@ class TorqueSearch:
         """
         ends: list[tuple[float, Array]] = []
         for start in starts:
-            ends.append(self.climb(joint, sign, start))
+            ends.append(self.find_local_maximum(joint, sign, start))
             best = max(ends, key=lambda end: end[0])
             agreeing = sum(end[0] >= best[0] - _SAME_TORQUE_RTOL * abs(best[0]) for end in ends)
             if agreeing >= _NUM_AGREEING_SEARCHES:
                 break
-        return self.climb(joint, sign, best[1], fine=True) if self._motions.bent.any() else best
+        return (
+            self.find_local_maximum(joint, sign, best[1], fine=True)
+            if self._motions.nonlinear.any()
+            else best
+        )
 
-    def climb(
+    def find_local_maximum(
         self, joint: int, sign: float, qpos: Array, *, fine: bool = False
     ) -> tuple[float, Array]:
         """Find a local maximum of the torque of a motor by sweeps along the joint motions.
@@ -133,7 +141,7 @@ class TorqueSearch:
             before = best
             for motion in chosen:
                 length = self._find_peak(joint, sign, qpos, motion, best, fine=fine)
-                moved = self._motions.along(qpos, motion, length)
+                moved = self._motions.move_along(qpos, motion, length)
                 torque = -math.inf if moved is None else self._evaluate_torque(joint, sign, moved)
                 if moved is not None and torque > best:
                     best, qpos = torque, moved
@@ -141,8 +149,11 @@ class TorqueSearch:
                 break
         return best, qpos
 
-    def torques(self, qpos: Array) -> Array:
-        """Return the motor torques in a posture, shape (nu,) [N m or N]; zeros at a singularity."""
+    def compute_torques(self, qpos: Array) -> Array:
+        """Compute the static motor torques in a posture, shape (nu,) [N m or N].
+
+        Zeros if the loops are singular.
+        """
         config = Configuration(self._robot, qpos)
         try:
             return config.by_motors(self._compute_load(config))
@@ -152,28 +163,30 @@ class TorqueSearch:
     def _find_peak(
         self, joint: int, sign: float, qpos: Array, motion: int, current: float, *, fine: bool
     ) -> float:
-        """Return the displacement along a motion [rad, m] with the largest torque.
+        """Return the displacement along a motion [rad, m] with the largest ``sign`` times torque.
 
-        `current` is the torque at zero displacement. The maximum is in closed form for a hinge;
+        ``current`` is this value at zero displacement. The maximum is in closed form for a hinge;
         along slides the torque is linear, and an end of the range is the maximum. Else the torque
         is sampled.
         """
         motions = self._motions
-        low, high = motions.span(qpos, motion)
+        low, high = motions.find_range(qpos, motion)
 
         def evaluate(length: float) -> float:
-            moved = motions.along(qpos, motion, length)
+            moved = motions.move_along(qpos, motion, length)
             return (
                 -_UNDEFINED_TORQUE if moved is None else self._evaluate_torque(joint, sign, moved)
             )
 
         moved = motions.moved[motion]
-        if self._is_sinusoidal and not motions.bent[motion] and motions.slides[moved].all():
+        if self._is_sinusoidal and not motions.nonlinear[motion] and motions.slides[moved].all():
             return max((low, high), key=evaluate)
         if len(moved) > 1 or not self._is_sinusoidal:
-            samples = np.linspace(low, high, motions.places(motion))
-            bent = bool(motions.bent[motion])
-            return _maximize_sampled(evaluate, samples, fine=fine or not bent, everywhere=bent)
+            samples = np.linspace(low, high, motions.count_samples(motion))
+            nonlinear = bool(motions.nonlinear[motion])
+            return _maximize_sampled(
+                evaluate, samples, fine=fine or not nonlinear, everywhere=nonlinear
+            )
         spring = sign * float(motions.shares[joint, moved[0]] * self.stiffness[moved[0]])
         third = 2 * math.pi / 3
         ahead = evaluate(third) - spring * third
@@ -268,12 +281,12 @@ Searches start from the worst random postures, too: such loops have many local m
 tuned."""
 
 _NUM_POOL_STARTS = 3
-"""Number of the postures with the largest torques in the random sample, as start postures. Chosen,
-not tuned."""
+"""Number of postures of the random sample, those with the largest torques of a motor, from which
+searches start. Chosen, not tuned."""
 
 _MIN_TORQUE_PER_WEIGHT = 1e-14
-"""Torque per weight of the robot [N m/N] below which a torque is set to 0: the torque of hinges
-with vertical axes is rounding."""
+"""Torque per weight of the robot [N m/N] up to which a torque is set to 0: the torque of hinges
+with vertical axes is rounding. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,6 +311,7 @@ class WorstPostures(Tabular):
     endless: Diagnostic | None
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return the columns of the result's table, a row per joint."""
         return {
             "joint": self.joint_names,
             "torque": self.joint_torques,
@@ -315,7 +329,7 @@ def worst_postures(
     near: WorstPostures | None = None,
     bearing: NDArray[np.bool_] | None = None,
 ) -> WorstPostures:
-    """Find the posture with the largest static torque of each motor.
+    """Search the posture with the largest static torque of each motor of a fixed-base robot.
 
     As a function of the angle q of a joint, with all other joints at rest, the torque of gravity
     and joint springs is a + b cos q + c sin q + k q (a + b q for a slide). Three evaluations give
@@ -334,15 +348,19 @@ def worst_postures(
             are copied from ``near``; without ``near`` this argument is ignored.
     """
     motions = JointMotions(robot, posture)
-    starts = motions.random(_NUM_RANDOM_STARTS)
+    starts = motions.draw_postures(_NUM_RANDOM_STARTS)
     searched = np.ones(robot.nu, dtype=bool) if near is None or bearing is None else bearing
     search = TorqueSearch(robot, motions, tool, payload)
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
     if near is not None:
         torques[~searched] = near.joint_torques[~searched]
         postures[~searched] = near.postures[~searched]
-    pool = motions.random(_NUM_POOL_POSTURES) if motions.bent.any() and near is None else []
-    sampled = np.array([search.torques(qpos) for qpos in pool])
+    pool = (
+        motions.draw_postures(_NUM_POOL_POSTURES)
+        if motions.nonlinear.any() and near is None
+        else []
+    )
+    sampled = np.array([search.compute_torques(qpos) for qpos in pool])
     for joint in np.flatnonzero(searched).tolist():
         first_starts = [posture.qpos, *starts]
         if near is not None:
@@ -350,7 +368,7 @@ def worst_postures(
         for sign in (1.0, -1.0):
             largest = np.argsort(-sign * sampled[:, joint])[:_NUM_POOL_STARTS] if pool else ()
             pool_starts = [pool[index] for index in largest]
-            torque, qpos = search.highest(
+            torque, qpos = search.find_highest_torque(
                 joint, sign, [*first_starts[:1], *pool_starts, *first_starts[1:]]
             )
             if torque > abs(torques[joint]):

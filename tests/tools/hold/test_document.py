@@ -10,7 +10,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import Table
-from pupper_analysis.tools.hold.document import hardest_motor, hold_document
+from pupper_analysis.tools.hold.document import describe_hardest_motor, hold_document
 from tests.support.arm import arm
 
 
@@ -47,7 +47,7 @@ def test_no_motor_is_closest_to_its_limit_beside_one_without_torque() -> None:
     """A loaded motor with an effort of zero exceeds its limit by any torque."""
     held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
     limits = held.limits.copy()
-    assert list(hardest_motor(held.statics, limits))
+    assert list(describe_hardest_motor(held.statics, limits))
     limits[int(np.argmax(np.abs(held.statics.joint_torques)))] = 0.0
     shares = np.divide(
         np.abs(held.statics.joint_torques),
@@ -56,4 +56,4 @@ def test_no_motor_is_closest_to_its_limit_beside_one_without_torque() -> None:
         where=limits > 0,
     )
     statics = replace(held.statics, motor_utilisation=shares)
-    assert list(hardest_motor(statics, limits)) == []
+    assert list(describe_hardest_motor(statics, limits)) == []
