@@ -34,7 +34,10 @@ class Addition:
     reason: Diagnostic
 
     def apply_to(self, model: object) -> None:
-        """Apply the addition to a model, by calling the model's method ``verb``.
+        """Call the method of a model that adds this element, such as ``add_floor``.
+
+        The name of the method is the class attribute ``verb``; the arguments are the fields of the
+        addition except ``reason``.
 
         Args:
             model: `SpecTree`, or a new MJCF file; modified.

@@ -55,15 +55,21 @@ class JointAttribute:
     signed: bool = False
 
     def unit(self, slides: bool) -> str:
-        """Return the unit for a slide or a hinge."""
+        """Return the unit of the parameter for a slide (True) or a hinge (False)."""
         return self.units[slides]
 
     def read_compiled_value(self, model: MjModel, joint: int) -> float:
-        """Return the value in a compiled MuJoCo model. The parameter must have an array of MuJoCo.
+        """Return the value of this parameter for a joint of a compiled MuJoCo model.
+
+        The parameter must be one of ``COMPILED_ATTRIBUTES``, for example damping. Of a polynomial,
+        the value is the linear coefficient.
 
         Args:
             model: Compiled model.
-            joint: Id of the joint.
+            joint: Id of a hinge or slide.
+
+        Returns:
+            Value in ``units``, for example [N m s/rad] for the damping of a hinge.
         """
         if self.mujoco:
             return float(getattr(model, self.mujoco)[model.jnt_dofadr[joint]])
@@ -76,13 +82,13 @@ class JointAttribute:
 
 
 UNSTATED = 1e9
-"""Smallest number (N m, N; rad/s, m/s) that a URDF's effort or velocity may have to mean that no
-limit is stated. The readers of both engines require a finite number; the strongest motors give
-1e4 N m. Chosen, not tuned."""
+"""Effort [N m, N] or velocity [rad/s, m/s] in a URDF from which the limit counts as unspecified. A
+URDF cannot omit these limits, and the readers of both engines require finite numbers. Chosen, not
+tuned: the strongest motors have 1e4 N m."""
 
 
 def known_limit(stated: float) -> float:
-    """Return a URDF's effort or velocity; infinity if the value is ``UNSTATED`` or more."""
+    """Return an effort [N m, N] or velocity [rad/s, m/s] of a URDF; infinite from ``UNSTATED``."""
     return math.inf if stated >= UNSTATED else stated
 
 
@@ -185,8 +191,8 @@ BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
 BY_MJCF: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {word: attribute for attribute in JOINT_ATTRIBUTES for word in attribute.mjcf}
 )
-"""{attribute in an MJCF: parameter}. Of the two parameters that ``range`` or ``springdamper`` sets,
-the entry is the upper limit or the spring."""
+"""{attribute in an MJCF: parameter}. ``range`` sets two limits and has the upper limit as entry;
+``springdamper`` sets stiffness and damping and has the stiffness (``spring``) as entry."""
 
 TREE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.field)
 """Parameters with a field in `multibody.TreeJoint`."""

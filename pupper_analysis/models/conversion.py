@@ -313,7 +313,7 @@ def _add_joint(
         raise ModelError(name, diagnose("ball-joint-not-analysed"))
     hinge = kind == JointKind.HINGE
     joint_model = pin.JointModelRevoluteUnaligned if hinge else pin.JointModelPrismaticUnaligned
-    at_zero, within = places_of_joint(model, index)
+    at_zero, within = split_joint_placement(model, index)
     limited = bool(model.jnt_limited[index])
     lower, upper = model.jnt_range[index] if limited else (-np.inf, np.inf)
     joint = result.addJoint(
@@ -329,10 +329,16 @@ def _add_joint(
     return joint, within
 
 
-def places_of_joint(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
-    """Return the placements of a hinge or slide in the body, and of the body in the joint.
+def split_joint_placement(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
+    """Return the fixed placements before and after the motion of a hinge or slide.
 
-    The first is at joint position zero. The second is independent of the joint position.
+    Notation: B0 is the frame of the moved body in the position that ``body_pos`` and ``body_quat``
+    specify (joint position ``qpos0``), J the joint frame, with its origin at ``jnt_pos``, and B the
+    frame of the moved body.
+
+    Returns:
+        Placement of J in B0 at a joint position of zero, and placement of B in J, which is the same
+        at all joint positions.
     """
     axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
     displacement = -float(model.qpos0[model.jnt_qposadr[joint]]) * axis
@@ -344,6 +350,7 @@ def places_of_joint(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3
 
 
 def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> None:
+    """Add a frame of type BODY, placed in the joint frame; ignore empty and existing names."""
     if name and not result.existFrame(name, pin.FrameType.BODY):
         result.addFrame(pin.Frame(name, joint, 0, placement, pin.FrameType.BODY), False)
 

@@ -2,7 +2,8 @@
 
 `make_spec_of_model` writes bodies, joints, geoms, sites, meshes, actuators, tendons, equalities,
 contact pairs, keyframes and options of the model to a new spec. The spec is compiled and compared
-with the model, so that each number of the robot is that of the model, or an error is raised.
+with the model; if an array with an effect on the dynamics differs, an error is raised
+(`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`).
 Cameras, lights, materials, textures and sensors other than those of an IMU are left out: they have
 no effect on the dynamics.
 """
@@ -31,6 +32,9 @@ _UNSUPPORTED_COUNTS: Final = {
     "nplastic": "springyield",
 }
 """{count of a model: element that is not written to a spec}."""
+
+# Fields of the elements of a spec that are copied from the arrays of a model. A tuple contains the
+# common name of both; a mapping is {field of the spec: array of the model without the prefix}.
 
 _BODY_FIELDS: Final = ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")
 _JOINT_FIELDS: Final = {
@@ -67,7 +71,7 @@ _TENDON_FIELDS: Final = {
 _EQUALITY_FIELDS: Final = ("type", "objtype", "data", "solref", "solimp")
 _PAIR_FIELDS: Final = ("solref", "solimp", "solreffriction", "friction", "margin", "gap")
 _KEY_FIELDS: Final = ("time", "qpos", "qvel", "act", "ctrl", "mpos", "mquat")
-"""Fields of the elements of a spec, as {field of the spec: field of the model}."""
+"""Fields of a keyframe that are copied from the arrays ``key_`` of the model."""
 
 _GEOM_WRAPS: Final = (mujoco.mjtWrap.mjWRAP_SPHERE.value, mujoco.mjtWrap.mjWRAP_CYLINDER.value)
 
@@ -97,20 +101,22 @@ _IGNORED_ARRAYS: Final = frozenset(
         *("actuator_lengthrange", "tendon_invweight0"),
     }
 )
-"""Arrays without effect on the dynamics, or that MuJoCo computes."""
+"""Arrays with a compared prefix that need not be reproduced: groups, colours, user data, addresses
+of history buffers, and results of MuJoCo's compiler such as the length ranges of actuators."""
 
-_ARRAY_ATOL: Final = 1e-9
-"""Absolute and relative tolerance of arrays that must be reproduced. Chosen: MuJoCo normalises
-quaternions and axes again, which changes the last digits."""
+_ARRAY_TOLERANCE: Final = 1e-9
+"""Absolute tolerance, in the unit of the array, and relative tolerance of arrays that must be
+reproduced. Chosen: MuJoCo normalises quaternions and axes again, which changes the last digits."""
 
 _VERTEX_ATOL: Final = 1e-5
 """Tolerance [m] of the vertices of meshes, which MuJoCo stores with seven digits. Chosen."""
 
 
 def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
-    """Return a new spec that compiles to the numbers of a model.
+    """Return a new spec that compiles to a model with the same dynamics as a given model.
 
-    Elements without a name get one if others refer to them. The model is not modified.
+    Elements without a name get a name such as ``body_3``, except free joints, and geoms to which no
+    contact pair or tendon refers. The given model is not modified.
 
     Args:
         model: Compiled model.
@@ -165,7 +171,7 @@ class _Writer:
             self._names["joint", joint] = str(model.joint(joint).name)  # may have none
 
     def build_spec(self) -> mujoco.MjSpec:
-        """Return the spec."""
+        """Copy all supported elements and the options of the model to the spec, and return it."""
         self._set_options()
         self._add_assets()
         self._add_bodies()
@@ -184,6 +190,7 @@ class _Writer:
         return self.spec
 
     def _set_options(self) -> None:
+        """Copy name and options of the model; switch off automatic changes by the compiler."""
         spec, model = self.spec, self.model
         names = bytes(model.names)
         spec.modelname = names[: names.index(b"\0")].decode() or "model"
@@ -198,6 +205,7 @@ class _Writer:
                 setattr(spec.option, name, value)
 
     def _add_assets(self) -> None:
+        """Add the meshes, with vertices and faces, and the height fields."""
         model = self.model
         for index in range(model.nmesh):
             mesh = self.spec.add_mesh(name=self._names["mesh", index])
@@ -214,6 +222,7 @@ class _Writer:
             field.userdata = model.hfield_data[start : start + rows * columns]
 
     def _add_bodies(self) -> None:
+        """Add the bodies with joints, geoms and sites."""
         model = self.model
         bodies = [self.spec.worldbody]
         for index in range(1, model.nbody):
@@ -301,6 +310,7 @@ class _Writer:
             actuator.actdim = int(model.actuator_actnum[index])
 
     def _add_constraints(self) -> None:
+        """Add equality constraints, contact pairs and contact exclusions."""
         model = self.model
         object_kinds = {
             mujoco.mjtObj.mjOBJ_BODY.value: "body",
@@ -363,7 +373,9 @@ def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[s
             continue
         equal = first.shape == second.shape and (
             not first.size
-            or np.allclose(first, second, rtol=_ARRAY_ATOL, atol=_ARRAY_ATOL, equal_nan=True)
+            or np.allclose(
+                first, second, rtol=_ARRAY_TOLERANCE, atol=_ARRAY_TOLERANCE, equal_nan=True
+            )
         )
         if not equal:
             yield name

@@ -73,7 +73,11 @@ class Description:
         return replace(self, mjcf=spec, added=(*self.added, *additions))
 
     def report_replaced_soles(self) -> tuple[Diagnostic, ...]:
-        """Report the number of spheres that replace the soles, if any."""
+        """Return a diagnostic with the number of spheres that replace soles in ``mjcf``.
+
+        The preparation may replace the collision mesh of a foot by spheres at the sole (additions
+        with the reason ``balls-for-soles``). Empty if there are none.
+        """
         balls = [addition for addition in self.added if isinstance(addition, Ball)]
         count = sum(ball.reason.code == "balls-for-soles" for ball in balls)
         return (diagnose("on-balls-for-soles", count=count),) if count else ()

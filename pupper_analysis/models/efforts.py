@@ -112,12 +112,15 @@ class EffortStatement(Result):
 
     @property
     def max_torque(self) -> float:
-        """Largest torque in either direction [N m]."""
+        """Larger torque of both directions at the joint [N m, N]."""
         return max(abs(self.lower), abs(self.upper))
 
     @property
     def symmetric_torque(self) -> float:
-        """Torque that is available in both directions [N m]; 0 if one end of the range is 0."""
+        """Largest torque that the range permits in both directions [N m, N].
+
+        min(-lower, upper), or 0 if the range does not contain both signs.
+        """
         return max(0.0, min(-self.lower, self.upper))
 
 
@@ -145,7 +148,11 @@ class EffortLimit(Result):
 
     @property
     def code(self) -> EffortCode:
-        """Meaning of the limit."""
+        """Status of the torque limit: stated, zero, negative or unknown.
+
+        ``UNKNOWN``: no file states a limit. ``NEGATIVE``: the range is inverted. ``ZERO``: all
+        other ranges without torque in either direction.
+        """
         if self.origin is None:
             return EffortCode.UNKNOWN
         if self.lower < 0 or self.upper > 0:
@@ -166,7 +173,10 @@ class EffortLimit(Result):
 
     @property
     def symmetric_torque(self) -> float:
-        """Torque that is available in both directions [N m]."""
+        """Largest torque that the limit permits in both directions [N m, N]; infinite if unknown.
+
+        min(-lower, upper), or 0 if the range does not contain both signs.
+        """
         return max(0.0, min(-self.lower, self.upper))
 
 
@@ -177,7 +187,7 @@ def resolve_effort_limit(
     *,
     name: str = "",
     drives: Sequence[int] | None = None,
-    null: EffortStatement | None = None,
+    empty_range: EffortStatement | None = None,
 ) -> EffortLimit:
     """Return the torque limit of a joint by both files.
 
@@ -187,14 +197,15 @@ def resolve_effort_limit(
         effort: Effort of the URDF's joint [N m; N for a slide]; None or at least ``UNSTATED`` if
             the URDF states none.
         name: Name of the joint in the URDF. Default: as in the MJCF.
-        drives: Actuators of the joint. Default: determined from the model.
-        null: Empty range of the MJCF from ``null_efforts``, which the compiled model lacks.
+        drives: Ids of the actuators of the joint. Default: determined from the model.
+        empty_range: Empty force range of the MJCF from ``null_efforts``, which the compiled model
+            lacks.
     """
     own = str(model.joint(joint).name)
     drives = list_joint_actuators(model, joint) if drives is None else drives
     stated = _list_statements(model, joint, drives)
-    if null is not None:
-        stated.append(null)
+    if empty_range is not None:
+        stated.append(empty_range)
     if effort is not None and effort < UNSTATED:
         # First, so that of two equal limits the one of the joint is the origin.
         range_ = (-effort, effort)
@@ -232,14 +243,14 @@ def _list_statements(
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
-    """Return the force ranges of an MJCF that are empty: from 0 to 0, or inverted.
+    """Return the joints of an MJCF whose force range is empty: from 0 to 0, or inverted.
 
-    MuJoCo ignores such a range without a message, so a compiled model has no limit there. Of a
-    ``ctrlrange``, only that of a torque motor bounds a torque. A joint with several actuators has
-    no torque only if all of them have an empty range.
+    MuJoCo ignores such a range without a message, so the compiled model has no limit there. The
+    range may be the ``actuatorfrcrange`` of the joint, or the ``forcerange`` of all its actuators,
+    or the ``ctrlrange`` of torque motors.
 
     Returns:
-        {joint: statement}, of joints that have a name.
+        {joint: statement with the empty range}.
     """
     unknown = file.unknown.get("effort", ())  # of a file of another format
     found: dict[str, EffortStatement] = {}
@@ -279,11 +290,21 @@ def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatemen
 
 
 def _is_empty(
-    file: MjcfFile, kind: str, name: str, attribute: str, range_: Sequence[float], switch: int
+    file: MjcfFile, kind: str, name: str, attribute: str, range_: Sequence[float], limited: int
 ) -> bool:
-    """Return True if a range is in force by the numbers alone, is stated, and contains nothing."""
+    """Return True if a range is inverted, or specified in the file with both ends equal.
+
+    Args:
+        file: The MJCF.
+        kind: ``joint`` or ``actuator``.
+        name: Name of the element.
+        attribute: Attribute with the range.
+        range_: Lower and upper end.
+        limited: MuJoCo's flag for the range, such as ``forcelimited``. The result is False unless
+            the flag is "auto", with which MuJoCo applies a range if lower end < upper end.
+    """
     low, high = (float(end) for end in range_)
-    if switch != mujoco.mjtLimited.mjLIMITED_AUTO or low < high:
+    if limited != mujoco.mjtLimited.mjLIMITED_AUTO or low < high:
         return False
     return low > high or file.find_attribute(kind, name, (attribute,)) is not None
 
@@ -340,17 +361,19 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 
 MAX_TORQUE_PER_LINK_MASS = 250.0
-"""Torque per mass of the two connected links [N m/kg] that no geared motor exceeds: the best have
-150. Of 1500 joints of robots in use that have a motor in one of the two links, none is above 117;
-tendons may come from distant motors."""
+"""Torque per mass of the two connected links [N m/kg] above which a round effort counts as a
+placeholder. The best geared motors have 150 per mass of motor; of 1500 joints of robots in use with
+the motor in one of the two links, none is above 117. The motor of a tendon may be in another link.
+"""
 
 MAX_TORQUE_PER_ROBOT_MASS = 90.0
-"""Sum of all torques per mass of the robot [N m/kg] that no robot exceeds: 150 per kg of motor,
-with motors of at most six tenths of the mass. Robots in use have 2 to 55."""
+"""Sum of torques per mass of the robot [N m/kg] above which all these efforts count as
+placeholders: 150 per kg of motor, with motors of at most six tenths of the mass. Robots in use have
+2 to 55."""
 
 MAX_ROTOR_ACCELERATION = 1e5
-"""Acceleration of a rotor without load, effort / armature [rad/s^2], that no motor exceeds: 100
-rad/s within 1 ms. Robots in use have 350 to 25,000."""
+"""Acceleration of a rotor without load, effort / armature [rad/s^2], above which an effort counts
+as a placeholder: 100 rad/s within 1 ms. Robots in use have 350 to 25,000."""
 
 
 @dataclass(frozen=True)
@@ -377,16 +400,16 @@ def placeholder_efforts(
     """Yield the efforts that are placeholders, since no motor can have such efforts.
 
     Placeholders are: round efforts (1, 2 or 5 times 10^n, from 100) above
-    `MAX_TORQUE_PER_LINK_MASS`; efforts above `MAX_ROTOR_ACCELERATION`; and all other efforts, if
-    their sum is above `MAX_TORQUE_PER_ROBOT_MASS`.
+    `MAX_TORQUE_PER_LINK_MASS`; efforts above `MAX_ROTOR_ACCELERATION`; and all remaining efforts,
+    if the sum of the remaining efforts is above `MAX_TORQUE_PER_ROBOT_MASS`.
 
     Args:
         motors: All hinges with a limit.
         total: Mass of the robot [kg].
 
     Yields:
-        Joints (joints of the last case by decreasing torque per mass), and the finding about their
-        efforts.
+        (names of joints, diagnostic about their efforts). In the last case the joints are sorted by
+        decreasing torque per link mass.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
     found: dict[tuple[str, float], list[Motor]] = {}

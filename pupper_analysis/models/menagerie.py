@@ -25,10 +25,11 @@ _MAX_NAME_LENGTH: Final = 200
 
 
 def is_menagerie_name(word: str) -> bool:
-    """Return True if a word names a robot of MuJoCo Menagerie, and no existing path.
+    """Return True if a text names a robot of MuJoCo Menagerie, and no existing path.
 
-    Either with the prefix, or ``ROBOT`` or ``ROBOT/FILE.xml`` with a robot that the installed
-    package lists or a clone contains.
+    Valid forms are ``mujoco_menagerie/ROBOT`` and ``mujoco_menagerie/ROBOT/FILE.xml`` with any
+    robot, and ``ROBOT`` and ``ROBOT/FILE.xml`` with a robot that the installed package lists or a
+    clone contains. In the latter forms the robot must contain an underscore.
     """
     parts = Path(word).parts
     if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or _exists(word):

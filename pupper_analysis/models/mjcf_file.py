@@ -196,6 +196,7 @@ def taken_as_shells(names: list[str]) -> Diagnostic:
 
 
 def _determines_mass(spec: mujoco.MjSpec, name: str) -> bool:
+    """Return True if MuJoCo computes the inertia of a body from the mesh with this name."""
     return any(geom.meshname == name and gives_mass(spec, geom) for geom in spec.geoms)
 
 
@@ -298,6 +299,15 @@ class IncludeTree:
         depth: int,
         childclass: str | None = None,
     ) -> XmlNode:
+        """Return the node of an element, with all descendants and expanded includes.
+
+        Args:
+            element: Element as parsed.
+            path: File that contains the element.
+            within: Resolved paths of the files whose inclusion leads to the element.
+            depth: Nesting depth below the root.
+            childclass: Default class from the ``childclass`` of the bodies above.
+        """
         attributes = {str(name): str(value) for name, value in element.attrib.items()}
         place = Place(path, line_of(element))
         node = XmlNode(str(element.tag), attributes, place, [], childclass)
@@ -327,6 +337,7 @@ class IncludeTree:
     def _read_include(
         self, element: etree._Element, path: Path, within: tuple[Path, ...]
     ) -> tuple[Path, etree._Element]:
+        """Return path and root element of the file of an ``<include>``; each file is parsed once."""
         included = self._find_included(element, path)
         resolved = included.resolve()
         if resolved in within:
@@ -341,6 +352,7 @@ class IncludeTree:
         return included, self._parsed_roots[resolved]
 
     def _read_attached(self, element: etree._Element, path: Path) -> None:
+        """Read the file of a ``<model>``, and add its files, folders and elements to this tree."""
         attached = self._find_included(element, path)
         if attached.resolve() in self._open_files:
             raise make_element_error(path, element, diagnose("attaches-itself", file=attached.name))
@@ -374,6 +386,7 @@ class IncludeTree:
         raise make_element_error(path, element, missing)
 
     def _count_copies(self, node: XmlNode) -> int:
+        """Return the number of elements below and including a node, with replicates expanded."""
         total = 1 + sum(self._count_copies(child) for child in node.children)
         if node.tag == "replicate":
             total *= max(_multiply_numbers(node.attributes.get("count", "1")), 1)
@@ -386,6 +399,7 @@ _HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
 
 
 def _check_sizes(path: Path, element: etree._Element) -> None:
+    """Raise an error if the product of the sizes of an element exceeds that of `_MAX_PRODUCTS`."""
     for tag, attributes, limit in _MAX_PRODUCTS:
         if tag in ("*", element.tag):
             text = " ".join(element.get(attribute, "") for attribute in attributes)
@@ -602,16 +616,17 @@ class MjcfFile:
 
     @property
     def missing_collision_meshes(self) -> tuple[str, ...]:
-        """Missing files of collision meshes."""
-        return self._list_missing("touching")
+        """Names of the missing files of collision meshes."""
+        return self._list_missing_values("touching")
 
     @property
     def bodies_with_missing_meshes(self) -> tuple[str, ...]:
-        """Bodies with removed geoms, because the files of the meshes are missing."""
-        return self._list_missing("bodies")
+        """Names of the bodies with removed geoms, because the files of the meshes are missing."""
+        return self._list_missing_values("bodies")
 
-    def _list_missing(self, word: str) -> tuple[str, ...]:
-        values = [note.values.get(word) for note in self.notes if note.code == "files-missing"]
+    def _list_missing_values(self, key: str) -> tuple[str, ...]:
+        """Return the names under a key in the values of the notes on missing files."""
+        values = [note.values.get(key) for note in self.notes if note.code == "files-missing"]
         return tuple(str(name) for value in values if isinstance(value, tuple) for name in value)
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
@@ -813,6 +828,7 @@ def _parse_spec(
 def _make_refusal(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode], error: BaseException
 ) -> tuple[Diagnostic, Place]:
+    """Return the diagnostic of an error of MuJoCo's compiler, and its location in the file."""
     message, place = _locate_message(tree, index, error)
     return diagnose("mjcf-not-compiled", message=message), place
 

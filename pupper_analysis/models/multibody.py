@@ -165,7 +165,11 @@ class MultibodyTree:
         return self.list_descendants(self.base)
 
     def list_descendants(self, body: str) -> list[str]:
-        """Return all joints below a body, in depth-first order."""
+        """Return the names of all joints below a body, in depth-first order.
+
+        Args:
+            body: Base, or joint that moves the body.
+        """
         order: list[str] = []
         pending = self.children(body)[::-1]
         while pending:
@@ -174,7 +178,11 @@ class MultibodyTree:
         return order
 
     def select_joints(self, names: Collection[str]) -> MultibodyTree:
-        """Return the tree with a subset of the joints, their bodies, and the frames on these."""
+        """Return the tree with a subset of the joints, and the bodies and frames that they move.
+
+        Args:
+            names: Joints; the base with its body and frames is not included.
+        """
         frames = [frame for name in names for frame in self.list_frames(name)]
         return replace(
             self,
@@ -253,13 +261,17 @@ def from_pinocchio(
 
 
 def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
-    """Return the world placement of each joint of a model, starting with the universe.
+    """Return the world placement of each joint of a model, in the order of the joint indices.
 
-    The computation avoids the data of the model, whose size grows with the cube of the model's.
+    As ``pin.forwardKinematics``, but without ``pin.Data``, whose size grows at least with the
+    square of the number of joints.
 
     Args:
         model: Pinocchio model.
         q: Pinocchio's configuration, shape (model.nq,).
+
+    Returns:
+        Placements [m]; the first is the identity, that of the universe.
     """
     placements = [pin.SE3.Identity()]
     for index in range(1, model.njoints):

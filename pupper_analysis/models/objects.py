@@ -65,7 +65,16 @@ class ObjectFiles:
     folder: Path
 
     def add_pinocchio_values(self, mjcf: MjcfFile) -> MjcfFile:
-        """Return an MJCF that was made of the URDF, with armature, gravity and meshes in memory.
+        """Add the values of the Pinocchio model that its URDF cannot state to an MJCF.
+
+        Armature [kg m^2, kg] and gravity [m/s^2] are copied, and meshes of the temporary folder
+        become assets in memory.
+
+        Args:
+            mjcf: MJCF that was converted from the URDF of the Pinocchio model.
+
+        Returns:
+            Modified copy; ``mjcf`` itself if ``source`` is None.
 
         Raises:
             ModelError: If MuJoCo does not compile the result.
@@ -108,7 +117,7 @@ def read_objects(
     owners = [model for model in others if isinstance(model, pin.Model)]
     if len(shapes) > 1 or (shapes and len(owners) != 1):
         raise ConfigurationError("model", diagnose("geometry-without-model"))
-    if shapes and not _belongs(shapes[0], owners[0]):
+    if shapes and not _is_geometry_of(shapes[0], owners[0]):
         raise ConfigurationError("model", diagnose("geometry-of-another-model"))
     geometry = shapes[0] if shapes else None
     with TemporaryDirectory() as folder:
@@ -116,8 +125,8 @@ def read_objects(
         yield ObjectFiles(tuple(files), owners[0] if owners else None, Path(folder))
 
 
-def _belongs(geometry: pin.GeometryModel, model: pin.Model) -> bool:
-    """Return True if the joint of each shape is that of the shape's frame in the model."""
+def _is_geometry_of(geometry: pin.GeometryModel, model: pin.Model) -> bool:
+    """Return True if joint and frame of each shape exist in the model and belong together."""
     return all(
         item.parentJoint < model.njoints
         and item.parentFrame < model.nframes
@@ -137,16 +146,17 @@ def _read_object(
         return _read_text(model, "XML text", packages)
     if isinstance(model, mujoco.MjSpec):
         name = f"MjSpec {model.modelname}"
-        return mjcf_of_spec(Path(model.modelfiledir) / f"<{name}>", model, (_note(name),))
+        path = Path(model.modelfiledir) / f"<{name}>"
+        return mjcf_of_spec(path, model, (_make_memory_note(name),))
     if isinstance(model, mujoco.MjModel):
         spec = make_spec_of_model(model, "MjModel")
         name = f"MjModel {spec.modelname}"
-        return mjcf_of_spec(Path(f"<{name}>"), spec, (_note(name),))
+        return mjcf_of_spec(Path(f"<{name}>"), spec, (_make_memory_note(name),))
     if isinstance(model, pin.Model):
         name = f"pin.Model {model.name}"
         path = Path(f"<{name}>")
         text = write_urdf_of_model(model, geometry, folder, str(path))
-        return _read_urdf(path, text, packages, _note(name))
+        return _read_urdf(path, text, packages, _make_memory_note(name))
     try:
         text = model.write_xml_string()
     except Exception as error:  # of another package
@@ -156,8 +166,8 @@ def _read_object(
     return _read_text(text.decode(), name, packages)
 
 
-def _note(name: str) -> Diagnostic:
-    """Return the note on a robot in memory."""
+def _make_memory_note(name: str) -> Diagnostic:
+    """Return the note that a robot was read from memory, without file names and line numbers."""
     return diagnose("model-in-memory", name=name)
 
 
@@ -172,10 +182,10 @@ def _read_text(text: str, name: str, packages: Mapping[str, Path] | None) -> Urd
         except (ValueError, RuntimeError) as error:
             problem = diagnose("mjcf-not-valid", message=one_line(error))
             raise ModelError(str(path), problem) from error
-        return mjcf_of_spec(path, spec, (_note(name),))
+        return mjcf_of_spec(path, spec, (_make_memory_note(name),))
     if root.tag != "robot":
         raise make_element_error(path, root, diagnose("no-model", tag=str(root.tag)))
-    return _read_urdf(path, text, packages, _note(name))
+    return _read_urdf(path, text, packages, _make_memory_note(name))
 
 
 def _read_urdf(

@@ -24,9 +24,14 @@ from pupper_analysis.models.xml import LFS_POINTER
 
 
 def existing_file(path: Path) -> Path | None:
-    """Return the path if the file exists, and register the file as an input of the run.
+    """Return the path if it is an existing file, and register the file as an input of the run.
 
-    The name may be any text of a model file. A Git LFS pointer counts as missing.
+    Returns:
+        The path; None if there is no regular file, if the file is a Git LFS pointer without
+        content, or if the system rejects the path, for example because of its length.
+
+    Raises:
+        OutputError: If the run will write this file.
     """
     try:
         if not path.is_file() or is_pointer(path):

@@ -50,7 +50,7 @@ class Pose:
 
     @property
     def placement(self) -> pin.SE3:
-        """The pose as Pinocchio's type."""
+        """Pose as a placement of Pinocchio."""
         return pin.SE3(self.rotation, self.position)
 
     def inverse(self) -> Pose:
@@ -81,7 +81,7 @@ class Mesh:
     faces: Integers
 
     def select(self, numbers: Array | Integers, faces: Array | Integers) -> Mesh:
-        """Return a mesh of some vertices and triangles.
+        """Return the mesh with some of the vertices and triangles.
 
         Args:
             numbers: Numbers of the vertices, shape (k,).
@@ -103,7 +103,7 @@ class Mesh:
 
 
 class Terms(NamedTuple):
-    """Convex sets whose Minkowski sum is a shape, in the frame of the body [m].
+    """Convex sets whose Minkowski sum is the convex hull of a shape, in the frame of the body [m].
 
     Attributes:
         centre: Point (3,).
@@ -185,7 +185,11 @@ class Shape:
 
     @cached_property
     def minkowski_terms(self) -> Terms | None:
-        """Terms of the Minkowski sum; None if the extent is unknown (missing mesh, plane)."""
+        """Convex sets whose Minkowski sum is the hull of the shape, in the frame of the body [m].
+
+        For example, a capsule is the sum of a centre, a line segment and a ball. None if the extent
+        is unknown (missing mesh, plane).
+        """
         rotation, size, hull = self.pose.rotation, self.size, None
         bars, radii, ball = list[tuple[int, float]](), list[tuple[int, float]](), 0.0
         match self.kind:
@@ -302,7 +306,7 @@ class Shape:
     def outline(self, circle: Array, globe: Array) -> Array | None:
         """Return the centres of equal balls whose convex hull is the shape.
 
-        The radius of the balls is ``terms.ball``, the ball of the shape's Minkowski sum: the radius
+        The radius of the balls is ``minkowski_terms.ball``: the radius
         of a sphere or capsule, 0 for boxes, cylinders and meshes. An ellipse or ellipsoid of the
         sum is approximated by the points ``circle`` or ``globe``.
 

@@ -30,13 +30,14 @@ _MOTOR_PARAMETER_RTOL = 0.02
 identical values."""
 
 _MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
-"""Minimum ratio of equal to unequal pairs for a model with a single set of values per motor type.
-If each motor was identified individually, no pair is equal."""
+"""Ratio of equal to unequal pairs of left and right motors from which each unequal pair is
+reported: the model then has a single set of values per motor type. If each motor was identified
+individually, no pair is equal."""
 
-_MAX_MOTOR_RATIO = 20.0
-"""Lower bound of the ratio between left and right value of an error, if motors were identified
-individually. In five published robots, individually identified armatures differ by a factor of at
-most 13."""
+_MIN_REPORTED_RATIO = 20.0
+"""Ratio between the values of left and right motor from which a pair is reported although motors
+were identified individually. In five published robots, individually identified armatures differ by
+a factor of at most 13."""
 
 
 def mirror_name(name: str) -> str:
@@ -80,11 +81,12 @@ def find_unlike_pairs(
     If at least three quarters of the pairs are equal, the result contains the unequal pairs, since
     motors of the same type have a single set of values. Otherwise, the motors were
     identified individually, and the result contains the pairs whose values differ by a factor of
-    ``_MAX_MOTOR_RATIO`` or more.
+    ``_MIN_REPORTED_RATIO`` or more.
 
     Args:
         pairs: Pairs (left, right) of joints.
-        numbers: {joint: value}. Pairs without both values are skipped.
+        numbers: {joint: value} of one parameter, for example armature, in a common unit. Pairs
+            without both values are skipped.
     """
     complete = [(a, b) for a, b in pairs if a in numbers and b in numbers]
     unequal = [(a, b) for a, b in complete if not _are_equal(numbers[a], numbers[b])]
@@ -93,7 +95,7 @@ def find_unlike_pairs(
     return [
         pair
         for pair, (smaller, larger) in ranges
-        if few_unequal or smaller * _MAX_MOTOR_RATIO <= larger
+        if few_unequal or smaller * _MIN_REPORTED_RATIO <= larger
     ]
 
 

@@ -132,7 +132,7 @@ class SpecTree:
             yield child.name
 
     def link_mass(self, link: str) -> float:
-        """Return the mass of a body [kg], computed from geoms if not specified."""
+        """Return the mass of a body [kg] in the compiled model, from geoms if not specified."""
         return float(self._compiled_model.body(link).mass[0])
 
     @cached_property
@@ -140,6 +140,7 @@ class SpecTree:
         return compile_spec(self.spec.copy(), Path(self.spec.modelname))
 
     def _clear_cache(self) -> None:
+        """Discard the compiled model, after a change of the spec."""
         self.__dict__.pop("_compiled_model", None)
 
     def remove_subtree(self, link: str) -> None:
@@ -191,7 +192,10 @@ class SpecTree:
         body.fullinertia = factor * np.array(body.fullinertia)
 
     def move_com(self, link: str, offset: Array) -> None:
-        """Translate the CoM of a body by an offset (3,) [m]; the inertia becomes explicit."""
+        """Translate the CoM of a body by an offset (3,) [m], expressed in the frame of the body.
+
+        The inertia about the CoM is unchanged. An inertia from geoms becomes explicit.
+        """
         body = self.spec.body(link)
         if not body.explicitinertial:
             self.spec.adopt_inertial(body)
@@ -236,15 +240,16 @@ class SpecTree:
             setattr(self.spec.option, name, _OPTION_VALUES.get((name, value), value))
 
     def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
-        """Add a plane at z = 0 with MuJoCo's default contact, that all collidable geoms can touch.
+        """Add a horizontal plane with MuJoCo's default contact parameters as floor.
 
-        The contact bits include those of all geoms, also of geoms whose bits only permit contact
-        with each other, such as left and right legs: scenes of these robots contain a floor with
-        those bits.
+        ``conaffinity`` of the plane contains the ``contype`` bits of all geoms, so that the plane
+        collides with each geom with a ``contype``. This includes geoms whose bits only permit
+        contact with each other, such as left and right legs: scenes of these robots contain a floor
+        with those bits.
 
         Args:
-            beneath: Height [m] of a new, last body that gets the plane. The ids of existing bodies
-                then stay the same. None for a plane of the world.
+            beneath: None to add the plane at z = 0 to the world. A number is the height z [m] of
+                the plane, which is added to a new body; existing bodies keep their ids.
         """
         bits, name = 1, make_unique_name(FLOOR_NAME, {geom.name for geom in self.spec.geoms})
         for geom in self.spec.geoms:
@@ -285,6 +290,7 @@ class SpecTree:
                 self._set_stiffness(equality)
 
     def _set_stiffness(self, equality: mujoco.MjsEquality) -> None:
+        """Set the time constant of an equality, at least two time steps, for critical damping."""
         equality.solref = (max(COUPLING_TIME_CONSTANT, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
@@ -374,7 +380,7 @@ class SpecTree:
         place: ArrayLike,
         like: str | None = None,
     ) -> mujoco.MjsGeom:
-        """Add a massless sphere with the contact parameters and colour of another geom.
+        """Add a sphere of zero mass with the contact parameters and colour of another geom.
 
         Args:
             name: Name of the sphere.

@@ -56,9 +56,9 @@ def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Return {joint id: ids of the joint's actuators} for all hinges and slides with an actuator.
+    """Return {joint id: ids of the joint's actuators} of the hinges and slides with an actuator.
 
-    Only actuators with transmission ``joint`` or ``jointinparent`` at this single joint count.
+    Actuators with transmission ``joint`` or ``jointinparent`` count; see `is_at_one_joint`.
     """
     actuators_by_joint: dict[int, list[int]] = {}
     for actuator, joint in enumerate(model.actuator_trnid[:, 0].tolist()):
@@ -121,7 +121,8 @@ def read_actuator_law(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
 
 
 _GAIN_RTOL = 1e-5
-"""Relative tolerance for equality of gain and stiffness of a servo, as in ``robot.servos``."""
+"""Relative tolerance for equality of gain and stiffness of a position servo, and of gain and
+damping of a velocity servo: the default of ``numpy.isclose``, also used by ``robot.servos``."""
 
 
 class Drive(StrEnum):
@@ -199,6 +200,7 @@ _TYPE_PRIORITY = (
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
+    """Return the type of an actuator at a single hinge or slide, from its force law."""
     if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_DCMOTOR.value:
         return Drive.OTHER if _depends_on_position(model, motor) else Drive.FORCE
     if model.actuator_gaintype[motor] != mujoco.mjtGain.mjGAIN_FIXED.value:

@@ -311,11 +311,11 @@ def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, e
 
 
 def check_element(path: Path, element: etree._Element) -> bool:
-    """Validate children and numbers of a link or joint, and normalise white space in numbers.
+    """Check children and numbers of a link, joint or material, and normalise white space in place.
 
     Returns:
-        Whether a single number contained surrounding white space, so that the text must be
-        rewritten.
+        True if white space was removed from an attribute with a single number, so that the text of
+        the URDF must be rewritten.
 
     Raises:
         ModelError: If the element is not valid.

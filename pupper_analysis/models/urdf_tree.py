@@ -63,7 +63,7 @@ def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None =
 
 
 UNSTATED_LIMITS = dict.fromkeys(("effort", "velocity"), f"{UNSTATED:g}")
-"""Attributes that a <limit> must have, with values that mean unknown."""
+"""{attribute that a ``<limit>`` must have: text that means unknown}."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,17 +187,17 @@ class UrdfJoint(UrdfElement):
         return origin_of(self.element)
 
     def parameter_text(self, attribute: JointAttribute) -> str | None:
-        """Return the text of a joint parameter; None if missing or not supported by URDF."""
+        """Return the text of a joint parameter in the file; None if missing or unknown to URDF."""
         if attribute.urdf is None:
             return None
         element = self.element.find(attribute.urdf[0])
         return None if element is None else element.get(attribute.urdf[1])
 
     def set_parameter(self, attribute: JointAttribute, value: float) -> None:
-        """Write a joint parameter that URDF can express into the XML element of the joint.
+        """Write a joint parameter into the XML element of the joint.
 
         Args:
-            attribute: Parameter, for example damping.
+            attribute: Parameter that a URDF can specify, for example damping.
             value: Value in SI units.
         """
         assert attribute.urdf is not None, f"a URDF has no words for {attribute.kind}"
@@ -210,7 +210,7 @@ class UrdfJoint(UrdfElement):
     def add_mimic(
         self, leader: str, multiplier: float, offset: float, digits: int | None = None
     ) -> None:
-        """Add a ``<mimic>`` element: q = multiplier q_leader + offset."""
+        """Add a ``<mimic>`` element: q = multiplier q_leader + offset [rad, m]."""
         multiplier_text, offset_text = (
             write_numbers(value, digits=digits) for value in (multiplier, offset)
         )
@@ -218,8 +218,8 @@ class UrdfJoint(UrdfElement):
             self.element, "mimic", joint=leader, multiplier=multiplier_text, offset=offset_text
         )
 
-    def set_axis(self, axis: Array, digits: int | None = None) -> None:
-        """Add an ``<axis>`` to a joint that has no ``<axis>``; an existing element is not replaced.
+    def add_axis(self, axis: Array, digits: int | None = None) -> None:
+        """Add an ``<axis>`` to a joint without ``<axis>``; existing elements are not removed.
 
         Args:
             axis: Axis, shape (3,), in the joint frame.
@@ -240,6 +240,7 @@ class UrdfJoint(UrdfElement):
 
 
 def _scale_attribute(element: etree._Element | None, attribute: str, factor: float) -> None:
+    """Multiply the number in an attribute by a factor; nothing without element or attribute."""
     text = None if element is None else element.get(attribute)
     if element is not None and text is not None:
         element.set(attribute, repr(float(text) * float(factor)))
@@ -458,5 +459,6 @@ class UrdfTree:
             self.joints[joint].set_parameter(attribute, float(text) * float(factor))
 
     def _clear_cache(self) -> None:
+        """Discard the cached links and joints, after a change of the elements."""
         for name in ("links", "joints", "parent_joints", "child_joints"):
             self.__dict__.pop(name, None)

@@ -193,7 +193,13 @@ def splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int,
 def _splice_children(
     data: bytes, element: Element, new: list[Element]
 ) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the splices of new children, before the existing children with the same indentation."""
+    """Yield the splices that insert new elements as first children of an element.
+
+    The new elements get the indentation of the existing children.
+
+    Yields:
+        (first byte, byte after the last, new bytes) of the replaced part of ``data``.
+    """
     end = _find_tag_end(data, element)
     if data[end - 2 : end - 1] == b"/":
         tag = element.tag.encode()

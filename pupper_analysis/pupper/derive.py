@@ -92,7 +92,7 @@ def _make_ballast_visual(variant: VariantSpec) -> yourdfpy.Visual:
 
 
 def _read_origin(element: object) -> Array:
-    """Return the origin of an element as homogeneous matrix; the identity without an origin."""
+    """Return the origin of an element as matrix (4, 4); the identity without an origin."""
     origin = getattr(element, "origin", None)
     return np.eye(4) if origin is None else np.array(origin, dtype=float)
 
@@ -100,7 +100,16 @@ def _read_origin(element: object) -> Array:
 def _stretch_link(
     robot: yourdfpy.Robot, link: yourdfpy.Link, end: Array, normal: Array, variant: VariantSpec
 ) -> None:
-    """Stretch a link along the direction to ``end``, projected into the plane of the normal."""
+    """Stretch a link in place by ``variant.leg_scale`` along the direction to its end.
+
+    Args:
+        robot: Robot, whose joints at the link are moved.
+        link: Link to stretch, with shapes and inertia.
+        end: Pose of the next joint in the link frame, homogeneous matrix (4, 4).
+        normal: Knee axis in the link frame, shape (3,). The direction is projected into the plane
+            with this normal.
+        variant: Variant.
+    """
     factor = variant.leg_scale
     in_plane = end[:3, 3] - normal * (normal @ end[:3, 3]) / (normal @ normal)
     axis = in_plane / np.linalg.norm(in_plane)
@@ -108,10 +117,10 @@ def _stretch_link(
     capsule = _find_capsule(link, axis)  # before its shapes change
     for joint in robot.joints:
         if joint.parent == link.name:
-            joint.origin = _move_origin(joint, matrix)
+            joint.origin = _transform_origin(joint, matrix)
     for shape in (*link.visuals, *link.collisions):
         rotation = _read_origin(shape)[:3, :3]
-        shape.origin = _move_origin(shape, matrix)
+        shape.origin = _transform_origin(shape, matrix)
         cylinder, mesh = shape.geometry.cylinder, shape.geometry.mesh
         if cylinder is not None and abs(rotation[:, 2] @ axis) > 1 - 1e-9:
             cylinder.length *= factor
@@ -134,12 +143,12 @@ def _stretch_link(
         tensor = np.trace(second) * np.eye(3) - second
     inertial.mass *= factor
     inertial.inertia = tensor
-    inertial.origin = _move_origin(inertial, matrix)
+    inertial.origin = _transform_origin(inertial, matrix)
     inertial.origin[:3, :3] = np.eye(3)
 
 
-def _move_origin(element: object, matrix: Array) -> Array:
-    """Return the origin of an element with the position transformed by a matrix."""
+def _transform_origin(element: object, matrix: Array) -> Array:
+    """Return the origin (4, 4) of an element, with the position multiplied by a matrix (3, 3)."""
     origin = _read_origin(element)
     origin[:3, 3] = matrix @ origin[:3, 3]
     return origin
@@ -261,46 +270,68 @@ def _project_in_plane(offset: Array, normal: Array) -> Array:
 def _stretch_body(
     body: mujoco.MjsBody, axis: Array, factor: float, meshes: dict[str, Array]
 ) -> None:
-    """Stretch all parts of a body by ``factor`` along the unit vector ``axis``."""
-    stretch = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
+    """Stretch all parts of a body, in place.
+
+    Args:
+        body: Body of the spec.
+        axis: Unit vector (3,) of the stretched direction, in the body frame.
+        factor: Factor of lengths along the axis, and of the mass.
+        meshes: {mesh: scale factors (3,) along the axes of the mesh}; the meshes of the body are
+            added, and the caller scales the meshes.
+    """
+    matrix = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
     for part in (*body.bodies, *body.sites, *body.joints):
-        part.pos = stretch @ np.array(part.pos)
+        part.pos = matrix @ np.array(part.pos)
     for geom in body.geoms:
-        _stretch_geom(geom, axis, factor, stretch, meshes)
+        _stretch_geom(geom, axis, factor, matrix, meshes)
     if body.explicitinertial:
-        _stretch_inertial(body, stretch, factor)
+        _stretch_inertial(body, matrix, factor)
 
 
 def _stretch_geom(
-    geom: mujoco.MjsGeom, axis: Array, factor: float, stretch: Array, meshes: dict[str, Array]
+    geom: mujoco.MjsGeom, axis: Array, factor: float, matrix: Array, meshes: dict[str, Array]
 ) -> None:
-    """Stretch a geom; record the scale factors of the mesh."""
+    """Stretch a geom in place; see `_stretch_body`.
+
+    Args:
+        geom: Geom of the spec.
+        axis: Unit vector (3,) of the stretched direction, in the body frame.
+        factor: Factor of lengths along the axis.
+        matrix: Stretch I + (factor - 1) axis axis^T, shape (3, 3).
+        meshes: {mesh: scale factors (3,) along the axes of the mesh}; the mesh of the geom is
+            added.
+    """
     ends = np.array(geom.fromto)
     rotation = _make_rotation(geom.quat)
     spans = False
     if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
-        local = rotation.T @ stretch @ rotation
+        local = rotation.T @ matrix @ rotation
         if not np.allclose(local, np.diag(np.diag(local)), atol=1e-9):
             raise ModelError(geom.meshname, diagnose("mesh-without-axis", along=axis))
         meshes[geom.meshname] = np.diag(local).copy()
     elif not math.isnan(ends[0]):
         spans = bool(abs(_normalize(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9)
-        geom.fromto = np.concatenate([stretch @ ends[:3], stretch @ ends[3:]])
+        geom.fromto = np.concatenate([matrix @ ends[:3], matrix @ ends[3:]])
     elif geom.type in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
         spans = bool(abs(rotation[:, 2] @ axis) > 1 - 1e-9)
         if spans:
             geom.size = np.array(geom.size) * (1.0, factor, 1.0)
-    geom.pos = stretch @ np.array(geom.pos)
+    geom.pos = matrix @ np.array(geom.pos)
     if spans and not math.isnan(geom.mass):
         geom.mass = geom.mass * factor
 
 
-def _stretch_inertial(body: mujoco.MjsBody, stretch: Array, factor: float) -> None:
-    """Stretch the inertial of a body of constant density.
+def _stretch_inertial(body: mujoco.MjsBody, matrix: Array, factor: float) -> None:
+    """Stretch the inertial of a body of constant density, in place.
 
     The body is replaced by six equal point masses on its principal axes with the same mass,
     centre and inertia (an equimomental system). The points are transformed, and their inertia is
     summed.
+
+    Args:
+        body: Body of the spec.
+        matrix: Stretch of positions in the body frame, shape (3, 3).
+        factor: Factor of the mass.
     """
     rotation = _make_rotation(body.iquat)
     full = np.array(body.fullinertia)
@@ -312,11 +343,11 @@ def _stretch_inertial(body: mujoco.MjsBody, stretch: Array, factor: float) -> No
     moments, axes = np.linalg.eigh(tensor)
     second = np.maximum(moments.sum() / 2 - moments, 0.0)  # integral of x_i^2 dm, per axis
     arms = axes * np.sqrt(3.0 * second / body.mass)
-    points = stretch @ np.concatenate([arms, -arms], axis=1)
+    points = matrix @ np.concatenate([arms, -arms], axis=1)
     mass = factor * body.mass
     tensor = mass / 6 * (np.eye(3) * np.sum(points**2) - points @ points.T)
     body.mass = mass
-    body.ipos = stretch @ np.array(body.ipos)
+    body.ipos = matrix @ np.array(body.ipos)
     body.iquat = (1.0, 0.0, 0.0, 0.0)
     body.fullinertia = tensor[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
 

@@ -45,7 +45,8 @@ the derived MJCF is compiled as a test. Chosen, not tuned."""
 def describe_variant(variant: str | VariantSpec) -> Description:
     """Derive the URDF and MJCF of a variant from the files of the base model, in memory.
 
-    Both derivations share no code except the values of the spec.
+    The derivations of URDF and MJCF are independent implementations, so that a comparison of both
+    files tests them; see `derive.derive_urdf` and `derive.derive_mjcf`.
 
     Raises:
         VariantError: If the name is unknown.

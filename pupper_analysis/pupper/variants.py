@@ -179,7 +179,10 @@ class ScalableVariant:
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """{``leg_scale`` or ``torso_mass_scale``: value in ``spec``}, factors on the base model."""
+        """Scale factors of the variant, with the keys ``leg_scale`` and ``torso_mass_scale``.
+
+        The factors multiply leg length, leg mass and torso mass of the base model.
+        """
         return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
 
     def with_scales(self, scales: Mapping[str, float]) -> VariantSpec:

@@ -74,7 +74,9 @@ def efforts_of(
     for name, effort in zip(joint_names, urdf, strict=True):
         joint, original = int(mj_model.joint(name).id), original_limits.get(name)
         drives = actuators_by_joint.get(joint, ())
-        limit = resolve_effort_limit(mj_model, joint, effort, drives=drives, null=null.get(name))
+        limit = resolve_effort_limit(
+            mj_model, joint, effort, drives=drives, empty_range=null.get(name)
+        )
         is_equal = original is not None and _are_equal_efforts(original.lower, limit.lower)
         is_equal = (
             is_equal and original is not None and _are_equal_efforts(original.upper, limit.upper)

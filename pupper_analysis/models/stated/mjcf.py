@@ -63,7 +63,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
         for original, copied in zip(file.spec.bodies, spec.bodies, strict=True)
         if original.explicitinertial and file.spec.compiler.inertiafromgeom != 1
     }
-    null = null_efforts(file)
+    empty_ranges = null_efforts(file)
     spec_joints = {
         copied.id: original for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
@@ -89,7 +89,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
                     names,
                     to_base,
                     spec_joints.get(joint),
-                    null.get(str(model.joint(joint).name)),
+                    empty_ranges.get(str(model.joint(joint).name)),
                 )
                 for joint in _id_range(model.body_jntadr[body], model.body_jntnum[body])
             ),
@@ -166,6 +166,7 @@ def _find_base(model: mujoco.MjModel) -> int:
 
 
 def _id_range(first: int, count: int) -> range:
+    """Return the ids ``first`` to ``first + count - 1``, given as NumPy integers."""
     return range(int(first), int(first) + int(count))
 
 
@@ -177,13 +178,25 @@ def _make_joint(
     names: list[str],
     to_base: Pose,
     spec_joint: mujoco.MjsJoint | None,
-    null: EffortStatement | None,
+    empty_range: EffortStatement | None,
 ) -> Joint:
+    """Return the record of a joint, expressed in the base frame.
+
+    Args:
+        file: The MJCF.
+        model: Compiled model.
+        data: MuJoCo data at zero joint positions.
+        joint: Id of the joint.
+        names: Name of each body, by id.
+        to_base: Pose of the world in the base frame.
+        spec_joint: Joint in the spec of the file; None if the spec has no such joint.
+        empty_range: Empty force range of the joint; see ``null_efforts``.
+    """
     body = int(model.jnt_bodyid[joint])
     kind = JOINT_KINDS[int(model.jnt_type[joint])]
     limited = bool(model.jnt_limited[joint]) and kind in (HINGE_JOINT, SLIDE_JOINT)
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
-    limit = resolve_effort_limit(model, joint, null=null)
+    limit = resolve_effort_limit(model, joint, empty_range=empty_range)
     effort = max(abs(limit.lower), abs(limit.upper))
     limits = {"lower": float(lower), "upper": float(upper), "effort": effort}
     return Joint(
@@ -238,6 +251,7 @@ def _stated_values(
 def _make_inertial(
     model: mujoco.MjModel, body: int, spec_body: mujoco.MjsBody | None
 ) -> Inertial | None:
+    """Return the inertia of a body; from the spec if explicit there, else from the geoms."""
     axes = rotation_from_quaternion(model.body_iquat[body])
     if spec_body is not None:
         entries = np.array(spec_body.fullinertia)

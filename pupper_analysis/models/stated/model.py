@@ -64,7 +64,7 @@ class Inertial:
 
     @property
     def spatial_inertia(self) -> pin.Inertia:
-        """The spatial inertia, as Pinocchio's type."""
+        """Spatial inertia [kg, m, kg m^2], expressed in the frame of the body."""
         return make_inertia(self.mass, self.com, self.inertia)
 
     @property
@@ -194,7 +194,11 @@ class RobotModel:
 
     @cached_property
     def has_free_base(self) -> bool:
-        """Whether the base is free, or is freed on loading: base with two moving limbs or more."""
+        """Whether the robot has a free base.
+
+        True if the file contains a free joint, or if at least two moving links are attached to the
+        base and the links fixed to it: URDFs of legged robots contain no free joint.
+        """
         if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
             return True
         group = self.fixed_group(self.base)
@@ -214,11 +218,25 @@ class RobotModel:
         return False
 
     def inertial_path(self, part: str) -> str:
-        """Return the path below a body to the ``mass``, ``origin`` or ``inertia`` in the format."""
+        """Return the XML path of an inertial value below the link or body.
+
+        Args:
+            part: ``mass``, ``origin`` or ``inertia``.
+
+        Returns:
+            For example ``inertial/mass`` in a URDF; ``inertial`` in other formats, in which the
+            values are attributes of this element.
+        """
         return f"inertial/{part}" if self.format == "urdf" else "inertial"
 
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the name of a joint parameter in the format, and the child element (or None)."""
+        """Return the name of a joint parameter in the file format, and its element.
+
+        Returns:
+            Name for messages, and child element of the joint that contains the parameter: ("limit
+            effort", "limit") in a URDF. The element is None if the parameter is an attribute of the
+            joint, as in an MJCF.
+        """
         if self.format == "urdf" and attribute.urdf is not None:
             return " ".join(attribute.urdf), attribute.urdf[0]
         return (attribute.mjcf or (attribute.kind,))[0], None

@@ -60,6 +60,7 @@ def _read_origin(element: etree._Element) -> Pose:
 
 
 def _read_number(element: etree._Element | None, attribute: str, default: float) -> float:
+    """Return the number in an attribute; the default without element or attribute."""
     text = None if element is None else element.get(attribute)
     return default if text is None else float(text)
 
@@ -154,6 +155,7 @@ def _make_shape(
 
 
 def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
+    """Return the convex hull [m] of a ``<mesh>``, with its scale; None if it cannot be read."""
     path = file.resolve_mesh(tag.get("filename", ""))
     hull = None if path is None else mesh_hull(path)
     scale = parse_numbers(tag.get("scale"), "1 1 1")
@@ -161,6 +163,7 @@ def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
 
 
 def _read_volume(file: UrdfFile, tag: etree._Element) -> float | None:
+    """Return the volume [m^3] of a ``<mesh>``, with its scale; None if open or not readable."""
     path = file.resolve_mesh(tag.get("filename", ""))
     if path is None or path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
         return None
@@ -175,7 +178,11 @@ and are not supported."""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
-    """Return the convex hull of an STL or OBJ file; None if the file cannot be read."""
+    """Return the convex hull of an STL or OBJ file; None if the file cannot be read.
+
+    The vertices are in the file's unit of length, which a URDF takes as metres, without the scale
+    of a ``<mesh>``.
+    """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return None
     result = read_mesh_file(path, path.stat().st_mtime_ns)
@@ -183,12 +190,14 @@ def mesh_hull(path: Path) -> Mesh | None:
 
 
 MAX_MESH_BYTES = 200_000_000
-"""Maximum size of a mesh file; the largest published meshes have a quarter of this size."""
+"""Maximum size of a mesh file [bytes]; the largest published meshes have a quarter of this size."""
 
 
 @lru_cache(maxsize=256)
 def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
-    """Return the convex hull [m] of a mesh file, or a diagnostic if the file is invalid.
+    """Return the convex hull of a mesh file, or a diagnostic if the file is invalid.
+
+    The vertices are in the file's unit of length, which a URDF takes as metres.
 
     Args:
         path: The file.

@@ -28,7 +28,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES, UNSTATED
-from pupper_analysis.models.conversion import inertia_of_body, places_of_joint
+from pupper_analysis.models.conversion import inertia_of_body, split_joint_placement
 from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -140,7 +140,7 @@ class UrdfLinks:
                     "joint-not-in-urdf", subject=subject, ball=kind == JointKind.BALL
                 )
                 raise ModelError(self.file.path, problem)
-            at_zero, within = places_of_joint(model, joint)
+            at_zero, within = split_joint_placement(model, joint)
             self._add_movable_joint(joint, parent, child, placement * at_zero)
             placement, parent = within, child
             if not last:
@@ -155,7 +155,7 @@ class UrdfLinks:
         kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
         name = self._make_joint_name(model.joint(joint).name or f"{child}_joint")
         urdf_joint = self._add_joint(name, kind, parent, child, placed)
-        urdf_joint.set_axis(model.jnt_axis[joint], NUM_DIGITS)
+        urdf_joint.add_axis(model.jnt_axis[joint], NUM_DIGITS)
         node = urdf_joint.element
         effort = find_max_effort(model, joint)
         limit = add_element(

@@ -153,7 +153,7 @@ def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str
     )
     if not joint.moves:
         return
-    element.set_axis(frame.rotation.T @ joint.axis)
+    element.add_axis(frame.rotation.T @ joint.axis)
     stated: Mapping[str, float] = joint.stated
     if not (is_unlimited and joint.kind == HINGE_JOINT):
         limits = np.clip((joint.lower, joint.upper), -MAX_SLIDE_POSITION, MAX_SLIDE_POSITION)
