@@ -1,4 +1,6 @@
-"""``Configuration``: kinematics and dynamics of a robot at a state, in public coordinates.
+"""``Configuration``: kinematics and dynamics of a robot at a state.
+
+Coordinates are MuJoCo's, with the joints in actuator order (``robot.coordinates``).
 
 Computed by Pinocchio from the URDF. Forces of springs, gravity compensation and wind are MuJoCo's,
 because a URDF does not contain such forces.
@@ -262,12 +264,18 @@ class Configuration(Pictured):
         return index
 
     def _jacobian(self, frame: int) -> Array:
-        """Return the Jacobian (6, nv) of a frame, as a new array."""
+        """Return the Jacobian (6, nv) of the origin of a frame, as a new array, in world axes.
+
+        Rows: linear velocity of the origin [m/s], then angular velocity [rad/s].
+        """
         jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
         return self._structure.columns(jacobian)
 
     def _jacobians(self, feet: Iterable[str]) -> Array:
-        """Return the Jacobians (n, 6, nv) of the centres of feet."""
+        """Return the Jacobians (n, 6, nv) of the sphere centres of feet, in world axes.
+
+        Rows of each: linear velocity of the centre [m/s], then angular velocity [rad/s].
+        """
         frames = self._structure.feet
         jacobians = np.array([self._jacobian(frames[foot]) for foot in feet])
         return jacobians.reshape(-1, 6, self._structure.nv)
@@ -387,11 +395,11 @@ class Configuration(Pictured):
         The derivative of the centroidal momentum is A qacc + dA/dt qvel, and equals the sum of the
         external forces and of their moments about the CoM. The bias of the momentum is dA/dt qvel.
 
-        ``pin.computeCentroidalMapTimeVariation`` keeps the CoM at its place: its product with the
-        velocity is equal, but the angular rows of its matrix differ from the derivative by the
-        velocity of the CoM times the linear rows (Pinocchio's issue 2093). The function reads
-        ``data.vcom[0]`` without computing it, so the data must be new: zero.
+        ``pin.computeCentroidalMapTimeVariation`` differentiates about a fixed point at the CoM.
+        Its angular rows therefore lack the CoM velocity times the linear rows, which is added here
+        (Pinocchio's issue 2093). The product of both matrices with qvel is equal.
         """
+        # Pinocchio's function reads data.vcom[0], which must be zero, as in new data.
         data = self._model.createData()
         moving = pin.computeCentroidalMapTimeVariation(self._model, data, self._q, self._v)
         variation = np.array(self._structure.columns(moving))
@@ -402,7 +410,10 @@ class Configuration(Pictured):
         return variation
 
     def _moving_com_offset(self) -> Array:
-        """Return the vector (3,) [m] from the CoM of all mass to that of the moving mass."""
+        """Return the vector (3,) [m] from the CoM to the CoM without fixed mass, in world axes.
+
+        Fixed mass is the mass of a fixed base.
+        """
         fixed, lever = self._structure.fixed, self._structure.lever
         offset: Array = fixed / (1 - fixed) * (self.center_of_mass() - lever)
         return offset
@@ -415,7 +426,7 @@ class Configuration(Pictured):
         """Return the bias h (nv,) [N, N m]: Coriolis, centrifugal and gravity forces.
 
         M qacc + h = tau + J^T f. Passive joint forces are not part of h. h is the result of
-        ``pin.nonLinearEffects`` in public coordinates.
+        ``pin.nonLinearEffects``, sorted into the order of qvel.
         """
         forces = pin.nonLinearEffects(self._model, self._data, self._q, self._v)
         return self._structure.dual(forces)
@@ -431,10 +442,11 @@ class Configuration(Pictured):
         return self._structure.dual(forces)
 
     def passive(self) -> Array:
-        """Return the passive generalised forces (nv,) [N, N m] at rest.
+        """Return the passive generalised forces of the MJCF at zero velocity, shape (nv,) [N, N m].
 
-        The sources are springs, gravity compensation, wind, flexes and plugins. Computed by
-        MuJoCo from the MJCF, because a URDF does not contain such forces. Zero without sources.
+        MuJoCo's ``qfrc_passive``, for example of springs, gravity compensation, wind and flexible
+        bodies; damping is zero at rest. A URDF does not contain such forces. Zero without sources
+        (`Robot.acts_at_rest`).
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
@@ -442,19 +454,26 @@ class Configuration(Pictured):
             return springs.forces(self.qpos)
 
     def load(self) -> Array:
-        """Return the static load (nv,) of motors and contacts: gravity minus ``passive``."""
+        """Return the generalised force that motors and contacts must exert at rest, shape (nv,).
+
+        Gravity vector minus passive forces of the MJCF [N, N m].
+        """
         return self.gravity() - self.passive() if self.robot.acts_at_rest else self.gravity()
 
     def by_motors(self, forces: Array) -> Array:
-        """Return the generalised forces that the motors exert to balance given static loads.
+        """Transfer the loads of joints without motor to the motors, through loops and couplings.
 
-        Constraint forces of loops and couplings transfer the load of dependent joints, which have
-        no motor, to the motors of other joints (`Closure.load_transfer`). The rows of dependent
+        Constraint forces transfer the load of dependent joints, which have no motor, to the motors
+        of other joints (`Closure.load_transfer`). The rows of dependent
         joints become zero. Without loops and couplings the result equals ``forces``. The first nv -
         nu rows (the base) are unchanged.
 
         Args:
-            forces: Generalised loads, shape (nv,) or (nv, n) [N, N m].
+            forces: Generalised forces that motors and constraints must exert together, shape (nv,)
+                or, for n loads, (nv, n) [N, N m].
+
+        Returns:
+            Generalised forces that the motors must exert, same shape.
         """
         closure = self.robot.closure
         if closure is None:
@@ -464,10 +483,10 @@ class Configuration(Pictured):
         return result
 
     def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
-        """Return the derivative (nv, nv) of the static load minus wrenches on feet: l - sum J^T w.
+        """Return the derivative of the static load minus constant wrenches on feet, (nv, nv).
 
-        The derivative is with respect to steps in the directions of qvel. J is the Jacobian (6, nv)
-        of the centre of a foot.
+        The differentiated force is l - sum J^T w, with l the static load and J the Jacobian (6, nv)
+        of the centre of a foot; column i is the derivative by a step along qvel[i].
 
         Args:
             wrenches: {contact point: wrench (6,)}: force [N] and moment about the centre [N m],
@@ -477,13 +496,14 @@ class Configuration(Pictured):
         return self.pushed_rates(self._jacobians(wrenches), pushes)
 
     def pushed_rates(self, jacobians: Array, wrenches: Array) -> Array:
-        """Return the derivative of l - sum J^T w by steps in the directions of qvel.
+        """Return the derivative of the static load minus constant wrenches on moving points.
 
-        l is the static load (``load``), and each wrench w is constant in world axes.
+        The differentiated force is l - sum J^T w, with l the static load; column i is the
+        derivative by a step along qvel[i].
 
         Args:
-            jacobians: Jacobians J of the loaded points, shape (n, 6, nv): linear velocity, then
-                angular velocity, in world axes.
+            jacobians: Jacobians J of n points that move with links, shape (n, 6, nv): linear
+                velocity, then angular velocity, in world axes.
             wrenches: Force [N] and moment about the point [N m], shape (n, 6), in world axes.
 
         Returns:
@@ -595,7 +615,7 @@ class Configuration(Pictured):
         return (1 - self._structure.fixed) * moving
 
     def _compute_accelerations(self, qacc: ArrayLike) -> Workspace:
-        """Return a workspace with the kinematics at an acceleration qacc (nv,)."""
+        """Return Pinocchio data with velocities and accelerations for a qacc of shape (nv,)."""
         acceleration = self._structure.velocity(check_vector("qacc", qacc, self.robot.nv))
         workspace = self._structure.workspace()
         pin.forwardKinematics(self._model, workspace.data, self._q, self._v, acceleration)
@@ -653,8 +673,8 @@ def _check_reference(reference: str) -> pin.ReferenceFrame:
 
 
 _DIFFERENCE_STEP = 1e-6
-"""Step of central differences [rad, m]. Springs are linear or polynomial, and lever arms of weights
-are sines."""
+"""Step of the central differences of passive forces [rad, m]. The forces are smooth: springs are
+linear or polynomial, and gravity compensation varies with sines of the angles."""
 
 
 class AtRest:
@@ -672,14 +692,14 @@ class AtRest:
         self._data = mujoco.MjData(self._model)
 
     def forces(self, qpos: Array) -> Array:
-        """Return the generalised forces (nv,) [N, N m] at a configuration (nq,)."""
+        """Return the passive generalised forces (nv,) [N, N m] at a configuration (nq,)."""
         self._convention.set_state(self._data, qpos)
         return self._passive_forces()
 
     def rates(self, qpos: Array) -> Array:
-        """Return the derivative of ``forces`` by steps in the directions of qvel, shape (nv, nv).
+        """Return the derivative of the passive forces at rest, shape (nv, nv).
 
-        Computed by central differences.
+        Column i is the derivative by a step along qvel[i], computed by central differences.
 
         Args:
             qpos: Configuration, shape (nq,).

@@ -147,16 +147,18 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
 def ground_forces(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> tuple[dict[str, Array], set[str]]:
-    """Return the ground forces at a state.
+    """Sum the contact forces between the world body and each foot at a state.
+
+    Geoms of MuJoCo's world body (floor, steps) are the ground.
 
     Args:
         model: MuJoCo model.
         data: Data after ``mj_forward``.
-        foot_geoms: {geom: foot}.
+        foot_geoms: {geom id: foot}.
 
     Returns:
-        {foot: force (3,) [N] in world axes} of the feet in contact, and the names of other bodies
-        in contact.
+        {foot: force (3,) [N] of the ground on the foot, in world axes}, for feet in contact; and
+        the names of bodies that touch the ground with another geom.
     """
     forces: dict[str, Array] = {}
     other_bodies: set[str] = set()
@@ -182,7 +184,7 @@ def ground_forces(
 def bodies_on_ground(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> set[str]:
-    """Return the names of the bodies with ground contacts of non-foot geoms.
+    """Return the names of bodies that touch the world body with a geom that is no foot geom.
 
     Args:
         model: MuJoCo model.
@@ -290,7 +292,8 @@ def stand_height(
         base: Name of the base body.
         places: {foot: (body id, position (3,) [m] in the body)}.
         radius: {foot: radius [m]}.
-        keyframe: Configuration, public or of MuJoCo; only the last ``model.nq`` values are used.
+        keyframe: Configuration in MuJoCo's order; only the last ``model.nq`` values are used, since
+            the keyframe may be that of a model with a free base.
         foot_depth: Distance [m] below the hips, or None.
     """
     data = mujoco.MjData(model)

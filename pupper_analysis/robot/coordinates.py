@@ -1,6 +1,7 @@
-"""Public generalised coordinates, and maps to the coordinates of Pinocchio and MuJoCo.
+"""Generalised coordinates of this package, and maps to those of Pinocchio and MuJoCo.
 
-Public coordinates are MuJoCo's, with the joints in actuator order:
+The coordinates of this package ("public" coordinates) are MuJoCo's, with the joints in actuator
+order:
 
 * ``qpos`` (nq,): base position [m] in the world, base quaternion (w, x, y, z), joint positions;
 * ``qvel`` (nv,): base linear velocity [m/s] in the world frame, base angular velocity [rad/s] in
@@ -72,7 +73,12 @@ class PinocchioConvention:
 
     @staticmethod
     def of(model: pin.Model, joint_names: Sequence[str]) -> PinocchioConvention:
-        """Return the maps between ``joint_names``, in this order, and a model."""
+        """Return the maps between the coordinates of this package and of a Pinocchio model.
+
+        Args:
+            model: Pinocchio model.
+            joint_names: Joints in actuator order.
+        """
         joints = [model.joints[model.getJointId(name)] for name in joint_names]
         return PinocchioConvention(
             floating=model.nv > sum(joint.nv for joint in joints),
@@ -216,7 +222,12 @@ class MujocoConvention:
 
     @staticmethod
     def of(model: mujoco.MjModel, joint_names: Sequence[str]) -> MujocoConvention:
-        """Return the maps between ``joint_names``, in this order, and a model."""
+        """Return the maps between the coordinates of this package and of a MuJoCo model.
+
+        Args:
+            model: MuJoCo model; its first free joint, if any, is that of the base.
+            joint_names: Joints in actuator order.
+        """
         qpos: list[int] = []
         qvel: list[int] = []
         free = free_joints(model)

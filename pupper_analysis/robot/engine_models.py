@@ -59,8 +59,8 @@ class EngineModels:
     def mj_spec(self) -> mujoco.MjSpec:
         """Return a new MuJoCo spec of the robot with floor and servos; the caller may change it.
 
-        ``mj_spec().compile()`` has the numbers of ``mj_model``. Meshes keep the paths of the file,
-        or their contents if the robot was loaded from a spec in memory.
+        ``mj_spec().compile()`` returns a model with the same values as ``mj_model``. Meshes keep
+        the paths of the file, or their contents if the robot was loaded from a spec in memory.
         """
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)
         for joint in spec.joints:  # as in `mj_model`: gravity compensation is a passive force
@@ -179,12 +179,12 @@ class EngineModels:
         return self.velocity_map(qpos) @ check_vector("forces", forces, self.nv)
 
     def forces_to_mujoco(self, qpos: ArrayLike, tau: ArrayLike) -> Array:
-        """Convert Pinocchio's generalised forces to public coordinates: the order and axes of qvel.
+        """Convert Pinocchio's generalised forces to forces dual to qvel, shape (nv,) [N, N m].
 
-        The result has shape (nv,) [N, N m]. Both force vectors have the same power.
+        The result has the order and the axes of qvel: T^T tau, with T of `velocity_map`.
 
         Args:
-            qpos: Configuration, shape (nq,): the public coordinates of the base, then the joints.
+            qpos: Configuration, shape (nq,): base position [m], quaternion (w, x, y, z), joints.
             tau: Pinocchio's generalised forces (pin_model.nv,) [N, N m].
 
         Raises:
@@ -283,8 +283,9 @@ def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
 def _are_checked(model: mujoco.MjModel, one: CarriedShape, other: CarriedShape) -> bool:
     """Return True if MuJoCo checks two geoms of the robot for contact.
 
-    Geoms of one body, and of a body and its parent, are not checked, unless the MJCF lists the pair
-    or disables the filter. A parent that is fixed to the world counts.
+    Not checked are geoms of one body, and geoms of a body and its parent, unless the parent is
+    fixed to the world. Exceptions: a ``<pair>`` is always checked, and the MJCF may disable the
+    filter of parents.
     """
     for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if set(pair) == {one.geom, other.geom}:

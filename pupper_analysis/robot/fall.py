@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FALLEN_TILT = 0.5
-"""Tilt of the base against the task [rad] above which a robot has fallen over. Chosen, not
-tuned."""
+"""Tilt of the base, relative to its initial or requested orientation [rad], above which a robot has
+fallen over. Chosen, not tuned."""
 
 MAX_HEIGHT_LOSS_RATIO = 0.3
-"""Change of the CoM height, relative to the initial height, above which a robot has collapsed or
-been thrown up. A robot that sags on its servos loses a tenth (v3 at kp 5: 9 %); a robot that lies
-on its shanks has lost half."""
+"""Largest accepted change of the CoM height, upward or downward, relative to the initial height;
+with a larger change the robot has sunk or been thrown up. Servo sag is a tenth of the height
+(Pupper v3 at kp 5: 9 %), and a robot on its shanks is half as high as before."""
 
 
 def tilt_between(first: Array, second: Array) -> float:
@@ -53,16 +53,17 @@ not below `_MIN_KEYFRAME_DURATION`. This number bounds the computing time of fil
 steps. Chosen, not tuned."""
 
 _MIN_KEYFRAME_DURATION = 2.0
-"""Lower bound of the simulated time of a run from a keyframe [s]: a robot that falls over from its
-own height lies on the ground by then."""
+"""Lower bound of the simulated time of a run from a keyframe [s]: a robot that topples lies on the
+ground by then."""
 
 MAX_TRAVEL_RATIO = 1.0
 """Horizontal travel of the CoM, relative to the CoM height, above which a robot has left its place.
 On planted feet no robot travels as far. (Sideways gravity moves it by 20 m in 2 s.)"""
 
 NUDGE_SPEED = 1e-3
-"""Largest component of a nudge [m/s, rad/s]. Equilibria that a later touch destroys have basins of
-attraction of 1e-7, and survive 1e-9; stable stands return after 1e-2."""
+"""Largest component of a nudge, a change of the velocities [m/s, rad/s]. Unstable equilibria were
+found that survive changes of 1e-9 and fall after changes of 1e-7; stable stands return after
+1e-2."""
 
 MAX_CLEARANCE = 5.0
 """Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
@@ -91,7 +92,10 @@ state."""
 
 
 def nudge_velocity(model: mujoco.MjModel) -> Array:
-    """Return random velocities of base and joints, shape (nv,), of at most ``NUDGE_SPEED``."""
+    """Return a nudge: pseudo-random velocities of base and joints, shape (nv,) [m/s, rad/s].
+
+    Repeatable; the elements are at most ``NUDGE_SPEED``.
+    """
     # The seed makes results repeatable. A random vector excites all modes.
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))
@@ -137,7 +141,10 @@ class BodyMotion:
 
     @property
     def gone(self) -> bool:
-        """Whether the robot has left its place, but has neither fallen, sunk nor diverged."""
+        """True if the robot collapses only because its CoM travelled too far horizontally.
+
+        The limit is ``MAX_TRAVEL_RATIO`` times the initial CoM height.
+        """
         return self.collapses and not self.diverged and not self._has_collapsed(0.0)
 
     def _has_collapsed(self, away: float) -> bool:
@@ -153,10 +160,11 @@ def simulate_keyframe(
     ground: float,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulate a state for ``keyframe_duration`` with a nudge, the opposite nudge, and no nudge.
+    """Simulate a state for ``keyframe_duration``, up to three times, to test if the robot stays.
 
-    A drop may end on an edge between a fall and a stand; a nudge of one sign then leads to the
-    fall. The first run that collapses is returned, otherwise the first run.
+    The runs start with a nudge, with the opposite nudge, and without a nudge. The result is the
+    first run in which the robot collapses; if there is none, the run with the first nudge. Two
+    signs are needed because a drop may end between a stand and a fall to one side.
 
     Args:
         model: MuJoCo model.
@@ -190,7 +198,7 @@ def simulate_held_keyframe(
     start: mujoco.MjData,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulate a robot with a fixed base, nudged, for ``keyframe_duration``; it can only diverge.
+    """Simulate a robot with a fixed base, nudged, for ``keyframe_duration``, to test divergence.
 
     Args:
         model: MuJoCo model.
@@ -198,7 +206,7 @@ def simulate_held_keyframe(
         advance: Advances a state by a time [s], in place.
 
     Returns:
-        Motion of the robot, with lengths of 0, and the state at the end.
+        Motion of the robot, in which all heights and distances are 0, and the state at the end.
     """
     data, seconds = copy.copy(start), keyframe_duration(model)
     data.qvel[:] += nudge_velocity(model)
@@ -242,7 +250,7 @@ def measure_motion(
         end: State at the end of the simulation.
         base: Body index of the base.
         seconds: Simulated time (s).
-        initial: Heights at reset.
+        initial: CoM height, clearance and ground height at reset, from `initial_height`.
     """
     first, last = (_copy_with_kinematics(model, data) for data in (start, end))
     there, here = first.subtree_com[base], last.subtree_com[base]
@@ -276,11 +284,12 @@ class InitialHeight:
 def initial_height(
     model: mujoco.MjModel, start: mujoco.MjData, base: int, ground: float
 ) -> InitialHeight:
-    """Measure the CoM height and the clearance of the lowest point at reset; nothing is simulated.
+    """Measure CoM height, clearance and ground height at reset; nothing is simulated.
 
-    The robot is moved downward in a copy of the state, by ``min(distance / normal_z)`` over the
-    contacts with fixed geoms that MuJoCo finds within ``_SEARCH_MARGIN``, and by that margin if it
-    finds none. A motion of that length penetrates no convex geom. The search ends at a distance of
+    The clearance is the vertical distance of the robot's lowest point from the ground. The robot is
+    moved downward in a copy of the state, by ``min(distance / normal_z)`` over the contacts with
+    fixed geoms that MuJoCo finds within ``_SEARCH_MARGIN``, and by that margin if it finds none. A
+    motion of that length penetrates no convex geom. The search ends at a distance of
     ``_CONTACT_DISTANCE``.
 
     Args:
@@ -288,7 +297,7 @@ def initial_height(
             the call.
         start: State at reset; not changed.
         base: Body index of the base.
-        ground: Height of the ground (m) that is returned if no ground is found.
+        ground: Ground height (m) of the result if no ground is found below the robot.
     """
     trial = _copy_with_kinematics(model, start)
     com, clearance = float(trial.subtree_com[base][2]), 0.0
@@ -315,9 +324,10 @@ def initial_height(
 def _distance_above_ground(
     model: mujoco.MjModel, data: mujoco.MjData, base: int
 ) -> tuple[float, float]:
-    """Return the vertical distance of a robot from fixed geoms, and the ground height there (m).
+    """Return the vertical distance of a robot from fixed geoms, and the ground height (m).
 
-    The distance is at most ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground.
+    The height is that of the nearest ground point; 0 if no contact is found. The distance is at
+    most ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground.
     """
     geoms = data.contact.geom.reshape(-1, 2)
     bodies = model.geom_bodyid[geoms]
@@ -344,13 +354,17 @@ def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[
 
 
 def _find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
-    """Return the bodies that touch the world, as indices of weld groups."""
+    """Return the moving bodies that touch the world: ids, fixed bodies count as their parent."""
     bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
     return set(bodies[_find_world_contacts(model, data)].ravel().tolist()) - {0}
 
 
 def _lies_on_trunk(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
-    """Return True if base or hips touch the world, or if something but no end of a limb does."""
+    """Return True if the robot lies on its trunk instead of standing on its feet.
+
+    Either the base or a child of the base with children (hip) touches the world, or bodies touch
+    the world, but no limb end is among them.
+    """
     own, above = int(model.body_weldid[base]), model.body_weldid[model.body_parentid]
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
     carrying = {int(above[body]) for body in moving}
@@ -367,11 +381,14 @@ def horizontal_distance(start: Array, end: Array) -> float:
 def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool:
     """Return True if a robot has fallen over, sunk, been thrown up, or left its place.
 
+    Also True if tilt, height loss or distance is NaN, as after a divergence.
+
     Args:
-        leaning: Tilt of the base [rad]; NaN, like the next two, after a divergence, which returns
-            True.
-        lost: Height loss of the CoM [m].
-        away: Horizontal distance of the CoM from the start [m].
+        leaning: Tilt of the base relative to the start [rad]; limit ``FALLEN_TILT``.
+        lost: Height loss of the CoM [m], negative if it rises; limit ``MAX_HEIGHT_LOSS_RATIO``
+            times ``size``, in both directions.
+        away: Horizontal distance of the CoM from the start [m]; limit ``MAX_TRAVEL_RATIO`` times
+            ``size``.
         size: Initial height of the CoM above the ground [m].
     """
     upright = abs(lost) <= MAX_HEIGHT_LOSS_RATIO * size and leaning <= FALLEN_TILT

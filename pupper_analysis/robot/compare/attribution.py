@@ -138,7 +138,11 @@ def explain_differences(
 def _compute_residual(
     relative_error: RelativeError, patched: Mapping[str, Array], reduced: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return {quantity: deviation between two evaluations, relative to the scale}.
+    """Return {quantity: remaining deviation after all differences are removed, relative}.
+
+    ``patched`` is evaluated with the URDF's tree in which all values are those of the MJCF,
+    ``reduced`` with the MJCF without elements that a URDF cannot specify. Deviations are relative
+    to the scale of the quantity (`RelativeError.scale`).
 
     For accelerations, the rounding error grows with the condition number of the mass matrix (1e8
     for a link of 1e-6 kg at the end of an arm). If the deviation of the forces M (a1 - a2) is below
@@ -191,10 +195,12 @@ def _report_mimic(name: str, mimic: tuple[str, float, float]) -> Difference:
 def armature_differences(
     values: MultibodyTree, behaviour: Behaviour, relative_error: RelativeError
 ) -> Iterator[Difference]:
-    """Yield an armature of the free joint, and armatures that differ from the mirror image's.
+    """Yield suspicious armatures of an MJCF, as differences with their effects.
 
-    A URDF cannot specify armature. The armature of a free joint usually comes from a default class,
-    and adds inertia without weight to the base.
+    Suspicious are an armature of the free joint, and an armature of a joint that differs from that
+    of the joint on the other side of the robot (mirror image). A URDF cannot specify armature. The
+    armature of a free joint usually comes from a default class, and adds inertia without weight to
+    the base.
     """
     if values.base_armature:
         value = values.base_armature
@@ -236,7 +242,11 @@ _COPIED_UNITS = {"armature": "kg m^2", "damping": "N m s/rad", "friction": "N m"
 def _report_copied_values(
     copied: Mapping[str, Collection[str]], values: MultibodyTree
 ) -> Iterator[Diagnostic]:
-    """Yield diagnostics of values that the URDF got from the MJCF."""
+    """Yield diagnostics of parameters that were copied from the MJCF to the URDF.
+
+    Reported are armature, damping and dry friction, with minimum, maximum and number of joints, if
+    a copied value is not zero.
+    """
     for kind in _COPIED_CODES:
         values_of_joints = [
             float(getattr(values.joints[name], kind)) for name in copied.get(kind, ())

@@ -102,7 +102,7 @@ def offsets_in_world(
 ) -> Array:
     """Rotate vectors from the axes of the joints' bodies to world axes.
 
-    For a hinge, only the component along the joint axis is kept.
+    The vector of a hinge is projected onto the joint axis.
 
     Args:
         model: MuJoCo model.
@@ -184,9 +184,9 @@ class States:
     torques: Array
 
 
-_MAX_ANGLE = 1e3
-"""Maximum absolute joint position [rad, m] of a state. Some files use limits such as 1e16 for
-unlimited joints, for which doubles have no fractional digits."""
+_MAX_JOINT_POSITION = 1e3
+"""Upper bound of the absolute joint position of a random state [rad, m]. Some files use limits such
+as 1e16 for unlimited joints; numbers of this size have no fractional digits in double precision."""
 
 _MAX_EFFORT = 1e6
 """Upper bound of the absolute torque of a random state [N m, N], because some files state huge
@@ -194,16 +194,27 @@ limits. Chosen, not tuned."""
 
 
 def random_states(robot: Robot, count: int, seed: int) -> States:
-    """Return random states: joints and torques within limits, arbitrary base.
+    """Return pseudo-random states and torques within the limits of a robot.
 
-    Joint positions are within ``_MAX_ANGLE``, torques within ``_MAX_EFFORT``. Without limits, they
-    are within pi and 1 N m.
+    Joint positions are uniform within the URDF's limits (without limits +-pi rad or m), torques
+    within the effort limits (without limits +-1 N m or N), velocities normal with a standard
+    deviation of 1 (m/s, rad/s). The base has any orientation, and a position within +-1 m.
+    Positions and torques are also bounded by ``_MAX_JOINT_POSITION`` and ``_MAX_EFFORT``.
+
+    Args:
+        robot: The robot.
+        count: Number of states.
+        seed: Seed of the random numbers.
     """
     rng = np.random.default_rng(seed)
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)
     # Limits may be exchanged in a file, which the comparison reports.
-    limits = np.clip([np.minimum(lower, upper), np.maximum(lower, upper)], -_MAX_ANGLE, _MAX_ANGLE)
+    limits = np.clip(
+        [np.minimum(lower, upper), np.maximum(lower, upper)],
+        -_MAX_JOINT_POSITION,
+        _MAX_JOINT_POSITION,
+    )
     qpos = rng.uniform(limits[0], limits[1], (count, robot.nu))
     if robot.floating:
         quaternion = rng.normal(size=(count, 4))

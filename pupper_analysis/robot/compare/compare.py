@@ -5,8 +5,8 @@ of the base is reported, because it changes the torques for users of the unmodif
 
 Collision shapes of feet are compared: another radius changes the height of the robot, and a missing
 shape lets it fall. Other collision shapes, and feet of another shape with the same height (such as
-a ball for a mesh), are not compared, because they differ in most pairs of files and do not change a
-stand.
+a sphere for a mesh), are not compared, because they differ in most pairs of files and do not change
+a stand.
 """
 
 from __future__ import annotations
@@ -78,9 +78,9 @@ Meshes are accurate to a tenth of a millimetre, and files contain radii such as 
 Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
-"""A limb ends in a foot if the lowest point of the limb is at most this fraction of the CoM height
-higher than the lowest point of all limbs. Heights are measured at the initial pose; the CoM height
-is that above the lowest point. Hands are higher. Chosen, not tuned."""
+"""Height of a limb's lowest point above the lowest point of all limbs, relative to the height of
+the CoM above that point, up to which the limb counts as a leg with a foot. Heights are measured at
+the initial pose. Hands are higher. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +116,8 @@ def compare_collisions(
 
     Returns:
         Differences of feet, and notes. If the files have different base frames or joint zeros,
-        nothing is compared, and a note reports this. Both are empty if a file has no collision
-        shapes.
+        nothing is compared, and a note reports this. Both are empty if the URDF has no collision
+        shape, or the MJCF has no geom outside of the world body.
     """
     conventions = matched.conventions
     urdf_model, mjcf_model = read_urdf_model(urdf), read_mjcf_model(mjcf)
@@ -204,7 +204,10 @@ def _collect_limb_shapes(
 
 
 def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
-    """Return the geoms that can collide with geoms of the world, or all if there are none."""
+    """Return the geoms that can touch a collidable geom of the world, in order of their ids.
+
+    If the world has no such geom, all collidable geoms are returned.
+    """
     ids = sorted(find_collidable_geoms(model))
     world_geoms = [geom for geom in ids if model.body_weldid[model.geom_bodyid[geom]] == 0]
     if not world_geoms:
@@ -217,7 +220,7 @@ def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def _find_feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
-    """Return the joints that move feet: limbs whose ends are about as low as the lowest."""
+    """Return the joints whose limb is low enough to end in a foot (``_FOOT_HEIGHT_RTOL``)."""
     model = data.model
     ends = {
         name: min(float(-placed.world.support(_DOWN_DIRECTION)[0]) for placed in (*urdf, *mjcf))  # type: ignore[index]
@@ -295,9 +298,10 @@ def _find_lowest_shape(
 def report_base_tilt(
     matched: Match, urdf: etree._Element, tolerances: Tolerances
 ) -> Diagnostic | None:
-    """Return a diagnostic of the tilt of a fixed base between the files.
+    """Return a diagnostic of the tilt of a fixed base in one file relative to the other.
 
-    None if the tilt is within the tolerance, the base is free, or gravity is zero.
+    The tilt is the angle between the directions of gravity in both base frames. None if the angle
+    is within the tolerance for rotations, the base is free, or gravity is zero.
 
     Args:
         matched: Matched files.
@@ -393,7 +397,7 @@ class FilesCompared(Tabular):
 
     @property
     def main_problem(self) -> Diagnostic:
-        """Diagnostic of the most important problem, or of the agreement."""
+        """Diagnostic of the problem to repair first; if there is none, of the agreement."""
         causes, groups = self.causes, self.unexplained
         if causes and causes[0].is_reported_first:
             return causes[0].diagnostic
@@ -410,6 +414,7 @@ class FilesCompared(Tabular):
         return diagnose("agree" if self.agree else "joints-not-the-same")
 
     def _columns(self) -> dict[str, list[object]]:
+        """Return {column: values} of the table of differences, one row per difference."""
         names = ("kind", "element", "urdf", "mjcf", "unit", "message", "urdf_place", "mjcf_place")
         return {name: [getattr(found, name) for found in self.differences] for name in names}
 
@@ -444,7 +449,16 @@ def compare_files(
 ) -> Compared:
     """Compare a URDF with an MJCF of the same robot, and explain the differences.
 
-    The arguments are the same as for ``compare_models``, which also cross-checks both engines.
+    Args:
+        urdf: URDF, or a file that is converted to URDF; a path, or a model in memory.
+        mjcf: MJCF, or a file that is converted to MJCF; a path, or a model in memory.
+        names: {name in the URDF: name in the MJCF} of joints or frames with different names.
+        packages: {ROS package: folder}, for mesh paths in the URDF.
+        feet: Frames, as named in the MJCF, whose positions are compared; by default all frames of
+            both files.
+        tolerances: Tolerances of the comparison; by default for files with 5 to 6 digits.
+        strict_names: Whether different joint names, missing damping or friction in the URDF, and
+            the tilt of a fixed base are differences.
 
     Raises:
         ModelError: If a file cannot be read, the files cannot be matched, or the robot has no mass.
@@ -519,10 +533,13 @@ def compare_files(
 
 
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
-    """Return common causes of several differences, from the first tool with ``causes.py``.
+    """Return mistakes that explain several differences each.
 
-    Args:
-        *of: Robot, tree of the MJCF in the URDF's link frames, all differences, tolerances, and
+    The mistakes are found by the first installed tool that has a module ``causes``; without such a
+    tool the result is empty.
+
+    Args: *of: Arguments of the tool's ``find_causes``: robot, tree of the MJCF in the URDF's link
+        frames, all differences, tolerances, and
             bodies of the MJCF whose mass is computed from geoms.
     """
     modules = (
@@ -612,7 +629,10 @@ def _report_name(urdf: str, mjcf: str) -> Difference:
 def _compare_servo_gains(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, tolerances: Tolerances
 ) -> Iterator[Difference]:
-    """Yield the differences of servo gains, if the first file has another format with gains."""
+    """Yield the differences of servo gains, if the file in place of the URDF states gains.
+
+    A URDF has no servo gains, but a file of another format that was converted to URDF may have.
+    """
     if urdf.gains is None:
         return
     mjcf_gains = list_position_servos(matched.robot) if mjcf.gains is None else mjcf.gains

@@ -147,7 +147,7 @@ class Stated:
         return str(self.diagnostic)
 
     def to_difference(self, effects: dict[str, Effect]) -> Difference:
-        """Return the difference as a result, with the effects."""
+        """Return this property as a `Difference`, with the effects {quantity: effect}."""
         return Difference(
             self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
         )
@@ -171,7 +171,7 @@ class Difference(Stated, Result):
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Sort key by urgency of the repair: tier, effect, kind."""
+        """Sort key of the urgency of the repair, most urgent first: tier, effect, kind."""
         kind = KIND_ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
         return (
             self.tier,
@@ -183,9 +183,10 @@ class Difference(Stated, Result):
 
     @property
     def weight(self) -> tuple[float, float]:
-        """Largest relative effects on the dynamics.
+        """Largest relative effects of the difference on the dynamics [1].
 
-        First on mass matrix, gravity and positions, then on any quantity; 0 without an effect.
+        First element: on mass matrix, gravity, and positions of joints and feet; second element:
+        on any quantity. 0 without an effect.
         """
         main = [self.effects[name].relative for name in _MAIN_QUANTITIES if name in self.effects]
         all_effects = [effect.relative for effect in self.effects.values()]
@@ -243,11 +244,10 @@ class PatternCause(Result):
 
     @property
     def is_reported_first(self) -> bool:
-        """Whether the cause is reported first.
+        """True if this cause is reported before all other causes.
 
-        This applies to efforts at another side of the gear: such efforts do not affect the
-        dynamics, but all results about motors are wrong by the gear ratio. It also applies to lost
-        mimics, which are missing constraints.
+        These are effort limits of the motor instead of the joint (``gears``), which make all motor
+        utilisations wrong by the gear ratio, and missing mimic constraints (``mimics``).
         """
         return self.kind in ("gears", "mimics")
 
@@ -286,11 +286,11 @@ class RelativeError:
     two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Return the largest absolute value of a quantity in the first model.
+        """Return the largest absolute value of a quantity in the first model, in its unit.
 
-        If the first model returns NaN, the second model is used. Gravity and bias forces may be
-        nearly zero (all joints upright). The lower bound of the scale is 1e-3 g times the largest
-        element of the mass matrix.
+        If a value of the first model is not finite, the second model is used. The lower bound for
+        gravity and bias forces, which may be nearly zero, is 1e-3 g times the scale of the mass
+        matrix (g = 9.81 m/s^2), for other quantities 1e-300.
         """
         lower_bound = 1e-300
         if name in ("gravity", "bias forces"):
@@ -316,7 +316,14 @@ class RelativeError:
         return deviation / self.scale(name) if math.isfinite(deviation) else math.inf
 
     def effects(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Effect]:
-        """Return {quantity: effect} of the changes between two evaluations, except rounding."""
+        """Return {quantity: effect} of a change of the model, from two evaluations.
+
+        Quantities with a relative change of at most 1e-12 (rounding) are omitted.
+
+        Args:
+            before: {quantity: values before the change}.
+            after: {quantity: values after the change}, same shapes.
+        """
         effects = {}
         for name, values in after.items():
             relative = self.relative(name, values, before[name])
@@ -329,7 +336,10 @@ class RelativeError:
 
 
 def about_kind(kind: str) -> str:
-    """Return a short description of the remarks of a kind; by default, that the files differ."""
+    """Return a short English description of a kind of remark, for example ``mass``.
+
+    The default description is that of a difference between the files.
+    """
     key = _ABOUT_KEYS.get(kind, "about-difference")
     return fill_template(phrase(key, "en"), {"kind": kind}, "en")
 
@@ -361,7 +371,7 @@ class ModelNames:
 
     @property
     def message_values(self) -> dict[str, Any]:
-        """Both names as values of a diagnostic."""
+        """Values of a diagnostic: {"first": name of the first model, "second": of the second}."""
         return {"first": self.first, "second": self.second}
 
 
@@ -387,7 +397,7 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
 
 
 def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
-    """Return two numbers of a message as ``one`` and ``two``, with the unit.
+    """Return the values {"one": first, "two": second} of a message, numbers with their unit.
 
     An infinite number is replaced by the term "unlimited".
     """
@@ -461,7 +471,7 @@ class Change(Stated):
     felt: bool = True
 
     def apply(self, first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
-        """Return a copy of the first tree in which this number is that of the second tree."""
+        """Return a copy of the first tree with the second tree's value of this property."""
         return copy_value(first, second, self.kind, self.element)
 
 
@@ -485,14 +495,14 @@ def change_of(
     """Return a difference whose message contains both values.
 
     Args:
-        code: Code of the message.
-        kind: Kind of the difference.
-        subject: Subject of the message.
-        values: Values of both models.
+        code: Code of the message in the catalogue.
+        kind: Kind of the difference, an entry of ``KIND_ORDER``.
+        subject: Element of the message: (type, name), for example ("joint", "knee"); or None.
+        values: Values of the first and of the second model.
         unit: Unit of the values.
-        sides: Names of the models.
+        sides: Names of the two models in the message.
         details: Further values of the message.
-        element: Element, if different from the name of the subject.
+        element: Name of the element in the result, if different from that in ``subject``.
         shown: Values in the message, if different from ``values``.
         felt: Whether the difference affects the dynamics.
     """
@@ -562,7 +572,8 @@ def apply_changes(
 ) -> MultibodyTree:
     """Return the first tree with the second tree's value of each difference.
 
-    Differences within the tolerance are included, so that only undetected differences remain.
+    Differences of any size are included. Properties that `changes_between` does not compare, such
+    as armature between two formats, remain those of the first tree.
     """
     patched = first
     for change in changes_between(first, second, ZERO_TOLERANCES, sides):
@@ -700,13 +711,16 @@ def _compare_joint_parameters(
 def convention_changes(
     found: Conventions, first: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> Iterator[tuple[Difference, MultibodyTree]]:
-    """Yield the differences of conventions, each with the first tree without the conversion.
+    """Yield the differences of base frame and joint zeros, each with a tree that shows its effect.
 
     Args:
-        found: Conventions. The displaced frame of a fixed base is no difference if ``shown`` is
-            set.
-        first: First tree, in the conventions of the second.
+        found: Differences between the conventions of both trees. A displaced frame of a fixed base
+            is not yielded if it is confirmed (``Conventions.shown``).
+        first: First tree, converted to the conventions of the second tree.
         sides: Names of the models.
+
+    Yields:
+        Difference, and the first tree with the original convention of this base frame or joint.
     """
     if found.base is not None and (first.floating or not found.shown):
         message = diagnose(

@@ -46,11 +46,11 @@ class MjcfOnlyEffect(Stated):
     slots: tuple[Slot, ...] = ()
 
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
-        """Disable the element in a passive model, or restore the values of another model.
+        """Disable the element in a passive model, or restore its values, in place.
 
         Args:
             model: Model from `make_passive_model`; modified.
-            like: Model with the values to restore; None to disable.
+            like: Model whose values are copied to enable the element; None disables the element.
         """
         for name, rows in self.slots:
             if name.startswith("opt."):
@@ -160,9 +160,14 @@ class NamedModel:
         return self.name("joint", joint)
 
     def read_nonzero_values(self, prefix: str, index: int | slice, words: Sequence[str]) -> Numbers:
-        """Return {attribute: value or values} of an element, without zeros.
+        """Return {attribute: value or values} of an element, without attributes that are zero.
 
-        Attributes that a flag disables count as zero.
+        Attributes that a flag of the MJCF disables count as zero.
+
+        Args:
+            prefix: Prefix of the arrays of ``mjModel``, for example ``jnt`` for ``jnt_stiffness``.
+            index: Row or rows of the element in the arrays.
+            words: Names of the arrays without prefix.
         """
         nonzero: Numbers = {}
         for word in words:
@@ -182,7 +187,16 @@ def _make_effect(
     numbers: Numbers,
     beside: Numbers | None = None,
 ) -> MjcfOnlyEffect:
-    """Return the effect of an element with values that act, and further values for the message."""
+    """Return the effect of an element that is disabled by zero entries of ``mjModel``.
+
+    Args:
+        kind: Kind of the difference, an entry of ``KIND_ORDER``.
+        subject: Element of the message: (type, name).
+        prefix: Prefix of the arrays of ``mjModel``, for example ``jnt``.
+        index: Row or rows of the element in the arrays.
+        numbers: {array without prefix: value}: entries that are zero if the element is disabled.
+        beside: {attribute: value}: further values for the message, not changed.
+    """
     value = {**numbers, **(beside or {})}
     stated = [
         diagnose(
@@ -251,9 +265,10 @@ def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield armature and damping of actuators that a joint cannot represent, and DC motors.
+    """Yield actuators with armature, damping or back-EMF, which a URDF cannot specify.
 
-    Armature and linear damping of an actuator at a single joint count as those of the joint.
+    Armature and linear damping of an actuator at a single joint are no such effects: these count as
+    armature and damping of the joint. Back-EMF is that of DC motors without controller.
     """
     model = scene.model
     for motor in range(model.nactuator):
@@ -359,7 +374,10 @@ def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
-    """Return all known elements that act on the robot, and that a URDF cannot specify."""
+    """Return the elements of an MJCF that act on the robot, and that a URDF cannot specify.
+
+    The kinds are those of the generators in this module, for example springs, tendons, fluid.
+    """
     scene = NamedModel(reference)
     return [
         *of_joints(scene),
