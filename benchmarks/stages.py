@@ -17,7 +17,11 @@ import pupper_analysis as pa
 from pupper_analysis.stance.judge import evaluate_stand
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
-from pupper_analysis.stance.sag.steady_state import HomotopyPath, describe_pose, release_margin
+from pupper_analysis.stance.sag.steady_state import (
+    HomotopyPath,
+    collect_steady_state,
+    release_margin,
+)
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.statics.contacts import make_contacts
 
@@ -156,7 +160,7 @@ def _sag(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         watch.stop("statics, and steps to the stand on soft ground")
         way.follow(1.0)
         watch.stop("steps without feed-forward, stiffness")
-        describe_pose(way, release_margin(way))
+        collect_steady_state(way, release_margin(way))
         watch.stop("what is told of the end")
         derivative = system.derivative(way.solution.qpos, system.stack_forces(way.solution))
         watch.stop("of a step: the derivative")

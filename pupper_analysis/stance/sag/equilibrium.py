@@ -1,9 +1,9 @@
 """Equations of a servo-driven robot at rest on soft ground, and the solution by Newton's method.
 
 `SagEquilibrium` contains the balance of generalised forces, a slip law and a depth law per
-contact. The unknowns are the configuration and the contact forces; the set of touching contacts is
-given and can be changed by `switch`. `stance.sag.steady_state` follows a solution while
-feed-forward is removed and feet creep.
+contact. The unknowns are the configuration and the contact forces. The set of touching contacts is
+fixed in a solve; `SagEquilibrium.switch` changes it. `stance.sag.steady_state` follows a solution
+while feed-forward is removed and feet creep.
 
 The "ground frame" of a contact has the z axis along the ground normal. "Height" as a unit is
 `EquilibriumScales.length`.
@@ -60,15 +60,15 @@ class Solution:
     residual: float = math.inf
 
     def force(self, foot: str) -> Array:
-        """Return the force of the ground on a contact point, shape (3,) [N].
+        """Return the force of the ground on the contact point ``foot``, shape (3,) [N].
 
-        Expressed in the ground frame of the contact. Zero if the point does not touch.
+        Expressed in the ground frame of the contact. Zero if the point is not in contact.
         """
         return self.forces.get(foot, np.zeros(3))
 
 
 def integrate_step(qpos: Array, step: Array) -> Array:
-    """Integrate a step in the directions of qvel.
+    """Integrate a displacement in the order of qvel from a configuration; return qpos, (nq,).
 
     Args:
         qpos: Configuration, shape (nq,).
@@ -135,7 +135,10 @@ class ContactKinematics:
         self.places[:, 2] = deep
 
     def place_rates(self) -> Array:
-        """Compute the derivative of ``places`` by a step (directions of qvel), shape (n, 3, nv)."""
+        """Compute the derivative of slips and penetrations of the contacts by qvel, (n, 3, nv).
+
+        Rows of a contact: slip along the two ground tangents and penetration, as in ``places``.
+        """
         deeper = self._depth_rates
         # The rate of a rotation vector is the inverse of the left Jacobian x angular velocity.
         logs = np.array([pin.Jlog3(turned) for turned in self._rotations_since]).reshape(-1, 3, 3)
@@ -154,7 +157,7 @@ class ContactKinematics:
         return deeper
 
     def push(self, forces: Array) -> Array:
-        """Compute the generalised force of the contact forces, shape (nv,) [N, N m].
+        """Compute the generalised force of contact forces on the robot, shape (nv,) [N, N m].
 
         Args:
             forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames.
@@ -163,12 +166,11 @@ class ContactKinematics:
         return pushed
 
     def balance_rates(self, forces: Array, held: tuple[Array, Array] | None = None) -> Array:
-        """Compute the derivative of the static load minus ``push`` by a step, shape (nv, nv).
-
-        A step is in the directions of qvel.
+        """Compute the derivative of gravity load minus generalised contact force by qvel, (nv, nv).
 
         Args:
-            forces: Contact forces, shape (n, 3) [N], in the ground frame; constant in direction.
+            forces: Contact forces, shape (n, 3) [N], in the ground frame; constant in the
+                derivative.
             held: Jacobians (w, 6, nv) and constant wrenches (w, 6) of welds.
         """
         pushing = (forces[:, None] @ self._frames)[:, 0]
@@ -195,8 +197,9 @@ GROUND_NORMAL = (0.0, 0.0, 1.0)
 """Unit normal of the ground in the ground frame, whose z axis is the normal."""
 
 _MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
-"""Upper bound of a base displacement in a Newton step [heights], and `_MAX_STEP_ANGLE` of a
-rotation [rad]. A longer step has left the branch. Chosen, not tuned."""
+"""Upper bounds of a Newton step: rotation of base or joints [rad] and displacement of the base
+[`EquilibriumScales.length`]. With a longer step the solve fails: it may reach another solution.
+Chosen, not tuned."""
 
 _SLIP_STIFFNESS_RATIO = 4e-6
 """Stiffness of the horizontal spring at contacts without friction (``feet="sliding"``), in units of
@@ -224,7 +227,7 @@ class EquilibriumScales:
 
     @staticmethod
     def of(robot: Robot, stand: Stand) -> EquilibriumScales:
-        """Return the scales of a robot in a stand."""
+        """Return the weight [N] and height [m] that scale the equations of a robot in a stand."""
         weight = robot.usual_weight
         if robot.bolted or robot.welds:
             length = robot.stand_height or float(robot.mj_model.stat.extent)
@@ -253,7 +256,9 @@ class EquilibriumScales:
         return _FRICTION_PENALTY_RATIO * self.weight / self.length
 
     def max_residual(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
-        """Return the largest element of a residual in units of weight, weight x height and height.
+        """Return the largest element of the scaled residual of the equilibrium equations [1].
+
+        Forces are divided by the weight, torques by weight x height, and lengths by the height.
 
         Args:
             residual: Shape (nv + 3 n,); balance, then three equations per touching contact.
@@ -266,7 +271,7 @@ class EquilibriumScales:
         return float(np.abs(residual / units).max())
 
     def is_too_far(self, step: Array) -> bool:
-        """Return True if a Newton step, shape (nv,), is too long to stay on the branch.
+        """Return True if a Newton step, shape (nv,) [m, rad], is too long to be accepted.
 
         The bounds are `_MAX_STEP_ANGLE` and `_MAX_STEP_LENGTH`. Also True if the step is not
         finite.
@@ -287,8 +292,8 @@ _ROUNDING_RESIDUAL = 3e-16
 method reuses a derivative if the predicted next residual is at most this value."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
-"""Penetration, in units of the CoM height, up to which a contact does not count as touching: a
-force of 1e-6 N for v3. Chosen, not tuned."""
+"""Penetration, in units of `EquilibriumScales.length`, up to which a contact does not count as
+touching: a force of 1e-6 N for Pupper v3. Chosen, not tuned."""
 
 _SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
 """Factors of the tangential compliance at the points of soles with which the equilibrium is solved,
@@ -385,7 +390,7 @@ class SagEquilibrium:
         self._welds = Welds(robot, stand) if robot.welds and not self._num_welded_rows else None
 
     def depths(self, places: Array) -> dict[str, float]:
-        """Compute the penetration of each contact point [m]; negative above the ground.
+        """Compute the penetration of each contact point: {point: [m]}; negative above the ground.
 
         Args:
             places: Centres of all contact spheres, shape (k, 3) [m], in the world frame.
@@ -415,12 +420,12 @@ class SagEquilibrium:
         return self._depth_cache[1].copy()
 
     def command(self, target: Array) -> None:
-        """Set the servo target, shape (nu,) [rad, m], clipped to the command ranges."""
+        """Set the commanded joint positions, shape (nu,) [rad, m], clipped to command ranges."""
         low, high = self._commands
         self.target: Array = np.minimum(np.maximum(target, low), high)
 
     def torques(self, qpos: Array) -> Array:
-        """Compute the servo torques, shape (nu,) [N m], clipped to the effort limits."""
+        """Compute the servo torques at a configuration, (nu,) [N m], clipped to effort limits."""
         unlimited = self.kp * (self.target - qpos[-len(self.kp) :])
         torques: Array = np.minimum(np.maximum(unlimited, self.lower), self.upper)
         return torques
@@ -443,7 +448,7 @@ class SagEquilibrium:
         return seen[2]
 
     def slips(self, qpos: Array, forces: Array) -> Array:
-        """Return slip and penetration of the touching contacts, shape (n, 3) [m].
+        """Return the slips along two tangents, and the penetration, of the contacts, (n, 3) [m].
 
         For pinned feet, the slip at the start of the creep step is subtracted, and the product of
         compliance and tangential force is added.
@@ -474,11 +479,12 @@ class SagEquilibrium:
         return slips if whole is None else np.asarray(np.tensordot(whole, slips, 2), dtype=float)
 
     def residual(self, qpos: Array, forces: Array) -> Array:
-        """Compute the residual, shape (nv + 3 n,).
+        """Compute the residual of the equilibrium equations, shape (nv + 3 n,).
 
-        The first nv elements are the balance [N, N m]; then two slip equations and one depth
-        equation per contact. A slip equation is in N if the contact slips or ``feet="sliding"``,
-        else in m.
+        The first nv elements are the balance of generalised forces [N, N m]; then two slip
+        equations and one depth equation [m] per touching contact. A slip equation is in N if the
+        contact slips or ``feet="sliding"``, else in m. ``forces`` are the forces on the n touching
+        contacts, shape (n, 3) [N], in the ground frames.
         """
         touch, places = self.contacts_at(qpos), self.slips(qpos, forces)
         balance = touch.config.load() - touch.push(forces)
@@ -518,7 +524,7 @@ class SagEquilibrium:
         return np.array([self.laws[point].rate(-self.laws[point].margin) for point in self.anchors])
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
-        """Compute the derivative of `residual`, shape (nv + 3 n, nv + 3 n), in closed form.
+        """Compute the Jacobian of the equilibrium equations' residual, (nv + 3 n, nv + 3 n).
 
         The first nv columns belong to a step in the directions of qvel, the others to the forces.
 
@@ -581,11 +587,13 @@ class SagEquilibrium:
     def find_slipping_contacts(
         self, forces: Array, places: Array
     ) -> list[tuple[int, float, Array]]:
-        """Find pinned contacts whose augmented force f_t - rho s leaves the friction disc.
+        """Find pinned contacts that slip: the augmented force f_t - rho s exceeds mu f_n.
+
+        rho [N/m] is the ``friction_penalty``, and s the slip.
 
         Args:
-            forces: Contact forces, shape (n, 3) [N], in the ground frames.
-            places: Slips in the first two columns, shape (n, 3) [m].
+            forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames.
+            places: Slips along the two tangents and penetration, shape (n, 3) [m], from `slips`.
 
         Returns:
             Index, friction coefficient and augmented tangential force, shape (2,) [N], of each such
@@ -609,12 +617,13 @@ class SagEquilibrium:
         return slipping
 
     def solve(self, guess: Solution, *, exact: bool = True) -> Solution | None:
-        """Solve the equations for the touching contacts.
+        """Solve the equilibrium equations for the touching contacts by Newton's method.
 
         Args:
             guess: Initial guess.
-            exact: Reuse a derivative only if the predicted residual is rounding; else if the
-                predicted residual is a quarter of `RESIDUAL_TOLERANCE`.
+            exact: A step reuses the previous Jacobian if the predicted residual after the step is
+                small. The bound is rounding if True, and a quarter of `RESIDUAL_TOLERANCE` if
+                False, which is faster.
 
         Returns:
             The solution; None if Newton's method fails.
@@ -641,7 +650,7 @@ class SagEquilibrium:
         return guess
 
     def stack_forces(self, solution: Solution) -> Array:
-        """Return the forces on the touching contacts, shape (n, 3) [N], in the ground frames."""
+        """Return a solution's forces on the touching contacts, (n, 3) [N], in ground frames."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
     def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:
@@ -670,9 +679,10 @@ class SagEquilibrium:
         return None
 
     def apply_welds(self, qpos: Array, equations: Array) -> Array:
-        """Replace the equations that welds determine by the weld constraints.
+        """Replace part of the force balance of welded bodies by the weld constraints.
 
-        Without welds the equations are returned unchanged.
+        The wrenches of the welds are unknown, so only the balance along the permitted motions
+        remains. Without welds the equations are returned unchanged.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -688,9 +698,10 @@ class SagEquilibrium:
         return equations
 
     def weld_rows(self, qpos: Array) -> Array:
-        """Return the Jacobian of w welds (6 rows each) and g grips (3 rows each).
+        """Return the Jacobian of welded bodies and of grippers that hold a bar, world frame.
 
-        Shape (6 w + 3 g, nv).
+        Shape (6 w + 3 g, nv): linear and angular velocity of w welded bodies, then linear velocity
+        of g gripped points. If only the base is welded: its six coordinates in qvel.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -700,9 +711,10 @@ class SagEquilibrium:
         return self._welds.jacobian(self.contacts_at(qpos).config)
 
     def find_violations(self, solution: Solution) -> dict[str, float]:
-        """Return the contacts that contradict a solution, with the violation.
+        """Return the contact points that contradict a solution, with the violation.
 
-        A touching contact must not pull; any other contact point must not penetrate the ground.
+        A touching contact must not pull; another contact point must not penetrate the ground.
+        Welded feet are not tested.
 
         Returns:
             {contact point: pulling force [N] or penetration [m]}.
@@ -713,8 +725,8 @@ class SagEquilibrium:
     def violation_of(self, foot: str, solution: Solution) -> float:
         """Return the pull of a touching contact [N], or the penetration of another point [m].
 
-        Positive values are violations. Zero for touching points of a sole, whose own equations
-        exclude pull.
+        Positive values are violations; a penetration up to `CONTACT_DEPTH_TOLERANCE` is none. Zero
+        for touching points of a sole: their depth law has no pull.
         """
         if foot in self.anchors:
             # The depth equation of a sole point has no pull.
@@ -723,7 +735,7 @@ class SagEquilibrium:
         return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.units.length
 
     def switch(self, foot: str, solution: Solution) -> Solution:
-        """Release a touching contact, or add a contact at the current pose.
+        """Release the contact point ``foot`` if it touches; otherwise add it as a contact.
 
         Returns:
             Initial guess of the next solve.
@@ -760,10 +772,9 @@ class SagEquilibrium:
         }
 
     def viscosity(self, foot: str, depth: float) -> float:
-        """Return the tangential force per slip velocity of a contact [N s/m].
+        """Return the tangential force per slip velocity of a contact in MuJoCo's friction [N s/m].
 
-        Infinite if the contact does not press, or if the model has no creep (for example, MuJoCo's
-        no-slip solver is active).
+        Infinite if the contact carries no load, or if MuJoCo's no-slip solver prevents creep.
 
         Args:
             foot: Contact point.
@@ -795,16 +806,16 @@ class Welds:
         self._independent = independent_rows(self.jacobian(config))
 
     def jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian of all welds, shape (6 w + 3 g, nv), in the world frame.
+        """Return the Jacobian of w welded bodies and g gripped points, in the world frame.
 
-        Rows of a weld: linear and angular velocity. Rows of a grip: linear velocity.
+        Shape (6 w + 3 g, nv): linear and angular velocity of a body, linear velocity of a point.
         """
         return np.hstack([*self._contacts.weld_columns(config).values()]).T
 
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
-        """Return the wrenches of the welds that balance a generalised force.
+        """Return the wrenches of the welds, in the world frame, that balance a generalised force.
 
-        Of redundant welds, the wrenches with the least norm (N and N m mixed).
+        Of redundant welds, the wrenches with the smallest norm (N and N m mixed).
 
         Args:
             config: Configuration of the robot.
@@ -823,10 +834,10 @@ class Welds:
         return rows, wrenches
 
     def insert(self, config: Configuration, equations: Array, scale: float) -> Array:
-        """Return the equilibrium equations, or the derivative, with the weld constraints.
+        """Return a copy of the equilibrium equations, or of their derivative, with the welds.
 
-        The first ``nv`` equations are the balance of generalised forces. Weld constraints, and the
-        balance along the motions that the welds permit, replace the balance.
+        The first ``nv`` equations, the balance of generalised forces, are replaced by the weld
+        constraints and the balance along the motions that the welds permit.
 
         Args:
             config: Configuration of the robot.
@@ -861,7 +872,7 @@ class Welds:
 
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:
-    """Return the indices, in ascending order, of a largest set of linearly independent rows."""
+    """Return the ascending indices of a largest set of linearly independent rows of a matrix."""
     triangle, order = lapack.pivoted_qr(rows.T)
     sizes = np.abs(np.diag(triangle))
     tolerance = max(rows.shape) * np.finfo(float).eps * sizes.max(initial=0.0)
@@ -869,12 +880,12 @@ def independent_rows(rows: Array) -> NDArray[np.intp]:
 
 
 _TANGENTIAL_COMPLIANCE_RATIO = 2.5e-6
-"""Slip of compliant contact points under a tangential force of one weight [heights]: some
-micrometres for a biped of 10 kg. Chosen, not tuned."""
+"""Slip of compliant contact points under a tangential force of one robot weight, in units of
+`EquilibriumScales.length`: some micrometres for a biped of 10 kg. Chosen, not tuned."""
 
 
 def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
-    """Return a point of the ground plane of each contact point, shape (3,) [m], world frame.
+    """Return {contact point: a point of the ground plane that it touches, (3,) [m], world frame}.
 
     The point is not below the contact point in general.
     """
@@ -892,12 +903,12 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
 def contact_compliance(
     robot: Robot, units: EquilibriumScales
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return tangential compliances {contact point: m/N}: of soles, and of all points.
+    """Return tangential compliances {contact point: m/N}: of soles only, and of all points.
 
     The points of a sole move as a rigid body; without compliance their slip equations would be
-    linearly dependent. A foot with one point has none, unless the legs cannot place feet in all
-    directions (`can_move_com`): two legs that swing in planes keep a constant distance like the
-    points of a sole.
+    linearly dependent. The second mapping equals the first, with 0 for a foot with one point; but
+    if `can_move_com` is False, all points are compliant: the distance of two feet whose legs swing
+    in planes is as constant as that of the points of a sole.
 
     Args:
         robot: Robot.
@@ -915,9 +926,9 @@ def rigid_slips(
 ) -> Array | None:
     """Return the projection of slips onto rigid motions of the soles, shape (n, 2, n, 2).
 
-    The points of a sole slip along the ground by its translation and rotation. The rest of their
-    slips, micrometres by tilt, would saturate friction between the points, which creeps away at
-    once.
+    The points of a sole slip along the ground by the translation and rotation of the sole. A tilt
+    of the sole adds micrometres of slip between its points. These are removed, since they would
+    cause large tangential forces, which MuJoCo's creep removes within a short time.
 
     Args:
         anchors: {touching point: pose at the first contact}.

@@ -1,7 +1,8 @@
 """Rest position of a standing robot on position servos and soft ground, without feed-forward.
 
-`steady_state` follows the equilibrium from the stand (`HomotopyPath`): the feed-forward is removed
-in steps, then pinned feet creep for a given time. The result contains the height loss, torques,
+`steady_state` follows a path of equilibria from the stand (`HomotopyPath`). Feed-forward is the
+part of the servo commands that balances the load in advance; its removed fraction grows from 0 to 1
+in steps. Then pinned feet creep for a given time. The result contains the height loss, torques,
 contact forces, and the reasons for which the robot does not stay there. `minimum_stiffness` finds
 the smallest kp without such reasons.
 
@@ -50,18 +51,19 @@ from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompen
 Array = NDArray[np.float64]
 
 MAX_PIVOT_RATIO = 0.01
-"""Largest slip of a sole, in stand heights, with which the sole counts as at rest although all its
-points slip: 3 mm for a biped of 0.3 m. Measured: soles in MuJoCo pivoted by 0.1 to 0.4 mm."""
+"""Upper bound of the slip of a sole [stand heights] with which `find_sliding_feet` counts the sole
+as at rest although all its points slip: 3 mm for a biped of 0.3 m. Measured: soles in MuJoCo
+pivoted by 0.1 to 0.4 mm."""
 
 
 def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the pinned feet that slide: all pressed points slip, by more than a short distance.
+    """Find the pinned feet that slide: friction is saturated at all their loaded contact points.
 
-    A foot with one point slides if the point slips. A sole may pivot by a fraction of a millimetre,
-    with all points at the friction limit, until its leg is no longer twisted. If the slip is at
-    most `MAX_PIVOT_RATIO` stand heights, such a sole counts as at rest.
+    A sole may pivot by a fraction of a millimetre, with all points at the friction limit, until its
+    leg is no longer twisted. A sole whose slip is at most `MAX_PIVOT_RATIO` stand heights counts as
+    at rest.
     """
-    loose, names = set(find_slipping_feet(system, solution)), tuple(system.anchors)
+    loose, names = set(find_slipping_points(system, solution)), tuple(system.anchors)
     if not loose:
         return ()
     small = MAX_PIVOT_RATIO * system.robot.stand_height
@@ -72,14 +74,14 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
         pressed = [point for point in points if solution.forces[point][2] > 0]
         if not pressed or not loose.issuperset(pressed):
             continue
-        way = max(float(slips[names.index(point)]) for point in pressed)
-        if len(system.robot.feet[foot]) == 1 or way > small:
+        slip = max(float(slips[names.index(point)]) for point in pressed)
+        if len(system.robot.feet[foot]) == 1 or slip > small:
             sliding.append(foot)
     return tuple(sliding)
 
 
-def find_slipping_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the pinned contact points whose friction is saturated."""
+def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
+    """Find the pinned contact points whose friction is saturated in a solution."""
     forces, names = system.stack_forces(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
     return tuple(names[row] for row, *_ in system.find_slipping_contacts(forces, places))
@@ -96,17 +98,21 @@ def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
         solution: Solution of the equations.
 
     Returns:
-        Shape (n, 2) [m], along the two ground tangents of each contact.
+        Slips, shape (n, 2) [m], along the two ground tangents of each contact.
     """
     begun = np.array([system.crept.get(foot, np.zeros(2)) for foot in system.anchors])
     places = system.contacts_at(solution.qpos).places[:, :2]
     return system.project_soles(places - begun.reshape(-1, 2))
 
 
-def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> float:
-    """Compute the smallest eigenvalue of the energy's Hessian relative to the mass matrix [1/s^2].
+def compute_smallest_stiffness(
+    system: SagEquilibrium, solution: Solution, derivative: Array
+) -> float:
+    """Compute the smallest eigenvalue of the stiffness relative to the mass matrix [1/s^2].
 
-    The Hessian is restricted to motions that the feet permit. It is not symmetric if feet slip.
+    The stiffness is the Hessian of the potential energy, plus that of saturated friction, in the
+    motions that the feet permit. It is not symmetric if feet slip. An equilibrium is stable if the
+    eigenvalue is positive.
 
     Args:
         system: Equations.
@@ -114,13 +120,13 @@ def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) 
         derivative: Derivative of the equations there (`SagEquilibrium.derivative`).
 
     Returns:
-        The eigenvalue; infinite if the feet permit no motion.
+        The smallest real part of an eigenvalue; infinite if feet and welds permit no motion.
     """
     n, feet, forces = system.robot.nv, tuple(system.anchors), system.stack_forces(solution)
     touch = system.contacts_at(solution.qpos)
     config, depths, jacobian = touch.config, touch.places[:, 2], touch.jacobians
     laws, normal = [system.laws[foot] for foot in feet], jacobian[:, 2]
-    moving, slips = find_slipping_feet(system, solution), measure_slips(system, solution)
+    moving, slips = find_slipping_points(system, solution), measure_slips(system, solution)
     # Touching points of soles may be without load.
     idle = system.is_sole_point() & np.array(
         [depth <= -law.margin for law, depth in zip(laws, depths, strict=True)], dtype=bool
@@ -137,10 +143,10 @@ def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) 
     # Saturated friction is f_t = -mu f_n s / |s|. A displacement perpendicular to the slip s turns
     # the force: stiffness mu f_n / |s|. Along s the stiffness is zero.
     for row in slipping:
-        way, pressing = float(np.linalg.norm(slips[row])), forces[row, 2]
-        if way > 0 and pressing > 0:
-            along, mu = slips[row] / way, system.sliding_friction[feet[row]]
-            stiff = mu * pressing / way * (np.eye(2) - np.outer(along, along))
+        slip, pressing = float(np.linalg.norm(slips[row])), forces[row, 2]
+        if slip > 0 and pressing > 0:
+            along, mu = slips[row] / slip, system.sliding_friction[feet[row]]
+            stiff = mu * pressing / slip * (np.eye(2) - np.outer(along, along))
             hessian += across[row].T @ stiff @ across[row]
     sticks = [row for row, foot in enumerate(feet) if foot not in moving and not idle[row]]
     held = across[sticks].reshape(-1, n)
@@ -161,32 +167,35 @@ def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) 
 
 
 _MIN_SHARE_STEP = 1 / 64
-"""Smallest step of the removed fraction (0 to 1) of the feed-forward. If no equilibrium is found
-with this step, the path ends. Chosen, not tuned."""
+"""Smallest step of the removed fraction (0 to 1) of the feed-forward in `HomotopyPath.follow`. If
+no equilibrium is found with this step, the path of equilibria ends. Chosen, not tuned."""
 
 _MAX_UNCHECKED_STEP = 1 / 64
-"""Largest step of the removed fraction of the feed-forward after which the stability of the
-equilibrium is not checked. A longer step may end on another, unstable branch. Chosen, not tuned."""
+"""Largest step of the removed fraction of the feed-forward (0 to 1) after which the stability of
+the equilibrium is not checked. A longer step may end at another, unstable equilibrium. Chosen, not
+tuned."""
 
 _SHARE_TOLERANCE = 1e-7
 """Tolerance of the removed fraction of the feed-forward at which a contact changes. It corresponds
 to nanometres of motion."""
 
 _MAX_EVENTS = 24
-"""Largest number of contact changes along a path; more are chatter. For robots with more than six
-contact points, four per point."""
+"""Upper bound of the number of contact changes along a path, after which the solve fails: contacts
+that open and close in turn. For robots with more than six contact points, four per point. Chosen,
+not tuned."""
 
 _FRICTION_SHARE_OF_SLIDING = 0.95
-"""Share of the friction limit above which a foot is reported as about to slide if the equilibrium
-ends. Chosen: the last equilibrium is up to `_MIN_SHARE_STEP` of the feed-forward before the end."""
+"""Fraction of the friction limit above which a foot is reported as about to slide if the path of
+equilibria ends. Chosen below 1, since the last equilibrium is up to `_MIN_SHARE_STEP` of the
+feed-forward before the end."""
 
 CREEP_STEPS = 20
-"""Number of backward Euler steps of a creep. Measured: with 20, a robot that falls after 15 s is
-predicted to fall after 14 s."""
+"""Number of backward Euler steps into which a creep duration is divided. Measured: with 20, a robot
+that falls after 15 s is predicted to fall after 14 s."""
 
 _MIN_EULER_STEP = 1 / 4096
-"""Smallest part of a creep step that is tried. Of a step of 0.6 s (12 s in 20 steps) this is 0.15
-ms, in which contacts move less than their compliance."""
+"""Smallest fraction of a creep step that is tried before the creep fails. Of a step of 0.6 s (12 s
+in 20 steps) this is 0.15 ms. Chosen, not tuned."""
 
 
 class HomotopyPath:
@@ -201,7 +210,7 @@ class HomotopyPath:
     Attributes:
         system: Equations, with the touching contacts at the current point of the path.
         balance: Statics of the stand.
-        share: Removed share of the feed-forward, 0 to 1.
+        share: Removed fraction of the feed-forward, 0 to 1.
         solution: Current equilibrium.
         crept: Creep time so far [s].
 
@@ -231,13 +240,16 @@ class HomotopyPath:
         self.solution = self._solve_contacts(Solution(qpos, forces), when, exact)
 
     def follow(self, goal: float) -> None:
-        """Move along the path to a removed share of the feed-forward, with an adaptive step.
+        """Move along the path of equilibria until a fraction of the feed-forward is removed.
+
+        The step of the fraction is adaptive.
 
         Args:
-            goal: Share of the feed-forward to remove, 0 (none) to 1 (all).
+            goal: Fraction of the feed-forward to remove, 0 (none) to 1 (all).
 
         Raises:
-            NoEquilibriumError: If the equilibrium ends before this share.
+            NoEquilibriumError: If no equilibrium continues the path before this fraction, or if
+                contacts change too often.
         """
         step = 1.0
         while self.share < goal:
@@ -267,13 +279,13 @@ class HomotopyPath:
                 )
 
     def linearise(self, solution: Solution) -> tuple[Array, float]:
-        """Return the derivative of the equations and the stiffness at a solution.
+        """Return the Jacobian of the equilibrium equations, and the stiffness, at a solution.
 
         The result for the last solution is cached.
 
         Returns:
-            Derivative (`SagEquilibrium.derivative`), and smallest stiffness (`stiffness_at`)
-            [1/s^2].
+            Jacobian (`SagEquilibrium.derivative`), and smallest eigenvalue of stiffness relative to
+            mass [1/s^2] (`compute_smallest_stiffness`).
         """
         system, seen = self.system, self._linearisation
         if seen is None or seen[0] is not solution:
@@ -281,17 +293,19 @@ class HomotopyPath:
             seen = self._linearisation = (
                 solution,
                 derivative,
-                stiffness_at(system, solution, derivative),
+                compute_smallest_stiffness(system, solution, derivative),
             )
         return seen[1:]
 
     def creep_step(self, seconds: float) -> None:
-        """Let pinned feet creep by backward Euler steps, shortened if an equilibrium is not found.
+        """Let pinned feet creep for a duration [s] by backward Euler steps.
 
-        Twisted soles creep by a millimetre within hundredths of a second, and then rest.
+        A step is shortened if no equilibrium is found: twisted soles creep by a millimetre within
+        hundredths of a second, and then rest.
 
         Raises:
-            NoEquilibriumError: If the equilibrium ends before.
+            NoEquilibriumError: If no equilibrium is found with a step of `_MIN_EULER_STEP` of the
+                duration; the path then stays at the last equilibrium.
         """
         left = seconds
         while left > 0:
@@ -343,14 +357,14 @@ class HomotopyPath:
         return self.system.solve(self.solution)
 
     def _go_to_event(self, wanted: float, there: Solution) -> bool:
-        """Go to the first change of contact before a share, by bisection.
+        """Move to a change of contact before a removed fraction, by bisection; switch the contact.
 
         Args:
-            wanted: Share at which contacts contradict the solution.
-            there: Solution at this share.
+            wanted: Removed fraction of the feed-forward at which contacts contradict the solution.
+            there: Solution at this fraction.
 
         Returns:
-            False if an equilibrium between is missing.
+            False, without a move, if no equilibrium is found at a fraction in between.
         """
         right = self.share
         while wanted - right > _SHARE_TOLERANCE:
@@ -377,7 +391,10 @@ class HomotopyPath:
         self.solution = self.system.switch(foot, found)
 
     def _solve_contacts(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
-        """Solve, and switch contacts until none contradicts the solution."""
+        """Solve the equilibrium, and switch contacts until none contradicts the solution.
+
+        ``when`` describes the moment for the error message, for example a creep time.
+        """
         self.solution = guess
         while True:
             found = self.system.solve(self.solution, exact=exact)
@@ -393,17 +410,18 @@ class HomotopyPath:
 
 
 RELEASE_MARGIN = 0.06
-"""`SteadyState.release_margin` above which the feet stay in place: the contribution of the contacts
-to first order."""
+"""`SteadyState.release_margin` [robot weights] above which the feet stay in place if the
+feed-forward is removed in one step. Chosen as an allowance for contact effects that the first-order
+estimate of the overshoot neglects."""
 
 MAX_CREEP_LOSS_RATIO = 0.002
-"""Height loss by creep within ``HOLD_DURATION`` [base heights in the stand] below which creep
-is not integrated. Creep of original, 2 % above its smallest kp, ends the equilibrium after 5 s; its
-ratio is 0.025."""
+"""Predicted height loss by creep within ``HOLD_DURATION`` [base heights in the stand] below which
+creep is not integrated. Measured on a quadruped 2 % above its minimum stiffness: creep ends the
+equilibrium after 5 s, with a ratio of 0.025."""
 
 HIGHEST_KP = 2500.0
 """Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`:
-2000 times the kp of v3. Chosen, not tuned."""
+2000 times the kp of Pupper v3. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -516,20 +534,20 @@ def steady_state(
     robot = touching(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, seconds)
     robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
-    way = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
-    pose = follow_to_end(way, feedforward=feedforward, seconds=seconds)
-    if pose.failures or math.isinf(lasts := simulate_creep(way, pose)):
+    path = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
+    pose = follow_to_end(path, feedforward=feedforward, seconds=seconds)
+    if pose.failures or math.isinf(lasts := simulate_creep(path, pose)):
         return pose
     return replace(
         pose, lasts=lasts, failures=(diagnose("creep-ends-it", after=Quantity(lasts, "s")),)
     )
 
 
-def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
+def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
     """Let pinned feet creep for another ``HOLD_DURATION``, unless creep hardly moves the base.
 
     Args:
-        way: Path that ends at ``pose``; the call extends the path.
+        path: Path that ends at ``pose``; the call extends the path.
         pose: Stable equilibrium.
 
     Returns:
@@ -539,18 +557,19 @@ def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
     creeps = pose.feet != "sliding" and any(pose.foot_creep.values())
     if (
         not creeps
-        or abs(pose.height_drift) * HOLD_DURATION <= MAX_CREEP_LOSS_RATIO * way.system.stand.qpos[2]
+        or abs(pose.height_drift) * HOLD_DURATION
+        <= MAX_CREEP_LOSS_RATIO * path.system.stand.qpos[2]
     ):
         return math.inf
-    begun = way.crept
+    begun = path.crept
     with contextlib.suppress(NoEquilibriumError):
         for _ in range(CREEP_STEPS):
-            way.creep_step(HOLD_DURATION / CREEP_STEPS)
-            if _find_failures(way.system, way.solution, way.linearise(way.solution)[1]):
+            path.creep_step(HOLD_DURATION / CREEP_STEPS)
+            if _find_failures(path.system, path.solution, path.linearise(path.solution)[1]):
                 break
         else:
             return math.inf
-    return way.crept - begun
+    return path.crept - begun
 
 
 MAX_CREEP_DURATION = 1e9
@@ -582,15 +601,15 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
         raise ConfigurationError("feet", diagnose("feet-without-friction", feet=slippery))
 
 
-def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
-    """Compute the rest position to which a stand sags when its feed-forward is removed.
+def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
+    """Compute the equilibrium to which a stand sags when its feed-forward is removed.
 
     The path of equilibria starts at the stand, whose servo commands contain the lead that holds the
     load (feed-forward). The lead is removed in steps. Then the contact points creep slowly
     under their tangential forces, as in MuJoCo.
 
     Args:
-        way: Path at its start, with the full feed-forward; modified.
+        path: Path at its start, with the full feed-forward; modified.
         feedforward: Keep the full feed-forward instead of removing it.
         seconds: Duration of the creep [s]; 0 for no creep.
 
@@ -598,23 +617,23 @@ def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0)
         NoEquilibriumError: If no equilibrium continues the stand, or the creep ends the
             equilibrium.
     """
-    way.follow(0.0 if feedforward else 1.0)
-    margin = release_margin(way)
+    path.follow(0.0 if feedforward else 1.0)
+    margin = release_margin(path)
     for _ in range(CREEP_STEPS if seconds else 0):
-        way.creep_step(seconds / CREEP_STEPS)
-    return describe_pose(way, margin)
+        path.creep_step(seconds / CREEP_STEPS)
+    return collect_steady_state(path, margin)
 
 
-def release_margin(way: HomotopyPath) -> float:
-    """Compute `SteadyState.release_margin` at the current equilibrium of a path.
+def release_margin(path: HomotopyPath) -> float:
+    """Compute the remaining friction if the feed-forward is removed in one step [robot weights].
 
-    The margin is the smallest (friction x normal force - tangential force) / weight of the feet, at
-    the forces 2 f - f_0, with the current forces f and the forces f_0 of the stand. Infinite
-    without feet.
+    This is `SteadyState.release_margin` at the current equilibrium of a path: the smallest
+    (friction x normal force - tangential force) / weight of the feet, at the forces 2 f - f_0, with
+    the current forces f and the forces f_0 of the stand. Infinite without feet.
     """
-    held, now, robot = way.balance.contact_forces, way.solution.forces, way.system.robot
+    held, now, robot = path.balance.contact_forces, path.solution.forces, path.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
-    before = np.array([way.system.frames[foot] @ held.get(foot, nothing) for foot in feet])
+    before = np.array([path.system.frames[foot] @ held.get(foot, nothing) for foot in feet])
     overshot = 2 * np.array([now.get(foot, nothing) for foot in feet]) - before
     margins = []
     for foot, force in zip(feet, overshot.tolist(), strict=True):
@@ -656,19 +675,19 @@ def minimum_stiffness(
     robot = touching(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, 0.0)
 
-    def find_obstacle(kp: float) -> Diagnostic | None:
-        """Return the reason for a failure with kp; None if the robot stands."""
+    def find_failure(kp: float) -> Diagnostic | None:
+        """Return the reason why the robot does not stand with kp [N m/rad]; None if it stands."""
         return find_sag_failure(robot, stand, kp=kp, feet=feet)
 
     unit = EquilibriumScales.of(robot, stand).stiffness
     low, high = 0.0, unit / 4
-    while (problem := find_obstacle(high)) is not None:
+    while (problem := find_failure(high)) is not None:
         low, high = high, 2 * high
         if high > HIGHEST_KP * unit:
             raise NoStiffnessError(robot.name, low, problem)
     while high - low > tolerance * high:
         middle = (low + high) / 2
-        low, high = (middle, high) if find_obstacle(middle) else (low, middle)
+        low, high = (middle, high) if find_failure(middle) else (low, middle)
     return high
 
 
@@ -677,7 +696,8 @@ def find_sag_failure(
 ) -> Diagnostic | None:
     """Return the reason for which a robot does not stand without feed-forward; None if it stands.
 
-    Reasons are the failures of `steady_state`, and, on a free base, half of the height or less.
+    Reasons are: no equilibrium continues the stand; the failures of `steady_state`; and, on a free
+    base, an equilibrium with half of the stand's base height or less.
 
     Args:
         robot: Robot, with the contacts of the stand (``touching``).
@@ -696,17 +716,17 @@ def find_sag_failure(
     return pose.failures[0] if pose.failures else None
 
 
-def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
-    """Collect the results at the current equilibrium of a path.
+def collect_steady_state(path: HomotopyPath, margin: float) -> SteadyState:
+    """Create the `SteadyState` of the current equilibrium of a path: heights, torques, failures.
 
     Args:
-        way: Path.
-        margin: `SteadyState.release_margin` to be stored in the result.
+        path: Path.
+        margin: `SteadyState.release_margin` [robot weights] to be stored in the result.
     """
-    system, solution = way.system, way.solution
+    system, solution = path.system, path.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
     forces = np.array(list(solution.forces.values())).reshape(-1, 3)
-    derivative, stiffness = way.linearise(solution)
+    derivative, stiffness = path.linearise(solution)
     touch = system.contacts_at(qpos)
     creep, flow = np.zeros((len(forces), 2)), np.zeros(len(derivative))
     if system.feet == "pinned":

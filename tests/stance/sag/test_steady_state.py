@@ -16,7 +16,7 @@ from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import (
     HomotopyPath,
-    find_slipping_feet,
+    find_slipping_points,
     minimum_stiffness,
     steady_state,
 )
@@ -186,7 +186,7 @@ def test_friction_of_a_slipping_foot_is_at_its_limit_and_opposes_the_slip() -> N
     way = HomotopyPath(SagEquilibrium(robot, stand, 12.0, "pinned"))
     way.follow(1.0)
     system, solution = way.system, way.solution
-    assert find_slipping_feet(system, solution) == ("FL",)
+    assert find_slipping_points(system, solution) == ("FL",)
     force = solution.forces["FL"]
     mu = robot.contacts["FL"].sliding_friction
     assert np.linalg.norm(force[:2]) == pytest.approx(mu * force[2], rel=1e-9)
