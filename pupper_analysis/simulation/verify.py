@@ -102,6 +102,11 @@ MIN_FORCE_SCALE = 0.05
 """Smallest force, relative to the weight, by which the error of a foot force is divided. Chosen,
 not tuned."""
 
+MAX_HEIGHT_LOSS_RATIO = 0.1
+"""Largest height loss of a verified stand with feed-forward, relative to the CoM height above the
+feet. Only stands whose legs are too short to compensate for the penetration of the feet lose
+height with feed-forward. Chosen, not tuned."""
+
 MAX_BALANCE_RESIDUAL = 1e-3
 """Largest residual of MuJoCo's balance with the predicted forces, relative to the weight, with
 which both files describe the same robot. Rounded files leave 1e-6. Chosen, not tuned."""
@@ -293,6 +298,7 @@ def verify_stand(
     stays = not failures
     if feedforward:
         failures += _find_deviations(robot, stand, record, result)
+        failures += _describe_height_loss(result, reference.com_height)
     elif settled is not None and not settled.failures and robot.bolted and not stand.stance_feet:
         failures += _compare_with_equilibrium(robot, result, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
@@ -508,6 +514,20 @@ def _compare_with_prediction(
         motion_time=states[::frame, 0].copy(),
         motion=np.round(states[::frame, 1 + robot.mj_convention.qpos_index], 6),
     )
+
+
+def _describe_height_loss(result: StandVerification, com_height: float) -> list[Diagnostic]:
+    """Report that the base of a standing robot settles too far below the stand with feed-forward.
+
+    Args:
+        result: Comparison with the prediction.
+        com_height: CoM height of the stand above the feet [m].
+    """
+    share = result.height_loss / com_height
+    if result.collapses or share <= MAX_HEIGHT_LOSS_RATIO:
+        return []
+    loss, sunk = Quantity(result.height_loss, "m"), Quantity(result.contact_sag, "m")
+    return [diagnose("height-lost", loss=loss, share=share, sunk=sunk)]
 
 
 def _find_standing_failures(

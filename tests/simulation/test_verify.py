@@ -15,6 +15,8 @@ import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATOR_TYPES, model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
 from tests.support.engines import changed
+from tests.support.legged import edited_by
+from tests.support.slips import standing
 from tests.support.variants import load, stand_of
 
 GRAVITY = 9.81
@@ -368,3 +370,21 @@ def test_divergence_is_reported_without_a_log_file(
         assert swept.fell.all()
     assert not [*tmp_path.iterdir()]
     assert "WARNING" not in capfd.readouterr().err
+
+
+def test_stand_fails_if_soft_ground_takes_a_tenth_of_the_height(tmp_path: Path) -> None:
+    """Legs too short for the penetration of their feet; the reference is a loop of MuJoCo alone."""
+    soft = '<geom priority="1" solref="0.17 1" type="plane"'
+    pair = standing(tmp_path)
+    edited_by(pair.mjcf, lambda text: text.replace('<geom type="plane"', soft))
+    robot = pa.load_robot(*pair)
+    stand = pa.solve_stand_as_simulated(robot)
+    result = pa.verify_stand(robot, stand, duration=6.0, nudged=0.0)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    torques = even_balance(robot, stand).joint_torques
+    ctrl = stand.qpos[7:] + torques / model.actuator_gainprm[:, 0]
+    lost = stand.qpos[2] - plain_run(model, stand.qpos, ctrl, 5.5).qpos[2]
+    assert lost > 0.1 * pa.Configuration(robot, stand.qpos).center_of_mass()[2]
+    assert result.height_loss == pytest.approx(lost, abs=1e-4)
+    assert [failure.code for failure in result.failures] == ["height-lost"]
+    assert result.stays

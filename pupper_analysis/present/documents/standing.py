@@ -67,13 +67,17 @@ def ground_text(depths: Iterable[float]) -> Text:
     )
 
 
-def ground_word(depths: Iterable[float]) -> Text:
+def ground_word(depths: Iterable[float], run: StandVerification | None = None) -> Text:
     """Return the ground for which a stand was solved, in a few words: soft or rigid.
 
     Args:
         depths: Penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid ground.
+        run: Simulation with feed-forward; for rigid ground, its height loss is added.
     """
-    return text("on-simulated-ground" if max(depths, default=0.0) else "on-rigid-ground")
+    if max(depths, default=0.0):
+        return text("on-simulated-ground")
+    is_lower = run is not None and not run.collapses and run.height_loss > 0
+    return text("on-rigid-ground", loss=f"{1e3 * run.height_loss:.1f}" if run and is_lower else "")
 
 
 def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:

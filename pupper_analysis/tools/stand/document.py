@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -164,6 +165,9 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = NextStep("crosscheck")
     if step.command == "crosscheck" and verdict.converted:
         step = NextStep("audit")
+    if any(failure.code == "height-lost" for failure in verdict.failures):
+        run, height = stance.verification, stance.stand.task.height or 0.0
+        step = NextStep("stand", ("--height", f"{math.floor(1e3 * (height - run.height_loss))}mm"))
     own = verdict.keyframe_run
     soft = own is not None and any(cause.code == "soft-servos" for cause in own.causes)
     if verdict.code is VerdictCode.OWN_DRIVES_FAIL and soft:
@@ -207,7 +211,7 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
         share=f"{100 * float(statics.motor_utilisation[peak]):.0f}" if known else "",
         joint=doc.Name(statics.joint_names[peak]),
         height="" if height is None else f"{1e3 * height:.1f}",
-        ground=ground_word(stance.stand.depths.values()),
+        ground=ground_word(stance.stand.depths.values(), stance.verification),
     )
 
 
