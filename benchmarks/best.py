@@ -31,7 +31,7 @@ def evolved(search: StanceSearch, subspace: Subspace, evaluations: int, seed: in
         nonlocal count
         count += 1
         search.known.clear()  # of no use here, and it grows
-        stance = search.evaluate(subspace.at(share))
+        stance = search.evaluate(subspace.compute_coordinates(share))
         if stance is None:
             return 2 * REFUSED
         if stance.allowed:
@@ -77,14 +77,14 @@ def main(
             ours.run()
             between = time.process_time()
             space = theirs.space
-            free = np.eye(len(space.start)) if apart else space.directions()
+            free = np.eye(len(space.start)) if apart else space.coupled_directions()
             count = evolved(theirs, Subspace(space, space.start, free), evaluations, seed)
             ended = time.process_time()
             one, two = -ours.best.level, -theirs.best.level
             table.add_row(
                 name,
                 Objective(what).value,
-                f"{ours.value(space.nominal):.5g}",
+                f"{ours.compute_objective(space.nominal):.5g}",
                 f"{ours.scale * abs(one):.5g}",
                 f"{ours.evaluations}",
                 f"{between - began:.1f}",

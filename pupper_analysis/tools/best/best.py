@@ -98,8 +98,8 @@ def best_stance(
     Descents start at the initial task and at the best of Latin hypercube samples. In these descents
     the feet move together: the only variables of the feet are length, front width and rear width of
     the stance. If the task is symmetric, y, roll and yaw are fixed as well. From the best results,
-    descents with independent feet follow. The random seed is fixed. On rigid ground, the result is
-    never worse than the initial task.
+    descents with independent feet follow. The random seed is fixed. If no stance of the search is
+    better than the initial task on rigid ground, the initial task is the result.
 
     For a payload, the search uses the first-order limit of `SmallPayload`: the smallest mass at
     which a motor saturates, a foot lifts off, the servos buckle, or feet sink until another part
@@ -112,7 +112,8 @@ def best_stance(
         robot: Robot with a floating base, without loops or welds.
         objective: Objective, or name, such as ``"margin"``.
         task: Initial task, with all requirements that the search keeps. Default: the nominal stand.
-        point: Position of the payload, as in ``with_payload``.
+        point: Position of the payload: (x, y, z) [m] in the base frame, (frame, x, y, z) [m] in the
+            frame of a link, site or body, or a `Tool`.
         kp: Servo stiffness for the payload [N m/rad], scalar or shape (nu,). Default: the model's.
         kd: Servo damping for the payload [N m s/rad], scalar or shape (nu,). Default: the model's.
 
@@ -193,10 +194,13 @@ def _make_result(
 
 
 def _compute_objective(search: StanceSearch, stand: Stand) -> float:
-    """Compute the utilisation on the simulated ground, as ``stand`` does, or the margin [m]."""
+    """Compute the reported value: peak motor utilisation on soft ground, or CoM margin [m].
+
+    Soft ground is MuJoCo's, so that the command ``stand`` reports the same utilisation.
+    """
     if search.objective is Objective.UTILISATION:
         stand = solve_stand_as_simulated(search.robot, stand)
-    return search.value(stand)
+    return search.compute_objective(stand)
 
 
 def _parse_objective(value: str) -> Objective:
@@ -222,7 +226,7 @@ class BestStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the stance holds, and also holds with the payload if payload is the objective."""
+        """True if the best stance holds in simulation, also with the payload if one is sought."""
         return self.stance.passed and (self.best.payload is None or self.best.payload.passed)
 
 
@@ -245,7 +249,8 @@ def study_best(
         robot: Robot with a floating base, without loops or welds.
         objective: Objective.
         task: Initial task, with all requirements that the search keeps.
-        point: Position of the payload, as in ``with_payload``.
+        point: Position of the payload: (x, y, z) [m] in the base frame, (frame, x, y, z) [m] in the
+            frame of a link, site or body, or a `Tool`.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
         kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
 
@@ -266,7 +271,7 @@ def study_best(
     study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
     if study.passed or search.objective is Objective.PAYLOAD:
         return study
-    for stance in search.next_best():
+    for stance in search.list_next_best():
         best = _make_result(search, stance, point, kp, kd)
         next_study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
         if next_study.passed:

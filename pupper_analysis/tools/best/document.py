@@ -1,4 +1,8 @@
-"""Document of a best stance: coordinates, result of the search, torques and verdict."""
+"""Document of a best stance: coordinates, result of the search, torques and verdict.
+
+Input is a ``BestStudy``. The document extends the document of the simulated stand by the
+coordinates, by the objective before and after the search and, for a payload, by its limit.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +24,15 @@ _OBJECTIVE_TEXTS = {
     Objective.MARGIN: "distance-of-the-com",
     Objective.PAYLOAD: "payload",
 }
-"""Text of each objective in the catalogues."""
+"""{objective: key of its text in the catalogue}."""
 
 
 @build_document.register(BestStudy)
 def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
-    """Make the document of a best stance from the document of the stand; see `build_document`.
+    """Create the document of a best stance: the document of the stand, with the search's result.
 
-    For a payload, the document of the payload limit is merged.
+    `build_document` calls this function for a `BestStudy`. If the objective is the payload, the
+    document of the payload limit is merged.
     """
     stand_document = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)

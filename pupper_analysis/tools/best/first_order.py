@@ -1,8 +1,8 @@
 """First-order payload limit of a stance: motors, contacts, servo stiffness and ground contact.
 
-`SmallPayload.rows` returns linear constraints on the payload mass, `largest_feasible_mass` the
-largest mass that satisfies the constraints. Torques and contact forces are extrapolated from two
-equilibria; the buckling masses are eigenvalues of the stiffness. This limit is smooth and takes
+`SmallPayload.compute_rows` returns linear constraints on the payload mass, `largest_feasible_mass`
+the largest mass that satisfies the constraints. Torques and contact forces are extrapolated from
+two equilibria; the buckling masses are eigenvalues of the stiffness. This limit is smooth and takes
 about a millisecond. The limit is used only as the objective of the search for the best stance;
 `payload_limit` computes the true limit.
 """
@@ -29,8 +29,8 @@ from pupper_analysis.statics.equilibrium import hold_loads
 Array = NDArray[np.float64]
 
 SMALL_PAYLOAD_RATIO = 0.1
-"""Mass of the payload of the second equilibrium, relative to the robot's mass. A payload that tips
-the robot has no equilibrium. Chosen."""
+"""Payload mass, relative to the robot's mass, of the second of two equilibria from which torques
+and forces are extrapolated. A mass that tips the robot has no equilibrium. Chosen, not tuned."""
 
 
 class SmallPayload:
@@ -51,8 +51,8 @@ class SmallPayload:
         loaded = with_payload(robot, self.mass, point)
         self._laws = {foot: GroundLaw.of(loaded, foot) for foot in robot.contact_points}
 
-    def rows(self, stand: Stand) -> Array | None:
-        """Compute the constraints a + b m >= 0 on the payload mass m [kg].
+    def compute_rows(self, stand: Stand) -> Array | None:
+        """Compute the constraints a + b m >= 0 of a stand on the payload mass m [kg].
 
         Torques and minimum-tangential contact forces are linear in m, so two equilibria, without
         and with ``mass``, determine both. On level ground, with or without steps, this is exact
@@ -116,10 +116,13 @@ class SmallPayload:
 
 
 def largest_feasible_mass(rows: Array) -> float:
-    """Compute the largest mass [kg] that satisfies rows of `SmallPayload.rows`.
+    """Compute the largest mass m [kg] that satisfies constraints a + b m >= 0 with b < 0.
 
-    Infinite if no row has a negative slope. Negative if a row with a negative slope is violated
-    without payload.
+    Constraints with b >= 0 are ignored. The mass is infinite if there is no other constraint, and
+    negative if another constraint is violated without payload.
+
+    Args:
+        rows: (a, b) of each constraint, shape (k, 2) [1, 1/kg], as in `SmallPayload.compute_rows`.
     """
     binding = rows[rows[:, 1] < 0]
     return float(np.min(-binding[:, 0] / binding[:, 1], initial=math.inf))

@@ -3,8 +3,8 @@
 The level is the objective relative to that of the initial task; smaller is better. Each stance
 yields constraints a + b level >= 0 (`EvaluatedStance.rows`): the smooth functions whose maximum is
 the level, and the slacks of `StanceSpace` (b = 0). SLSQP minimises the level over the coordinates
-and the level itself, first with feet that move together (`StanceSpace.directions`), then in all
-coordinates.
+and the level itself, first with feet that move together (`StanceSpace.coupled_directions`), then in
+all coordinates.
 """
 
 from __future__ import annotations
@@ -66,24 +66,25 @@ _INDEPENDENT_FEET_ITERATIONS = 10
 evaluates several stances per coordinate (14 coordinates with four feet). Chosen."""
 
 _MIN_RELATIVE_GAIN = 3e-4
-"""Smallest decrease of the level, relative to the level, after which a descent is restarted.
-Chosen."""
+"""Smallest decrease of the level (scaled objective), relative to the level, after which a descent
+is restarted. Chosen, not tuned."""
 
 _SLSQP_FTOL = 1e-5
-"""Tolerance ``ftol`` of SLSQP: decrease of the level in an iteration that ends a descent.
-Chosen."""
+"""Tolerance ``ftol`` of SLSQP: decrease of the level (scaled objective) in an iteration below which
+a descent ends. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-6
 """Finite-difference step of the constraint Jacobian, relative to the interval between the bounds.
 Chosen."""
 
 _SLACK_REDUCTION = 1e-6
-"""Reduction of the slacks in the nonlinear program, so that descents end at allowed stances despite
-SLSQP's tolerance. Chosen."""
+"""Amount by which the slacks [1, rad, 0.1 m] are reduced in the nonlinear program, so that descents
+end at allowed stances despite SLSQP's tolerance. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
-"""Violation of the constraints that is assumed at coordinates without a stand, in addition to the
-constraints of the initial guess; and weight of violated slacks in `StanceSearch.merit`. Chosen."""
+"""Penalty for coordinates that are not allowed. If no stand exists, the constraints are those of
+the initial guess minus this number. If slacks are negative, `StanceSearch.merit` is the level plus
+this number times their sum. Chosen, not tuned."""
 
 
 class Objective(StrEnum):
@@ -121,8 +122,9 @@ class EvaluatedStance:
 
 
 _MIN_LEVEL_STEP = 0.2
-"""Smallest difference between the levels of two successively simulated stances, relative to the
-improvement of the search. After the best stance, at most five are simulated. Chosen."""
+"""Smallest difference between the levels (scaled objectives) of two successively simulated stances,
+relative to the difference between the levels of the initial and the best stance. If the best stance
+fails, at most five further stances are therefore simulated. Chosen, not tuned."""
 
 
 class StanceSearch:
@@ -172,9 +174,9 @@ class StanceSearch:
             stiffness = model_with_servos(robot, kp, None if kp is None else 0.0).kp
             self.payload = SmallPayload(robot, self.point, stiffness)
         self.scale = 1.0
-        first = self.stance(self.space.start, self.space.nominal)
+        first = self.evaluate_stand(self.space.start, self.space.nominal)
         self.scale = abs(first.level) or self._default_scale
-        self.nominal = self.best = self.stance(self.space.start, self.space.nominal)
+        self.nominal = self.best = self.evaluate_stand(self.space.start, self.space.nominal)
         self.known: dict[tuple[float, ...], EvaluatedStance | None] = {}
 
     @property
@@ -195,8 +197,11 @@ class StanceSearch:
             message = diagnose("effort-limit-is-zero", joint=robot.joint_names[without_torque[0]])
             raise ConfigurationError("objective", message)
 
-    def value(self, stand: Stand) -> float:
-        """Compute the CoM margin [m] of a stand, or the peak motor utilisation."""
+    def compute_objective(self, stand: Stand) -> float:
+        """Compute the CoM margin [m] of a stand, or its peak motor utilisation on rigid ground.
+
+        The margin is returned if it is the objective of this search.
+        """
         statics = stand_statics(self.robot, stand)
         assert statics.com_margin is not None
         if self.objective is Objective.MARGIN:
@@ -204,11 +209,11 @@ class StanceSearch:
         return peak_utilisation(statics.motor_utilisation)
 
     def evaluate(self, coordinates: Array, near: Stand | None = None) -> EvaluatedStance | None:
-        """Evaluate the stance at some coordinates, and update ``best``.
+        """Evaluate the stance at some coordinates, and update the best stance of this search.
 
         Args:
             coordinates: Coordinates in the space, shape (n,) [m or rad].
-            near: Stand with almost the same coordinates; see `StanceSpace.stand`.
+            near: Stand with almost the same coordinates; see `StanceSpace.find_stand`.
 
         Returns:
             Evaluated stance, also if not allowed. None if no stand is found, its task is
@@ -219,20 +224,20 @@ class StanceSearch:
             self.evaluations += 1
             self.known[key] = None
             with suppress(StaticsInfeasibleError, NoEquilibriumError, ConfigurationError):
-                stand = self.space.stand(coordinates, near)
+                stand = self.space.find_stand(coordinates, near)
                 if stand is not None:
-                    self.known[key] = self.stance(coordinates, stand)
+                    self.known[key] = self.evaluate_stand(coordinates, stand)
         stance = self.known[key]
         if stance is not None and stance.allowed and stance.level < self.best.level:
             self.best = stance
         return stance
 
-    def next_best(self) -> Iterator[EvaluatedStance]:
-        """Yield allowed stances in order of increasing level, then the initial task.
+    def list_next_best(self) -> Iterator[EvaluatedStance]:
+        """Yield allowed stances from the second best to worse ones, then the initial task's stance.
 
-        Levels increase by at least ``_MIN_LEVEL_STEP`` times the difference between the initial and
-        the best level, and remain below the initial level. The best stance is not yielded, unless
-        it is the stance of the initial task.
+        Levels (scaled objectives, smaller is better) increase by at least ``_MIN_LEVEL_STEP`` times
+        the difference between the initial and the best level, and remain below the initial level.
+        The best stance is not yielded, unless it is the stance of the initial task.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_LEVEL_STEP * (self.nominal.level - self.best.level)
@@ -243,27 +248,46 @@ class StanceSearch:
                 yield stance
         yield self.nominal
 
-    def stance(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
-        """Compute the level and the constraints of a stand."""
-        room = self.space.room(stand)
-        level, rows = self._compute_level(stand, room)
-        slacks = room.less(_SLACK_REDUCTION)
+    def evaluate_stand(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
+        """Compute the scaled objective (level) and the constraints of a stand.
+
+        Args:
+            coordinates: Coordinates of the stand, shape (n,) [m or rad].
+            stand: Stand.
+
+        Raises:
+            NoEquilibriumError: If the objective is the payload, and the servos do not hold the
+                stand without payload.
+            StaticsInfeasibleError: If no contact forces balance the stand.
+        """
+        slack = self.space.compute_slack(stand)
+        level, rows = self._compute_level(stand, slack)
+        slacks = slack.to_vector(_SLACK_REDUCTION)
         allowed = bool(
-            room.singular_values.min() >= 0
-            and room.joints.min() >= -JOINT_LIMIT_OVERSHOOT
-            and room.edges.min() >= 0
-            and room.touching >= 0
+            slack.singular_values.min() >= 0
+            and slack.joints.min() >= -JOINT_LIMIT_OVERSHOOT
+            and slack.edges.min() >= 0
+            and slack.penetration >= 0
         )
         slack_rows = np.column_stack([slacks, np.zeros(len(slacks))])
         rows = np.concatenate([rows, slack_rows])
         return EvaluatedStance(coordinates, stand, level, rows, allowed)
 
-    def _compute_level(self, stand: Stand, room: StanceSlack) -> tuple[float, Array]:
-        """Compute the level, the smallest feasible value, and its constraints (k, 2)."""
+    def _compute_level(self, stand: Stand, slack: StanceSlack) -> tuple[float, Array]:
+        """Compute the level of a stand, and the constraints that define it.
+
+        Args:
+            stand: Stand.
+            slack: Constraint slacks of the stand.
+
+        Returns:
+            Smallest number that satisfies a + b level >= 0 for all rows (a, b), and the rows, shape
+            (k, 2).
+        """
         if self.objective is Objective.PAYLOAD:
             return self._compute_payload_level(stand)
         if self.objective is Objective.MARGIN:
-            margins = (room.edges + stand.task.com_margin) / self.scale
+            margins = (slack.edges + stand.task.com_margin) / self.scale
             return -float(margins.min()), np.column_stack([margins, np.ones(len(margins))])
         torques = stand_statics(self.robot, stand).joint_torques
         utilisation = torques[self.bears] / self.limits[self.bears] / self.scale
@@ -271,27 +295,31 @@ class StanceSearch:
         return float(signed.max()), np.column_stack([-signed, np.ones(len(signed))])
 
     def _compute_payload_level(self, stand: Stand) -> tuple[float, Array]:
-        """Compute the level and its constraints for a payload of mass -scale * level [kg]."""
-        rows = self.payload.rows(stand)
+        """Compute the level of a stand, and the constraints that define it, for the payload.
+
+        The payload's mass m [kg] is -``scale`` level, with the attribute ``scale`` [kg].
+        """
+        rows = self.payload.compute_rows(stand)
         if rows is None:
             raise NoEquilibriumError(None, diagnose("servos-too-soft-unloaded"))
         return -largest_feasible_mass(rows) / self.scale, rows * (1.0, -self.scale)
 
     def run(self) -> None:
-        """Run the search: descents in which the feet move together, then with independent feet.
+        """Search for the best stance, and store it in ``best``.
 
-        Does nothing if no coordinate can change. The final descents start at the best stance, and
-        are repeated while the level decreases.
+        First the feet move together, then independently. The final descents start at the best
+        stance, and are repeated while the level (scaled objective) decreases. If no coordinate can
+        change, nothing is done.
         """
         space = self.space
         if not (space.high > space.low).any():
             return
-        coupled = Subspace(space, space.start, space.directions())
+        coupled = Subspace(space, space.start, space.coupled_directions())
         samples = _draw_latin_hypercube(coupled.size)
         stances = []
         for count, sample in enumerate(samples):
             report_progress("samples", count, len(samples))
-            stances.append(self.evaluate(coupled.at(sample)))
+            stances.append(self.evaluate(coupled.compute_coordinates(sample)))
         order = np.argsort([self.merit(stance) for stance in stances], kind="stable")
         starts = (coupled.start, *samples[order[:_START_COUNT]])
         ends = []
@@ -308,7 +336,7 @@ class StanceSearch:
                 level, share = self._minimise_level(coupled, share, _DESCENT_ITERATIONS)
             if np.isfinite(level):
                 self._minimise_with_independent_feet(
-                    coupled.at(share), _INDEPENDENT_FEET_ITERATIONS
+                    coupled.compute_coordinates(share), _INDEPENDENT_FEET_ITERATIONS
                 )
         last_level = np.inf
         while last_level - self.best.level > _MIN_RELATIVE_GAIN * abs(self.best.level):
@@ -316,12 +344,15 @@ class StanceSearch:
             self._minimise_with_independent_feet(self.best.coordinates, _DESCENT_ITERATIONS)
 
     def _minimise_with_independent_feet(self, coordinates: Array, iterations: int) -> None:
-        """Minimise the level over all coordinates, from some coordinates, and update ``best``."""
+        """Minimise the level over all coordinates, from an initial guess, and update ``best``."""
         subspace = Subspace(self.space, coordinates, np.eye(len(coordinates)))
         self._minimise_level(subspace, subspace.start, iterations)
 
     def merit(self, stance: EvaluatedStance | None) -> float:
-        """Return the level plus a penalty for negative slacks; infinity for None."""
+        """Return the merit of a stance: level (scaled objective) plus a penalty for violations.
+
+        Violations are negative slacks, with the weight `_CONSTRAINT_PENALTY`. Infinity for None.
+        """
         if stance is None:
             return np.inf
         slacks = stance.rows[stance.rows[:, 1] == 0, 0]  # rows that do not depend on the level
@@ -343,16 +374,19 @@ class StanceSearch:
         """
         from scipy import optimize  # slow to import
 
-        first = self.evaluate(subspace.at(start))
+        first = self.evaluate(subspace.compute_coordinates(start))
         best = np.inf, start
         if first is None:
             return best
         missing = first.rows - np.array([_CONSTRAINT_PENALTY, 0.0])
 
-        def rows(share: Array) -> Array:
-            """Return the constraints (k, 2) at scaled coordinates; update the smallest level."""
+        def evaluate_rows(share: Array) -> Array:
+            """Return the constraints a + b level >= 0 at scaled coordinates, rows (a, b).
+
+            Shape (k, 2). The smallest level of the allowed stances is updated.
+            """
             nonlocal best
-            stance = self.evaluate(subspace.at(share))
+            stance = self.evaluate(subspace.compute_coordinates(share))
             if stance is not None and stance.allowed and stance.level < best[0]:
                 best = stance.level, share.copy()
             return missing if stance is None else stance.rows
@@ -368,7 +402,10 @@ class StanceSearch:
                 values: Scaled coordinates, then the level, shape (size + 1,).
             """
             share, level = values[:-1], values[-1]
-            current, stance = rows(share), self.evaluate(subspace.at(share))
+            current, stance = (
+                evaluate_rows(share),
+                self.evaluate(subspace.compute_coordinates(share)),
+            )
             near = None if stance is None else stance.stand
             columns = []
             for index in range(len(share)):
@@ -376,10 +413,10 @@ class StanceSearch:
                 step[index] = (
                     _DIFFERENCE_STEP if share[index] + _DIFFERENCE_STEP <= 1 else -_DIFFERENCE_STEP
                 )
-                ahead = self.evaluate(subspace.at(share + step), near)
+                ahead = self.evaluate(subspace.compute_coordinates(share + step), near)
                 if ahead is None:
                     step = -step
-                    ahead = self.evaluate(subspace.at(share + step), near)
+                    ahead = self.evaluate(subspace.compute_coordinates(share + step), near)
                 change = np.zeros_like(current) if ahead is None else ahead.rows - current
                 columns.append((change @ (1.0, level)) / step[index])
             return np.column_stack([*columns, current[:, 1]])
@@ -392,7 +429,7 @@ class StanceSearch:
             bounds=[(0.0, 1.0)] * len(start) + [(None, None)],
             constraints={
                 "type": "ineq",
-                "fun": lambda values: rows(values[:-1]) @ (1.0, values[-1]),
+                "fun": lambda values: evaluate_rows(values[:-1]) @ (1.0, values[-1]),
                 "jac": derivative,
             },
             options={"maxiter": iterations, "ftol": _SLSQP_FTOL},
@@ -449,10 +486,11 @@ class Subspace:
         self.size = int(movable.sum())
         self.start = np.clip(-self.low / self.width, 0, 1)
 
-    def at(self, share: Array) -> Array:
-        """Compute the coordinates (n,) [m or rad] from scaled coordinates (size,).
+    def compute_coordinates(self, share: Array) -> Array:
+        """Compute the coordinates of a stance, shape (n,) [m or rad], from scaled coordinates.
 
-        The scaled coordinates are clipped to 0 to 1.
+        Args:
+            share: Scaled coordinates, shape (size,), clipped to 0 to 1.
         """
         multiples = self.low + np.clip(share, 0, 1) * self.width
         coordinates: Array = self.origin + self.directions @ multiples

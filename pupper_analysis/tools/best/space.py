@@ -63,9 +63,9 @@ legs whose feet sink into soft ground. Chosen. Without a reserve, a small distur
 fail: with the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg failed."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
-"""Lower bound of the reserve [rad] that replaces `JOINT_RESERVE` if the initial stand has less, and
-the tolerance with which a violated reserve is still allowed. A descent along a limit slightly
-violates the limit, where no stand exists for evaluation. Chosen."""
+"""Tolerance [rad] with which the reserve at the joint limits may be violated, since a descent along
+the reserve slightly violates it. It is also the smallest reserve if the initial stand has less than
+`JOINT_RESERVE`, so that the violation stays inside the limits, where stands exist. Chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,23 +79,30 @@ class StanceSlack:
             joint margin and the reserve. Values are at most 1.
         edges: Shape (m,) [m]; signed distances of the projected CoM from the edges of the support
             polygon, less the CoM margin.
-        touching: Negative total penetration [m] of pairs of geoms that do not touch in the initial
-            stand.
+        penetration: Negative total penetration [m] of pairs of geoms that do not touch in the
+            initial stand; zero if there is none.
     """
 
     singular_values: Array
     joints: Array
     edges: Array
-    touching: float
+    penetration: float
 
-    def less(self, inside: float) -> Array:
-        """Return all slacks as a vector, reduced by ``inside``; lengths are multiplied by 10.
+    def to_vector(self, reduction: float) -> Array:
+        """Return all slacks of a stance as a vector for the nonlinear program.
 
-        The entry of ``touching`` is not reduced, because this slack is zero for every allowed
-        stance.
+        Lengths [m] are multiplied by 10, to have the magnitude of the other slacks.
+
+        Args:
+            reduction: Subtracted from all entries but the last. The last is the slack of
+                penetrations, which is zero for every allowed stance.
         """
-        slacks = [self.singular_values - inside, self.joints - inside, 10 * self.edges - inside]
-        return np.concatenate([*slacks, [10 * self.touching]])
+        slacks = [
+            self.singular_values - reduction,
+            self.joints - reduction,
+            10 * self.edges - reduction,
+        ]
+        return np.concatenate([*slacks, [10 * self.penetration]])
 
 
 class StanceSpace:
@@ -153,7 +160,7 @@ class StanceSpace:
         for name, value in zip(BASE_COORDINATES[1:], self.start[1:], strict=False):
             low.append(max(workspace[name].low, value - max_changes[name]))
             high.append(min(workspace[name].high, value + max_changes[name]))
-        outwards = self.outwards()
+        outwards = self.outward_signs()
         distances = [abs(self._offset_from_centre(foot)) for foot in self.free]
         inwards = (
             np.minimum(MAX_OUTWARD_STEP * height.high, MAX_INWARD_STEP * np.min(distances, axis=0))
@@ -174,15 +181,19 @@ class StanceSpace:
         offset: Array = position - self.centre
         return offset
 
-    def outwards(self) -> dict[str, Array]:
-        """Return {free foot: signs (2,) of the outward directions along world x and y}."""
+    def outward_signs(self) -> dict[str, Array]:
+        """Return the signs of the directions away from the centre of the feet, for each free foot.
+
+        Returns:
+            {foot: -1, 0 or 1 along x and along y of the world frame, shape (2,)}.
+        """
         return {foot: np.sign(self._offset_from_centre(foot)) for foot in self.free}
 
     @property
-    def symmetric(self) -> bool:
-        """True if the initial task is symmetric between left and right.
+    def is_symmetric(self) -> bool:
+        """True if the initial stand task is symmetric between left and right.
 
-        The kinematics of the robot are not compared.
+        Angles, slope, steps, swing feet and foot positions are compared, not the robot.
         """
         task, ground = self.nominal.task, self.nominal.task.ground
         side_slope = abs(math.sin(ground.uphill)) * ground.slope
@@ -190,15 +201,17 @@ class StanceSpace:
         uneven = task.swing or task.feet or task.foot_offsets or any(ground.heights.values())
         return asymmetry < 1e-9 and not uneven
 
-    def directions(self) -> Array:
-        """Return directions (size, k) in the space of coordinates; the feet move together.
+    def coupled_directions(self) -> Array:
+        """Return directions of the search in which the feet move together.
 
-        Columns: base coordinates (only height, x and pitch if the task is symmetric), length of the
-        stance, width of the front feet, width of the rear feet. Columns of zeros are omitted.
+        Returns:
+            A direction per column, shape (n, k), in the coordinates [m or rad]: base coordinates
+            (only height, x and pitch if the task is symmetric), length of the stance, width of the
+            front feet, width of the rear feet. Columns of zeros are omitted.
         """
-        keep = (0, 1, 4) if self.symmetric else range(len(BASE_COORDINATES))
+        keep = (0, 1, 4) if self.is_symmetric else range(len(BASE_COORDINATES))
         columns = [np.eye(len(self.start))[index] for index in keep]
-        outwards = self.outwards()
+        outwards = self.outward_signs()
         for axis, side in ((0, 0.0), (1, 1.0), (1, -1.0)):
             column = np.zeros(len(self.start))
             for index, foot in enumerate(self.free):
@@ -208,8 +221,8 @@ class StanceSpace:
                 columns.append(column)
         return np.array(columns).T
 
-    def task(self, coordinates: Array) -> StandTask:
-        """Make the stand task for a vector of coordinates."""
+    def make_task(self, coordinates: Array) -> StandTask:
+        """Create the stand task of a stance from coordinates, shape (n,) [m or rad]."""
         height, x, y, roll, pitch, yaw = map(float, coordinates[: len(BASE_COORDINATES)])
         task = self.nominal.task
         offsets: dict[str, Point] = dict(task.foot_offsets)
@@ -230,10 +243,10 @@ class StanceSpace:
             com="centre",
         )
 
-    def stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
+    def find_stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
         """Solve the stand for a vector of coordinates, or return None if no stand is found.
 
-        The CoM margin is not enforced: the margin is one of the slacks of `room`. Only the usual
+        The CoM margin is not enforced: the margin is a slack of `compute_slack`. Only the usual
         initial guesses are tried, because stands in other IK branches are rare and the search
         evaluates thousands.
 
@@ -244,7 +257,7 @@ class StanceSpace:
         Raises:
             ConfigurationError: If the task of the coordinates is rejected.
         """
-        task = self.task(coordinates)
+        task = self.make_task(coordinates)
         goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
         with lend(self.robot, SearchContext) as context:
             if near is None:
@@ -253,8 +266,12 @@ class StanceSpace:
                 stand = search_from_configuration(context, goal, near.qpos)
         return stand.for_task(task) if stand is not None and stand.solved else None
 
-    def room(self, stand: Stand) -> StanceSlack:
-        """Compute the constraint slacks of a stand."""
+    def compute_slack(self, stand: Stand) -> StanceSlack:
+        """Compute the slacks of the constraints that a stand must satisfy, with its distances.
+
+        The constraints bound the singular values of the legs' Jacobians, the joint positions [rad],
+        the CoM margin [m] and penetrations that the initial stand does not have [m].
+        """
         config, task = Configuration(self.robot, stand.qpos), self.nominal.task
         min_values = MIN_SINGULAR_VALUE_RATIO * self._initial_singular_values
         scale = np.where(self._initial_singular_values > 0, self._initial_singular_values, 1.0)
@@ -269,7 +286,7 @@ class StanceSpace:
             singular_values=(_min_singular_values(config) - min_values) / scale,
             joints=np.minimum(joint_slacks, 1.0),
             edges=edges - task.com_margin,
-            touching=-added,
+            penetration=-added,
         )
 
     def _joint_limit_distances(self, stand: Stand) -> Array:

@@ -61,7 +61,7 @@ def neighbours(robot: pa.Robot, found: pa.analysis.BestStance, count: int) -> li
     stands = []
     for scale in np.geomspace(1e-3, 0.2, count):
         step = scale * (high - low) * random.standard_normal(len(at))
-        task = space.task(np.clip(at + step * (random.random(len(at)) < 0.4), low, high))
+        task = space.make_task(np.clip(at + step * (random.random(len(at)) < 0.4), low, high))
         try:
             stand = pa.solve_stand(robot, task, explain=False)
         except pa.StanceUnreachableError:
@@ -162,7 +162,7 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
     small = SmallPayload(robot, find_place(robot, point), model_with_servos(robot).kp)
 
     def carried(stand: pa.Stand) -> float:
-        rows = small.rows(stand)
+        rows = small.compute_rows(stand)
         return 0.0 if rows is None else largest_feasible_mass(rows)
 
     best = carried(found.best.stand)
@@ -170,7 +170,9 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
     shares, random = Subspace(found.space, found.best.coordinates, np.eye(14)), None
     random, allowed = np.random.default_rng(4), 0
     for scale in np.geomspace(1e-3, 0.1, 30):
-        place = shares.at(np.clip(shares.start + scale * random.standard_normal(14), 0, 1))
+        place = shares.compute_coordinates(
+            np.clip(shares.start + scale * random.standard_normal(14), 0, 1)
+        )
         stance = found.evaluate(place)
         if stance is not None and stance.allowed:
             assert carried(stance.stand) < 1.005 * best
@@ -184,7 +186,7 @@ def test_unit_of_levels_fits_the_objective_if_its_initial_value_is_zero(
     objective: Objective, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reference: utilisation has no unit; scales of margin [m] and payload [kg] of v3."""
-    monkeypatch.setattr(StanceSearch, "stance", lambda *_: SimpleNamespace(level=0.0))
+    monkeypatch.setattr(StanceSearch, "evaluate_stand", lambda *_: SimpleNamespace(level=0.0))
     robot = load("v3")
     unit = StanceSearch(robot, objective).scale
     expected = {"utilisation": 1.0, "margin": robot.stand_height, "payload": robot.total_mass}
@@ -198,8 +200,8 @@ def test_asymmetric_stance_is_optimised_over_all_free_parameters() -> None:
     robot = load("v3")
     task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
     found = best_stance(robot, task=task)
-    assert not StanceSpace(robot, task).symmetric
-    assert StanceSpace(robot, pa.StandTask()).symmetric
+    assert not StanceSpace(robot, task).is_symmetric
+    assert StanceSpace(robot, pa.StandTask()).is_symmetric
     assert found.stand.stance_feet == tuple(foot for foot in robot.contact_points if foot != "FL")
     # From one start; the whole search ends at 0.49 of it.
     assert found.value < 0.85 * found.nominal_value

@@ -45,7 +45,7 @@ def test_settled_pose_is_unstable_at_the_buckling_load(
         monkeypatch.setattr(
             first_order, "SMALL_PAYLOAD_RATIO", mass / robot.total_mass
         )  # as stiff as under it
-        rows = SmallPayload(robot, place, kp).rows(sunk)
+        rows = SmallPayload(robot, place, kp).compute_rows(sunk)
         assert rows is not None
         mass = largest_feasible_mass(rows[:1])
     signs = []
