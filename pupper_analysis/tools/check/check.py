@@ -46,19 +46,20 @@ from pupper_analysis.tools.diff.compare import diff_models
 from pupper_analysis.tools.diff.version import open_revision
 
 SIMULATION_KIND = "simulation"
-"""Kind of a remark on the combined effect of all changes of a file."""
+"""Value of ``Remark.kind`` for a remark on the combined effect of all changes of a file."""
 
 
 def list_history_remarks(
     file: Path, before: Callable[[Path], Path], pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
-    """Yield a remark per change of a file, and remarks on the combined effect.
+    """Yield a remark for each change of a model file since an old version.
 
-    Nothing is yielded for a new file, or if the comparison fails.
+    Remarks on the combined effect of all changes follow. Nothing is yielded for a new file, or if
+    the versions cannot be compared.
 
     Args:
-        file: File.
-        before: Function that returns the path of the old version.
+        file: Present version of the file.
+        before: Function that returns the path of the old version of a file.
         pair: Pair that the file belongs to.
         folder: Folder of the configuration.
     """
@@ -260,6 +261,7 @@ def _list_changes(config: GuardConfig, since: str, found: Iterable[Remark]) -> I
 
 
 def _is_failure(remark: Remark, config: GuardConfig) -> bool:
+    """Return True if a remark is not in the baseline and at least as severe as ``fail-on``."""
     return not remark.known and remark.severity.rank <= config.fail_on.rank
 
 
@@ -308,11 +310,15 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
 
 
 def _has_refusal(remarks: Iterable[Remark]) -> bool:
+    """Return True if a file could not be read, or a comparison failed."""
     return any(remark.kind == REFUSED_KIND for remark in remarks)
 
 
 def _drop_repeated(remarks: Iterable[Remark]) -> Iterator[Remark]:
-    """Drop repeated findings in files that belong to several pairs."""
+    """Yield remarks, those about a file that belongs to several pairs only once.
+
+    Differences between two files are not dropped.
+    """
     seen = set()
     for remark in remarks:
         key = (remark.identity, str(remark.values), remark.place)

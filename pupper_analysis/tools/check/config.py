@@ -1,4 +1,9 @@
-"""Configuration ``pupper-analysis.toml``: models to be checked, and settings."""
+"""Configuration ``pupper-analysis.toml``: models to be checked, and settings.
+
+`read_config` converts the file to a `GuardConfig`: the pairs of files, with patterns expanded, and
+the settings. Unknown keys, invalid values and missing files are errors with the line of the key.
+`write_config` writes a first configuration from the models below a folder.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +121,7 @@ def read_config(path: Path) -> GuardConfig:
         text, values = read_toml(path)
     except InputError as error:
         raise ModelError(source_name(path, error.line), error.cause) from error
-    return _ConfigReader(path, text, values).config()
+    return _ConfigReader(path, text, values).read()
 
 
 _WILDCARDS: Final = "*?["
@@ -131,15 +136,18 @@ class _ValueKind(NamedTuple):
 
 
 def _is_text(value: Any) -> bool:
+    """Return True for a string that is not blank and has no zero byte."""
     return isinstance(value, str) and bool(value.strip()) and "\0" not in value
 
 
 def _is_number(value: Any) -> bool:
+    """Return True for a positive number below 1e300."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return number and 0 < value < 1e300
 
 
 def _is_list(value: Any, kind: type) -> bool:
+    """Return True for a list whose items all have a type."""
     return isinstance(value, list) and all(isinstance(item, kind) for item in value)
 
 
@@ -218,55 +226,61 @@ class _ConfigReader:
         self.path, self.folder, self.top = path, path.parent, values
         self._text, self._entry = text, 0  # index of the current [[pair]]
 
-    def error(self, key: Key, message: Diagnostic) -> ModelError:
-        """Return an error that names the line of a key."""
+    def make_error(self, key: Key, message: Diagnostic) -> ModelError:
+        """Return the error for a key of the configuration, with the line of the key."""
         return ModelError(source_name(self.path, find_key_line(self._text, key)), message)
 
-    def own(self, *key: str) -> Key:
-        """Return the path of a key of the current [[pair]], or of the file's top if only there."""
+    def locate_key(self, *key: str) -> Key:
+        """Return the path of a key for a message.
+
+        The path is below the current [[pair]] if this table contains the key; otherwise the key is
+        one of the top table, whose settings apply to all pairs.
+        """
         own: Key = ("pair", self._entry, *key)
         return own if _contains_path(self.top, own) else key
 
-    def config(self) -> GuardConfig:
-        """Read all pairs and settings."""
-        self.check(self.top, (), _TOP_KEYS)
+    def read(self) -> GuardConfig:
+        """Return the pairs and settings of the configuration, or raise the first error in it."""
+        self.check_table(self.top, (), _TOP_KEYS)
         entries = self.top.get("pair", [])
         if not entries:
             raise ModelError(self.path, diagnose("config-without-pair"))
         pairs: dict[str, GuardedPair] = {}
         for self._entry, entry in enumerate(entries):
-            for pair in self.pairs(entry):
+            for pair in self.list_pairs(entry):
                 if pair.name in pairs:
-                    raise self.error(self.own("name"), diagnose("pair-twice", pair=pair.name))
+                    raise self.make_error(
+                        self.locate_key("name"), diagnose("pair-twice", pair=pair.name)
+                    )
                 pairs[pair.name] = pair
         stated = self.top.get("fail-on", str(Severity.ERROR))
         try:
             fail_on = Severity(stated)
         except ValueError:
             severities = diagnose("one-of", names=[str(severity) for severity in Severity])
-            raise self.invalid(("fail-on",), stated, severities) from None
+            raise self.make_value_error(("fail-on",), stated, severities) from None
         baseline = self.folder / self.top.get("baseline", BASELINE_NAME)
         return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)
 
-    def pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
+    def list_pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
         """Yield the pair of an entry, or a pair for each file that the patterns match."""
-        self.check(
+        self.check_table(
             entry,
             ("pair", self._entry),
             {**_PAIR_KEYS, **dict.fromkeys(find_tool_modules("guard"), _NAMES_VALUE)},
         )
         patterns = {kind: entry[kind] for kind in ("urdf", "mjcf") if kind in entry}
         if not any(char in text for text in patterns.values() for char in _WILDCARDS):
-            yield self.pair(entry)
+            yield self.make_pair(entry)
             return
         if len(patterns) == 2 and any(
             text.count("*") != 1 or "?" in text or "[" in text for text in patterns.values()
         ):
             valid = Term("one * in each, which stands for the same in both")
-            raise self.invalid(self.own("urdf"), patterns["urdf"], valid)
+            raise self.make_value_error(self.locate_key("urdf"), patterns["urdf"], valid)
         files_by_part: dict[str, dict[str, str]] = {}
         for kind, pattern in patterns.items():
-            for file in self.matches(pattern, kind):
+            for file in self.match_files(pattern, kind):
                 part = file
                 if len(patterns) == 2:
                     head, tail = pattern.split("*")
@@ -275,29 +289,30 @@ class _ConfigReader:
         for part, files in files_by_part.items():
             others = {name: value for name, value in entry.items() if name not in patterns}
             name = {"name": f"{entry['name']}/{part}"} if "name" in entry else {}
-            yield self.pair({**others, **name, **files})
+            yield self.make_pair({**others, **name, **files})
 
-    def matches(self, pattern: str, key: str) -> list[str]:
+    def match_files(self, pattern: str, key: str) -> list[str]:
         """Return the files that a pattern matches, relative to the configuration."""
         try:
             files = (path for path in self.folder.glob(pattern) if path.is_file())
             paths = sorted(path for path in files if not is_include_part(path))
         except (NotImplementedError, ValueError) as error:
             valid = Term("a pattern relative to this file")
-            raise self.invalid(self.own(key), pattern, valid) from error
+            raise self.make_value_error(self.locate_key(key), pattern, valid) from error
         if not paths:
             message = diagnose("no-file-matches", key=key, pattern=pattern)
-            raise self.error(self.own(key), message)
+            raise self.make_error(self.locate_key(key), message)
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
-    def pair(self, entry: dict[str, Any]) -> GuardedPair:
+    def make_pair(self, entry: dict[str, Any]) -> GuardedPair:
         if "name" not in entry:
-            raise self.error(("pair", self._entry), diagnose("pair-without-name"))
+            raise self.make_error(("pair", self._entry), diagnose("pair-without-name"))
         if not {"urdf", "mjcf"} & entry.keys():
             message = diagnose("pair-without-file", pair=entry["name"])
-            raise self.error(("pair", self._entry), message)
+            raise self.make_error(("pair", self._entry), message)
         urdf, mjcf = (
-            self.file(kind, entry[kind]) if kind in entry else None for kind in ("urdf", "mjcf")
+            self.resolve_file(kind, entry[kind]) if kind in entry else None
+            for kind in ("urdf", "mjcf")
         )
         both = {key: {**self.top.get(key, {}), **entry.get(key, {})} for key in _TABLE_VALUES}
         strict = entry.get("strict", self.top.get("strict", False))
@@ -308,57 +323,77 @@ class _ConfigReader:
             mjcf=mjcf,
             names=both["map"],
             feet=tuple(entry.get("feet", ())),
-            packages={name: self.package(name, to) for name, to in both["packages"].items()},
+            packages={
+                name: self.resolve_package(name, to) for name, to in both["packages"].items()
+            },
             tolerances=tolerances.changed(
                 {name: float(value) for name, value in both["tolerances"].items()}
             ),
             strict=strict,
             disabled=both["disable"],
             guards={
-                tool: tuple(self.file(tool, text) for text in entry[tool])
+                tool: tuple(self.resolve_file(tool, text) for text in entry[tool])
                 for tool in find_tool_modules("guard")
                 if tool in entry
             },
         )
 
-    def file(self, key: str, text: str) -> Path:
-        """Return the path of a file; for another tool also a folder, or ``FILE:NAME``."""
+    def resolve_file(self, key: str, text: str) -> Path:
+        """Return the path of an existing file, relative to the configuration.
+
+        Args:
+            key: Key of the [[pair]]: ``urdf``, ``mjcf``, or the name of a tool such as
+                ``contract``. For a tool, ``text`` may also be a folder, or ``FILE:NAME``.
+            text: Path in the configuration.
+        """
         path, source = self.folder / text, self.folder / text.rpartition(":")[0]
         if not (is_input(path) or (key not in _PAIR_KEYS and (path.is_dir() or source.is_file()))):
             message = diagnose("pair-file-missing", key=key, file=text)
-            raise self.error(self.own(key), message)
+            raise self.make_error(self.locate_key(key), message)
         return path
 
-    def package(self, name: str, folder: str) -> Path:
+    def resolve_package(self, name: str, folder: str) -> Path:
         if not (self.folder / folder).is_dir():
-            raise self.invalid(self.own("packages", name), folder, _TABLE_VALUES["packages"].valid)
+            raise self.make_value_error(
+                self.locate_key("packages", name), folder, _TABLE_VALUES["packages"].valid
+            )
         return self.folder / folder
 
-    def check(self, table: dict[str, Any], within: Key, valid: Mapping[str, _ValueKind]) -> None:
-        """Refuse invalid keys and values of a table and of nested tables."""
+    def check_table(
+        self, table: dict[str, Any], within: Key, valid: Mapping[str, _ValueKind]
+    ) -> None:
+        """Raise an error for an invalid key or value of a table or a nested table.
+
+        Args:
+            table: Table of the configuration.
+            within: Path of the table.
+            valid: {valid key: required kind of its value}.
+        """
         for key, value in table.items():
             if key not in valid:
-                raise self.unknown((*within, key), valid)
+                raise self.make_key_error((*within, key), valid)
             if not valid[key].check(value):
-                raise self.invalid((*within, key), value, valid[key].valid)
+                raise self.make_value_error((*within, key), value, valid[key].valid)
             for name, item in value.items() if key in _TABLE_VALUES else ():
                 if name not in _TABLE_KEYS.get(key, value):
-                    raise self.unknown(
+                    raise self.make_key_error(
                         (*within, key, name), _TABLE_KEYS[key], rule=key == "disable"
                     )
                 if not _TABLE_VALUES[key].check(item):
-                    raise self.invalid((*within, key, name), item, _TABLE_VALUES[key].valid)
+                    raise self.make_value_error(
+                        (*within, key, name), item, _TABLE_VALUES[key].valid
+                    )
 
-    def unknown(self, key: Key, valid: Iterable[str], *, rule: bool = False) -> ModelError:
-        """Return the error of a key that is not valid in this table."""
+    def make_key_error(self, key: Key, valid: Iterable[str], *, rule: bool = False) -> ModelError:
+        """Return the error for a key that is not valid in its table, with the valid keys."""
         within = ".".join(part for part in key[:-1] if isinstance(part, str))
         code = "rule-unknown" if rule else "key-unknown"
-        return self.error(key, diagnose(code, key=key[-1], within=within, known=tuple(valid)))
+        return self.make_error(key, diagnose(code, key=key[-1], within=within, known=tuple(valid)))
 
-    def invalid(self, key: Key, value: object, valid: Term | Diagnostic) -> ModelError:
-        """Return the error of a value that is not valid."""
+    def make_value_error(self, key: Key, value: object, valid: Term | Diagnostic) -> ModelError:
+        """Return the error for an invalid value of a key, with the valid values."""
         message = diagnose("setting-not-valid", key=key[-1], value=repr(value), valid=valid)
-        return self.error(key, message)
+        return self.make_error(key, message)
 
 
 # First `pupper-analysis.toml` of a repository, with all models in the folders.
@@ -400,6 +435,7 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def _format_entry(entry: dict[str, str]) -> str:
+    """Return the [[pair]] table of an entry {key: text} in TOML."""
     # JSON strings are TOML strings, except for DEL.
     texts = {k: json.dumps(v, ensure_ascii=False) for k, v in entry.items()}
     keys = [f"{key} = {text}\n".replace("\x7f", "\\u007f") for key, text in texts.items()]
@@ -411,6 +447,9 @@ def list_pair_entries(folder: Path) -> list[dict[str, str]]:
 
     Two files with the same stem form a pair if they are in the same folder, or if there are no
     other unpaired files with this stem.
+
+    Returns:
+        The keys ``name``, ``urdf`` and ``mjcf`` of each [[pair]], paths relative to ``folder``.
     """
     files_by_key: dict[Path, dict[str, str]] = {}
     for path in _list_model_files(folder):

@@ -1,4 +1,8 @@
-"""Document and annotations of a repository check: failures, and the number of known findings."""
+"""Document and annotations of a repository check: failures, and the number of known findings.
+
+Input is a ``RepositoryCheck``. Remarks with the same cause or the same values form a group, with
+the quoted lines of both files. Remarks that the baseline contains are listed in one line each.
+"""
 
 from __future__ import annotations
 
@@ -106,6 +110,7 @@ def group_findings(remarks: Iterable[Remark]) -> list[list[Remark]]:
 
 
 def _describe_known_group(group: list[Remark]) -> Text:
+    """Return the place and message of the first of a group of remarks in the baseline."""
     place = group[0].place or group[0].file
     return text(
         "name-note", name=doc.Name(relative_to_root(place)), note=_describe_remark(group[0])
@@ -113,6 +118,7 @@ def _describe_known_group(group: list[Remark]) -> Text:
 
 
 def _describe_remark(first: Remark) -> doc.Words:
+    """Return the message of a remark, or the cause of the differences to which it belongs."""
     message = doc.diagnostic_text(first.diagnostic if first.cause is None else first.cause)
     if not _is_audit_rule(first):
         return message
@@ -120,10 +126,12 @@ def _describe_remark(first: Remark) -> doc.Words:
 
 
 def _is_audit_rule(remark: Remark) -> bool:
+    """Return True if a remark is the finding of an audit rule."""
     return remark.check == "audit" and remark.kind in RULES
 
 
 def _describe_group(group: list[Remark]) -> doc.FileFinding:
+    """Create the block of a group of remarks: message, quoted lines, effects and repair."""
     first, *others = group
     notes: list[doc.Words] = []
     if first.cause is not None:
@@ -152,6 +160,7 @@ def _describe_group(group: list[Remark]) -> doc.FileFinding:
 
 
 def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
+    """Create the table of the checked pairs, with numbers of failing and known findings."""
     columns = (
         doc.Column(text("pair"), left=True),
         doc.Column(text("verdict"), left=True),
@@ -176,7 +185,7 @@ def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
 
 
 def summarise_check(check: RepositoryCheck) -> Text:
-    """Return the numbers of findings, in a line."""
+    """Return a line with the numbers of failing, less severe, known and stale findings."""
     new = [remark for remark in check.remarks if not remark.known]
     counts = {
         "count-to-fix": check.failures,
@@ -201,7 +210,9 @@ def relative_to_root(place: str) -> str:
 def make_check_annotations(
     check: RepositoryCheck, *, in_a_change: bool = False
 ) -> list[Annotation]:
-    """Make annotations for the remarks. Failures have level error, whatever the severity.
+    """Create annotations for a CI service from the remarks of a check.
+
+    Remarks that make the check fail have the level "error", whatever their severity.
 
     Args:
         check: Check.
@@ -238,7 +249,7 @@ def make_check_annotations(
 
 
 def describe_stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
-    """List messages about entries of the baseline that no longer occur."""
+    """Return a message about each entry of the baseline that no longer occurs in the models."""
     return [
         diagnose("baseline-entry-stale", entry=str(entry), out=check.updated)
         for entry in check.stale
@@ -246,6 +257,7 @@ def describe_stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
 
 
 def _make_annotation(group: list[Remark], remark: Remark, place: str | None) -> Annotation:
+    """Create the annotation of a remark at a place; with a cause, the group's only annotation."""
     both = (remark.place, remark.other_place)
     others = [relative_to_root(location) for location in both if location and location != place]
     message = " ".join([remark.message, *(f"[{location}]" for location in others)])

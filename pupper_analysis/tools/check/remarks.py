@@ -32,7 +32,8 @@ NUM_DIGITS = 9
 
 
 REFUSED_KIND = "refused"
-"""Kind of a remark about a file that cannot be read, or a failed comparison. Never known."""
+"""Value of ``Remark.kind`` for a file that cannot be read, or a failed comparison. The baseline
+never accepts such a remark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ class Remark(Result):
 
     @property
     def message(self) -> str:
-        """Message in one sentence; for an audit finding also the repair."""
+        """English message of the remark, with effects of a change or the repair of a finding."""
         if self.check != "audit" or self.kind not in RULES:
             return "; ".join(map(str, (self.diagnostic, *self.consequences)))
         finding = str(self.diagnostic).rstrip(".")
@@ -86,12 +87,12 @@ class Remark(Result):
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
-        """Key of the remark, independent of values and lines."""
+        """Key of the remark: check, pair, file, kind and element, without values and lines."""
         return self.check, self.pair, self.file, self.kind, self.element
 
     @property
     def finding(self) -> tuple[object, ...]:
-        """Key of the finding.
+        """Key of the finding to which this remark belongs, for counts and groups.
 
         Remarks with the same cause, or the same values at several elements, have equal keys.
         """
@@ -102,7 +103,16 @@ class Remark(Result):
 def list_comparison_remarks(
     comparison: FilesCompared, pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
-    """Yield a remark per difference, part, unmatched joint and objection."""
+    """Yield a remark for each result of the comparison of a URDF with an MJCF.
+
+    Results are differences, parts of the robot that only one file has, joints without a partner,
+    and other reasons against agreement of the files.
+
+    Args:
+        comparison: Compared files.
+        pair: Pair of the files.
+        folder: Folder of the configuration, to which paths are relative.
+    """
     file = relative_path(comparison.urdf, folder)
     causes = {
         number: cause.diagnostic for cause in comparison.causes for number in cause.differences
@@ -142,7 +152,7 @@ def list_comparison_remarks(
 
 
 def list_audit_remarks(audit: Audit, folder: Path) -> Iterator[Remark]:
-    """Yield a remark per audit finding."""
+    """Yield a remark for each finding of an audit, with the file relative to ``folder``."""
     for finding in audit.findings:
         yield make_remark(
             "audit",
@@ -189,7 +199,15 @@ def list_guard_remarks(
 def make_error_remark(
     error: PupperAnalysisError, check: str, pair: GuardedPair, path: Path, folder: Path
 ) -> Remark:
-    """Make the remark about a file that cannot be read, or a failed comparison."""
+    """Create the remark about a file that cannot be read, or a failed comparison.
+
+    Args:
+        error: Error of the audit or comparison.
+        check: ``audit``, ``crosscheck`` or the name of another tool.
+        pair: Pair of the file.
+        path: File.
+        folder: Folder of the configuration, to which the file of the remark is relative.
+    """
     place = str(getattr(error, "source", path))
     file, _, line = place.rpartition(":")
     known = Path(file if line.isdecimal() else place).is_file()
@@ -217,7 +235,20 @@ def make_remark(
     other_place: str | None = None,
     consequences: tuple[Diagnostic, ...] = (),
 ) -> Remark:
-    """Make a remark with the values of the diagnostic."""
+    """Create a remark whose baseline values are the code and the values of a diagnostic.
+
+    Args:
+        check: As ``Remark.check``.
+        pair: Name of the pair; "" for a finding that belongs to a file.
+        kind: As ``Remark.kind``.
+        element: Joint, body or frame.
+        file: File, relative to the configuration.
+        message: Diagnostic.
+        bad: Severity.
+        place: ``file:line``; None if unknown.
+        other_place: ``file:line`` in the second file of a difference; None if there is none.
+        consequences: Effects of a change in a simulation.
+    """
     return Remark(
         check,
         pair,
@@ -239,9 +270,9 @@ def relative_path(file: str | Path, folder: Path) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """Convert a value to numbers, texts, lists and tables, rounded to `NUM_DIGITS`.
+    """Convert a value to JSON types, with numbers of `NUM_DIGITS` digits, for the baseline.
 
-    A diagnostic becomes code and values in SI units.
+    A diagnostic becomes a table with its code and values, in SI units.
     """
     if isinstance(value, Diagnostic):
         values = {name: to_plain(item) for name, item in value.values.items() if item is not None}
@@ -317,11 +348,12 @@ class Baseline:
     comments: tuple[tuple[BaselineEntry, tuple[str, ...]], ...] = ()
     end: tuple[str, ...] = ()
 
-    def text_with(self, entries: Iterable[BaselineEntry]) -> str:
-        """Return the text of the file with other entries, sorted, and with all its comments.
+    def format_text(self, entries: Iterable[BaselineEntry]) -> str:
+        """Return the text of this baseline with other entries, which are sorted.
 
-        A comment stays above its entry: the new entry with the same value, otherwise the first one
-        with the same identity. Comments whose entry is gone move to the end.
+        All comments of the user are kept. A comment stays above its entry: the new entry with the
+        same values, otherwise the first one with the same identity. Comments whose entry is gone
+        move to the end. Blank lines between entries are dropped.
         """
         written = sorted(((_format_entry(entry), entry) for entry in entries), key=itemgetter(0))
         above: list[list[str]] = [[] for _ in written]
@@ -407,6 +439,7 @@ def _parse_entry(line: str) -> BaselineEntry | None:
 
 
 def _format_entry(entry: BaselineEntry) -> str:
+    """Return an entry as a line of the baseline: a JSON list of identity and values."""
     return json.dumps([*entry.identity, entry.values], default=dict, ensure_ascii=False)
 
 
@@ -422,7 +455,8 @@ def _is_baseline(file: BinaryIO) -> bool:
 
 
 BASELINE_FILE: Final = Kind("baseline", _is_baseline, edits=True)
-"""A baseline. It is read and rewritten in one run; a file without header and entry is not one."""
+"""Kind of the baseline file, which one run may read and rewrite. An existing file with neither
+the header nor an entry of a baseline is not overwritten."""
 
 
 def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry]) -> None:
@@ -436,7 +470,7 @@ def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry
     Raises:
         OutputError: If the file cannot be written, is not a baseline, or has changed since reading.
     """
-    content = before.text_with(entries).encode(errors="replace")
+    content = before.format_text(entries).encode(errors="replace")
     write_all([Writing(path, content, BASELINE_FILE, before=before.content)])
 
 
@@ -470,7 +504,10 @@ def count_findings(remarks: Iterable[Remark]) -> int:
 
 
 def values_agree(first: Any, second: Any) -> bool:
-    """Return True if two values are equal within `_VALUE_RTOL`."""
+    """Return True if two values of the baseline are equal, numbers within `_VALUE_RTOL`.
+
+    Tables need the same keys, lists the same structure.
+    """
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return first.keys() == second.keys() and all(
             values_agree(first[key], second[key]) for key in first
@@ -501,4 +538,5 @@ def _flatten_value(value: Any) -> list[Any]:
 
 
 def _is_finite(value: Any) -> bool:
+    """Return True for a finite number that is not a truth value."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

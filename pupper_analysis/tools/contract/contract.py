@@ -119,9 +119,9 @@ def read_contract(
 
     Raises:
         ConfigurationError: If no model is passed, or an argument is invalid.
-        ModelError: If a source cannot be read, contains no joint of the robot, or contains several
-            configurations and no name is passed. The message states the place and the valid
-            choices.
+        ModelError: If a source cannot be read, contains no joint of the robot, or if a trainer's
+            file contains several configurations and no name is passed. The message states the
+            place and the valid choices.
     """
     if fail_on not in list(map(str, Severity)):
         message = diagnose("one-of", names=[str(severity) for severity in Severity])
@@ -331,6 +331,7 @@ def _list_source_files(folder: Path) -> Iterator[Path]:
 
 
 def _summarise_source(placed_source: PlacedSource) -> SourceRead:
+    """Return name, role, joint order and observations of a source."""
     source, seen = (
         placed_source.source,
         tuple(name for name, _, _ in placed_source.source.observations),

@@ -1,4 +1,9 @@
-"""Document of a contract: each disagreement with both lines, and tables of all numbers."""
+"""Document of a contract: each disagreement with both lines, and tables of all numbers.
+
+Input is a ``Contract``. Outputs are blocks with the quoted lines of both sources and the effects,
+tables of default poses, sources, joint numbers, settings and observations, and annotations for CI
+services.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +30,7 @@ ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Sever
 """Level of an annotation for each severity."""
 
 MAX_SHOWN_FINDINGS = 25
-"""Largest number of disagreements whose lines are shown in the short view. Chosen."""
+"""Largest number of disagreements whose lines are shown in the short view. Chosen, not tuned."""
 
 
 @build_document.register(Contract)
@@ -62,6 +67,7 @@ def _describe_first(contract: Contract) -> Iterable[doc.Words]:
 
 
 def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
+    """Yield the disagreements, then the tables of poses, sources, numbers and observations."""
     for number, finding in enumerate(contract.findings):
         yield _compare_lines(finding, detail=number >= MAX_SHOWN_FINDINGS)
     if contract.poses:
@@ -81,6 +87,7 @@ def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
 
 
 def _compare_lines(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
+    """Create the block of a disagreement, with the quoted lines of both sources."""
     numbers = {place: number for number, place in enumerate(finding.places)}
     columns = tuple(
         doc.FilePlace(
@@ -104,15 +111,18 @@ def _compare_lines(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
 
 
 def _format_value(finding: Disagreement, number: int) -> str:
+    """Format the value of the first (0) or second (1) source of a disagreement, with its unit."""
     value = finding.values[number]
     return "-" if value is None else f"{value:.6g} {finding.unit}".rstrip()
 
 
 def _make_column(key: str, unit: str = "", *, detail: bool = False) -> doc.Column:
+    """Create a column with a header from the catalogue, left-aligned if it has no unit."""
     return doc.Column(text(key), unit, left=not unit, detail=detail)
 
 
 def _tabulate_poses(contract: Contract) -> doc.Table:
+    """Create the table of the stands in the default poses of the sources."""
     columns = (
         _make_column("contract-source"),
         _make_column("contract-height", "mm"),
@@ -145,6 +155,7 @@ def _tabulate_poses(contract: Contract) -> doc.Table:
 
 
 def _tabulate_sources(contract: Contract) -> doc.Table:
+    """Create the table of sources: role, number of facts, and how the joint order is known."""
     columns = (
         _make_column("contract-source"),
         _make_column("contract-role"),
@@ -206,6 +217,7 @@ def _tabulate_facts(
 
 
 def _make_cell(fact: Fact | None, mark: str) -> doc.Cell:
+    """Create the cell of a number, of an expression that is not constant, or an empty cell."""
     if fact is None:
         return doc.Name("")
     if fact.value is None:
@@ -214,6 +226,7 @@ def _make_cell(fact: Fact | None, mark: str) -> doc.Cell:
 
 
 def _tabulate_observations(contract: Contract) -> doc.Table:
+    """Create the table of the observations of each source, in order."""
     terms_by_source = {
         source.name: source.observations for source in contract.sources if source.observations
     }

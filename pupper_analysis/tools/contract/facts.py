@@ -90,10 +90,10 @@ QUANTITIES: Final[Mapping[str, QuantityKind]] = {
 
 
 def find_quantity_kind(quantity: str) -> QuantityKind:
-    """Return the properties of a quantity, for example of ``kp``; see `QuantityKind`.
+    """Return unit, severity of a difference and symmetry of a quantity, for example of ``kp``.
 
-    A quantity that is not in `QUANTITIES` is the scale of an observation term: it has the unit 1,
-    and a difference between sources is an error.
+    A quantity that is not in `QUANTITIES`, such as the scale of an observation term, belongs to the
+    source as a whole. It has the unit 1, and a difference between sources is an error.
     """
     return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
@@ -163,7 +163,7 @@ class Fact(Result):
 
     @property
     def number(self) -> float:
-        """``value`` as a number in SI units; 0 if ``value`` is None."""
+        """Value of the fact in SI units; 0 if the expression is not constant (``value`` None)."""
         return self.value or 0.0
 
 
@@ -198,8 +198,11 @@ class Source:
     observations: tuple[tuple[str, float | None, Place], ...] = ()
     notes: tuple[Diagnostic, ...] = ()
 
-    def fact(self, statement: Statement, joint: str = "") -> Fact:
-        """Convert a statement to a fact about a joint; without joint, about the source."""
+    def make_fact(self, statement: Statement, joint: str = "") -> Fact:
+        """Convert a statement of this source to a fact about a joint of the robot.
+
+        Without ``joint``, the fact is a setting of the source.
+        """
         return Fact(
             self.name,
             joint,
@@ -214,7 +217,10 @@ class Source:
 
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
-        """Statements, orders and observations without places, to detect equal configurations."""
+        """Statements, orders and observations of the source without places, for comparisons.
+
+        Equal contents are equal configurations.
+        """
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(name, scale) for name, scale, _ in self.observations]
         return tuple(statements), self.order, self.motors, tuple(observations)
@@ -282,24 +288,29 @@ class Node:
 
     @property
     def is_present(self) -> bool:
-        """Return True if the value is not None."""
+        """True if the node has a value other than None."""
         return self.value is not None
 
     @property
     def table(self) -> dict[Any, Node]:
-        """Value as a dict of nodes, or the fields of an object; empty for other values."""
+        """Dict of the node's entries, or of the fields of its object; empty for other values."""
         content = getattr(self.value, "fields", self.value)
         return content if isinstance(content, dict) else {}
 
     def get(self, *keys: str) -> Node:
-        """Return the node at a path of keys; a node with the value None if a key is missing."""
+        """Return the node at a path of keys below this node.
+
+        If a key is missing, a node with the value None is returned.
+        """
         node = self
         for key in keys:
             node = node.table.get(key, Node(None, node.place))
         return node
 
     def find_first(self, names: str) -> Node:
-        """Return the node of the first key that is present, among the keys of a concept.
+        """Return the entry of this node under the first present key of a concept.
+
+        Formats have different keys for a concept. If all are missing, the value is None.
 
         Args:
             names: Concept, a key of `KEY_ALIASES`.
@@ -309,7 +320,7 @@ class Node:
 
     @property
     def number(self) -> float | None:
-        """Value as a float; None for a truth value, another type, or a too large integer."""
+        """Value of the node as a float; None if it is not a number, or too large for a float."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float):
             return None
@@ -320,19 +331,24 @@ class Node:
 
     @property
     def items(self) -> list[Node]:
-        """List of nodes; the node itself if the value is not a list; empty if there is no value."""
+        """Items of the node's list; the node itself if it is not a list; empty without a value."""
         return self.value if isinstance(self.value, list) else [self] * self.is_present
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Value as texts; empty unless it is a non-empty text or a list of such texts."""
+        """Texts of the node: a text or a list of texts; empty for other values and empty texts."""
         texts = tuple(item.value for item in self.items)
         return texts if all(isinstance(item, str) and item for item in texts) else ()
 
     def make_statement(self, quantity: str, joint: str = "", **where: Any) -> Statement:
-        """Make a statement of a quantity.
+        """Create a statement of a quantity from the value of this node, taken to be in SI units.
 
         A value that is no number is kept as the text of an expression.
+
+        Args:
+            quantity: Quantity.
+            joint: Name or pattern of the joint; "" for a setting, or if ``index`` is passed.
+            **where: Further attributes of `Statement`, such as ``index`` and ``count``.
         """
         number = self.number
         shown = "[...]" if isinstance(self.value, list | dict) else str(self.value)
@@ -347,7 +363,9 @@ class Node:
         )
 
     def make_statements(self, quantity: str, joints: Iterable[str] = ()) -> Iterator[Statement]:
-        """Yield statements from a number, from a list by index, or from a table by name or pattern.
+        """Yield the statements of a quantity in this node: a number, a list or a table.
+
+        An element of a list refers to a joint by index, an entry of a table by name or pattern.
 
         Args:
             quantity: Quantity. For a setting a single statement results, if the value is a number.
@@ -379,7 +397,7 @@ _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 
 
 def read_yaml_nodes(path: Path, text: str) -> list[Node]:
-    """Read the documents of a YAML or JSON file with line numbers.
+    """Parse the documents of a YAML or JSON file to nodes with line numbers.
 
     Tags are ignored: a tagged list is a list. Aliases are replaced by values. The values of keys
     ``weights`` are replaced by an empty list.
@@ -436,7 +454,7 @@ def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> Node:
 
 
 def parse_scalar(text: str, place: Place) -> Node:
-    """Parse a text without quotes: None, truth value, number or text."""
+    """Convert an unquoted scalar of YAML to a node: None, truth value, number or text."""
     if text.lower() in ("", "~", "null"):
         return Node(None, place)
     if text.lower() in ("true", "false"):

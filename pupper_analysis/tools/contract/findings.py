@@ -156,7 +156,7 @@ def facts_agree(first: Fact, second: Fact) -> bool:
     of a comparison of URDF and MJCF. Other quantities have a relative tolerance of 2e-6. Two
     numbers are equal after rounding if the difference is at most half a unit of the last decimal
     of one number, and the other number has at least five decimals or was computed. The
-    difference must also be at most 10 % of the other number.
+    difference must also be at most 10 % of the other number, or below 1e-9.
 
     Args:
         first: Number of one source, with its quantity.
@@ -214,7 +214,18 @@ def _compare_quantity(
 def _group_by_values(
     quantity: str, kind: QuantityKind, differing: dict[str, FactPair], is_range_difference: bool
 ) -> Iterator[Disagreement]:
-    """Yield an exchanged order as a single disagreement, otherwise the disagreements."""
+    """Yield the disagreements about a quantity between two sources.
+
+    Joints with equal pairs of numbers form one disagreement. If the second source has the numbers
+    of the first at other joints, there is a single disagreement about the order.
+
+    Args:
+        quantity: Quantity.
+        kind: Properties of the quantity.
+        differing: {joint: differing facts}.
+        is_range_difference: True for position limits of a model and another source. A range inside
+            the reference range is then a note.
+    """
     joints = list(differing)
     first_fact, second_fact = differing[joints[0]]
     swapped = _find_exchange(differing)
@@ -229,7 +240,7 @@ def _group_by_values(
             other=first_fact.source,
         )
         yield _make_disagreement(
-            quantity, message, (first_fact, second_fact), kind, joints=joints, slip="order"
+            quantity, message, (first_fact, second_fact), kind, joints=joints, mistake="order"
         )
         return
     groups: dict[tuple[float, float], list[str]] = {}
@@ -241,7 +252,7 @@ def _group_by_values(
     for (a, b), members in groups.items():
         head = members[0]
         first_fact, second_fact = differing[head]
-        slip, unit = _classify_slip(quantity, a, b)
+        mistake, unit = _classify_mistake(quantity, a, b)
         is_powerless = a == 0 and quantity in ("effort", "velocity")
         meant = is_range_difference and not is_powerless and lower * a <= lower * b + 1e-6
         near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR_LIMIT_RTOL * max(
@@ -257,7 +268,7 @@ def _group_by_values(
             two=Quantity(second_fact.number, kind.unit),
             first=first_fact.source,
             second=second_fact.source,
-            sign=slip == "sign" or None,
+            sign=mistake == "sign" or None,
             unit=unit or None,
         )
         yield _make_disagreement(
@@ -266,20 +277,24 @@ def _group_by_values(
             (first_fact, second_fact),
             kind._replace(severity=None) if meant or near else kind,
             joints=members,
-            slip=slip,
+            mistake=mistake,
             effects=_describe_effects(quantity, a, b),
         )
 
 
 _NEAR_LIMIT_RTOL = 0.02
-"""Relative difference of motor limits that data sheets explain by rounding. Chosen."""
+"""Relative difference of efforts or velocity limits up to which a disagreement has the severity
+NOTE, since data sheets round these numbers. Chosen, not tuned."""
 
 _ANGLE_QUANTITIES = ("default angle", "action offset")
 """Quantities that are joint angles: values of opposite sign form one group."""
 
 
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
-    """Return {joint: joint with this reference value} if values are permuted; otherwise {}."""
+    """Return {joint: joint whose first number is its second number} if numbers are permuted.
+
+    Otherwise, and if all numbers only change their signs, the result is empty.
+    """
     a, b = (
         Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)
     )
@@ -311,8 +326,11 @@ def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
     return exchanged
 
 
-def _classify_slip(quantity: str, a: float, b: float) -> tuple[str, str]:
-    """Return the mistake (sign or unit) between two numbers, and the unit."""
+def _classify_mistake(quantity: str, a: float, b: float) -> tuple[str, str]:
+    """Return the probable mistake between two numbers, and the wrong unit: ("unit", "deg").
+
+    The mistake is "sign", "unit" or ""; the unit is "" unless the mistake is "unit".
+    """
     if a and abs(a + b) <= _NUMBER_RTOL * abs(a):
         return "sign", ""
     ratios = (b / a, a / b) if a and b else ()
@@ -347,7 +365,7 @@ def _make_disagreement(
     kind: QuantityKind,
     *,
     joints: Iterable[str] = (),
-    slip: str = "",
+    mistake: str = "",
     effects: tuple[Diagnostic, ...] = (),
 ) -> Disagreement:
     names, values, places = zip(
@@ -355,7 +373,7 @@ def _make_disagreement(
     )
     return Disagreement(
         kind_name,
-        slip,
+        mistake,
         tuple(filter(None, joints)),
         names,
         values,
@@ -394,7 +412,7 @@ def _compare_sides(
                 (first, second),
                 kind._replace(severity=Severity.WARNING),
                 joints=pair,
-                slip="mirror",
+                mistake="mirror",
             )
 
 
@@ -429,7 +447,7 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
                 more=max(0, len(moved_joints) - 6) or None,
             )
             sides = [
-                source.fact(Statement("order", None, source.order_place or Place(source.path)))
+                source.make_fact(Statement("order", None, source.order_place or Place(source.path)))
                 for source in (first.source, second.source)
             ]
             yield _make_disagreement(
@@ -438,7 +456,7 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
                 (sides[0], sides[1]),
                 _ORDER_KIND,
                 joints=moved_joints,
-                slip="order",
+                mistake="order",
             )
 
 
@@ -464,16 +482,17 @@ def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreeme
                 second=second.name,
             )
             sides = [
-                source.fact(Statement("observations", None, source.observations[0][2]))
+                source.make_fact(Statement("observations", None, source.observations[0][2]))
                 for source in (first, second)
             ]
             yield _make_disagreement(
-                "observations", message, (sides[0], sides[1]), _ORDER_KIND, slip="order"
+                "observations", message, (sides[0], sides[1]), _ORDER_KIND, mistake="order"
             )
 
 
 _ORDER_KIND = QuantityKind("", Severity.ERROR, 0, is_setting=True)
-"""Severity of a difference in order."""
+"""Properties of a disagreement about the order of joints or observations: it has no unit and the
+severity ERROR."""
 
 
 def add_height_effects(

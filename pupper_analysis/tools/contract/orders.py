@@ -68,8 +68,8 @@ class RobotJoints:
     user_names: Mapping[str, str]
 
     @property
-    def by_depth(self) -> tuple[str, ...]:
-        """Joints sorted by depth in the tree, the order of Isaac Lab."""
+    def joints_by_depth(self) -> tuple[str, ...]:
+        """Names of the moving joints, sorted by depth in the tree: the order of Isaac Lab."""
         ancestors = {
             name: list(self.model.ancestors(joint.child))
             for name, joint in self.model.joints.items()
@@ -114,11 +114,12 @@ class RobotJoints:
 
 
 _MIN_MIRROR_COSINE = 0.95
-r"""Smallest \|cosine\| between an axis and the mirrored axis of the other side. Chosen."""
+r"""Smallest \|cosine\| between an axis and the mirrored axis of the other side, with which both are
+mirror images. Chosen, not tuned."""
 
 
 def list_depth_first(model: RobotModel) -> tuple[str, ...]:
-    """List the moving joints limb by limb, the order of MuJoCo and Isaac Gym."""
+    """Return the names of the moving joints limb by limb: the order of MuJoCo and Isaac Gym."""
     roots = [link for link in model.links.values() if link.parent is None]
     links = [link for root in roots for link in (root, *model.descendants(root.name))]
     return tuple(joint.name for link in links for joint in link.joints if joint.moves)
@@ -131,6 +132,9 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
         source: Source.
         model: Joints of the robot.
         others: Other sources, which may define the order of the lists in this source.
+
+    Returns:
+        Facts about joints of the robot, the joint order with its origin, and unmatched names.
     """
     patterns = dict.fromkeys(statement.joint for statement in source.statements if statement.joint)
     plain_names = [
@@ -146,7 +150,7 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
         if scale is not None
     }
     facts = {
-        (quantity, ""): source.fact(Statement(quantity, *scale_and_place))
+        (quantity, ""): source.make_fact(Statement(quantity, *scale_and_place))
         for quantity, scale_and_place in observation_scales.items()
     }
     unread: dict[str, int] = {}
@@ -165,7 +169,9 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
                 if matches_name(statement.joint, joint)
                 or matches_name(statement.joint, reverse.get(joint, joint))
             ]
-        facts |= {(statement.quantity, joint): source.fact(statement, joint) for joint in assigned}
+        facts |= {
+            (statement.quantity, joint): source.make_fact(statement, joint) for joint in assigned
+        }
     time_step, decimation = (facts.get((quantity, "")) for quantity in ("time step", "decimation"))
     if time_step and decimation and time_step.number * decimation.number:
         decimation = replace(
@@ -191,7 +197,7 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
 
 
 def list_observations(source: Source) -> list[str]:
-    """List the observations of a policy in their order; aliases have one common name."""
+    """Return the names of a policy's observation terms in order, aliases as one common name."""
     return [OBSERVATION_ALIASES.get(name, name) for name, _, _ in source.observations]
 
 
@@ -222,7 +228,7 @@ def _determine_order(
     if len(model.order) not in sizes:
         return (), "", []
     trainers = [other_source for other_source in others if other_source.role is Role.TRAINER]
-    candidates = [model.by_depth, model.order]
+    candidates = [model.joints_by_depth, model.order]
     if trainers and all(trainer.breadth_first for trainer in trainers):
         candidates.reverse()
     # Select the order with the best left-right symmetry: a wrong order violates the symmetry.

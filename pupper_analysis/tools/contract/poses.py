@@ -32,16 +32,18 @@ computed. Chosen, not tuned."""
 def stand_poses(
     models: Sequence[Path], placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
-    """Compute the stand of the robot in each source's default pose; equal poses are computed once.
+    """Compute the stand of the robot in the default pose of each source, in MuJoCo and statically.
+
+    Poses with equal angles, gains and effort limits are computed once.
 
     Args:
         models: Files of the robot.
-        placed: Sources.
+        placed: Sources, with default angles [rad] and optional gains.
         joints: Names of the robot's joints.
 
     Returns:
-        Poses, and notes. No poses if no source states enough angles, the robot cannot be loaded,
-        its base is fixed, or it has no feet.
+        Poses, and notes. No poses if no source states the angles of half of the joints, the robot
+        cannot be loaded, its base is fixed, or it has no feet.
     """
     stated_angles = {
         placed_source: {
@@ -105,7 +107,18 @@ def _stand_in_pose(
     kd: list[float] | None,
     efforts: list[float],
 ) -> Pose:
-    """Compute a stand and the torques; if the source states gains, also the verdict and the sag."""
+    """Compute the stand in a default pose, with its height [m] and largest motor utilisation.
+
+    If the source states gains, the stand is also simulated, and the height loss [m] is computed.
+
+    Args:
+        robot: Robot.
+        name: Name of the source.
+        angles: {joint: default angle [rad]}; other joints have the angles of the robot's home.
+        kp: Stiffnesses, shape (nu,) [N m/rad]; None if the source does not state all.
+        kd: Dampings, shape (nu,) [N m s/rad]; None if the source does not state all.
+        efforts: Effort limits, shape (nu,) [N m].
+    """
     home_angles = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))
     pose = np.array([angles.get(joint, home_angles[joint]) for joint in robot.joint_names])
     config = Configuration(robot, robot.posed(pose))

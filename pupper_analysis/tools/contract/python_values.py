@@ -227,10 +227,10 @@ class Evaluator:
         self.shown = Path()
         self.steps, self.depth = 0, 0
 
-    def module(self, path: Path) -> ModuleNames:
-        """Evaluate a module.
+    def load_module(self, path: Path) -> ModuleNames:
+        """Evaluate a Python file from its syntax tree, and return the names that it defines.
 
-        In a circular import, the module is returned as evaluated so far.
+        Each file is evaluated once. In a circular import, the names defined so far are returned.
 
         Raises:
             InputError: If the file cannot be read.
@@ -252,13 +252,13 @@ class Evaluator:
             raise make_file_error(Place(path), diagnose("contract-too-deep")) from error
         result = self.modules[path] = ModuleNames(path, re.split("\r\n?|\n", text))
         with suppress(_LeaveSignal, _NextSignal, _ReturnSignal):
-            self.run(tree.body, Scope(result))
+            self.run_statements(tree.body, Scope(result))
         return result
 
     # Statements.
 
-    def run(self, body: list[ast.stmt], scope: Scope) -> None:
-        """Evaluate statements in order.
+    def run_statements(self, body: list[ast.stmt], scope: Scope) -> None:
+        """Evaluate statements in order, and store the assigned names in ``scope``.
 
         The targets of a statement that cannot be evaluated become unknown.
         """
@@ -272,17 +272,19 @@ class Evaluator:
                 self._invalidate_targets(statement, scope)
 
     def _count_step(self, node: ast.AST, scope: Scope) -> None:
+        """Count an evaluation step; raise a ModelError above `MAX_VALUES` steps."""
         self.steps += 1
         if self.steps > MAX_VALUES:
             place = self._make_place(node, scope)
             raise make_file_error(place, diagnose("contract-too-much", most=MAX_VALUES))
 
     def _raise_not_constant(self, *_: object) -> None:
+        """Raise the error for a syntax element that is not supported."""
         raise NotConstantError
 
     def _run_assign(self, statement: ast.Assign | ast.AnnAssign, scope: Scope) -> None:
         if statement.value is not None:
-            value = self.value(statement.value, scope)
+            value = self.evaluate(statement.value, scope)
             for target in (
                 statement.targets if isinstance(statement, ast.Assign) else [statement.target]
             ):
@@ -294,41 +296,46 @@ class Evaluator:
         read = ast.copy_location(
             ast.BinOp(statement.target, statement.op, statement.value), statement
         )
-        self._assign_target(statement.target, self.value(read, scope), scope)
+        self._assign_target(statement.target, self.evaluate(read, scope), scope)
 
     def _run_expr(self, statement: ast.Expr, scope: Scope) -> None:
-        self.value(statement.value, scope)
+        self.evaluate(statement.value, scope)
 
     def _run_return(self, statement: ast.Return, scope: Scope) -> None:
         raise _ReturnSignal(
-            self.value(statement.value or ast.copy_location(ast.Constant(None), statement), scope)
+            self.evaluate(
+                statement.value or ast.copy_location(ast.Constant(None), statement), scope
+            )
         )
 
     def _run_raise(self, *_: object) -> None:
+        """Leave a loop, or a function that raises."""
         raise _LeaveSignal
 
     _run_break = _run_raise
 
     def _run_continue(self, *_: object) -> None:
+        """Continue with the next iteration of a loop."""
         raise _NextSignal
 
     def _run_if(self, statement: ast.If, scope: Scope) -> None:
-        self.run(
+        self.run_statements(
             statement.body
-            if self._is_true(self.value(statement.test, scope))
+            if self._is_true(self.evaluate(statement.test, scope))
             else statement.orelse,
             scope,
         )
 
     def _run_for(self, statement: ast.For, scope: Scope) -> None:
         with suppress(_LeaveSignal):
-            for item in self._list_items(self.value(statement.iter, scope)):
+            for item in self._list_items(self.evaluate(statement.iter, scope)):
                 self._assign_target(statement.target, item, scope)
                 with suppress(_NextSignal):
-                    self.run(statement.body, scope)
+                    self.run_statements(statement.body, scope)
 
     def _run_try(self, statement: ast.Try | ast.With, scope: Scope) -> None:
-        self.run(
+        """Evaluate the body of ``try`` or ``with``, then ``else`` and ``finally``."""
+        self.run_statements(
             [
                 *statement.body,
                 *getattr(statement, "orelse", ()),
@@ -349,14 +356,16 @@ class Evaluator:
         )
 
     def _run_classdef(self, statement: ast.ClassDef, scope: Scope) -> None:
-        bases = [self.value(base, scope).value for base in statement.bases]
+        bases = [self.evaluate(base, scope).value for base in statement.bases]
         known = [base for base in bases if isinstance(base, ClassValue)]
         theirs = dict(ChainMap(*(base.fields for base in known)))
         result = ClassValue(
             statement.name, known, theirs, [name for base in known for name in base.ordered]
         )
         node = self._make_node(result, statement, scope)
-        self.run(statement.body, scope.new_child({"__class__": node}).new_child(result.fields))
+        self.run_statements(
+            statement.body, scope.new_child({"__class__": node}).new_child(result.fields)
+        )
         for class_statement in statement.body:
             if isinstance(class_statement, ast.AnnAssign) and isinstance(
                 class_statement.target, ast.Name
@@ -391,6 +400,7 @@ class Evaluator:
             self._add_imports({name.asname or name.name: home.get(name.name, lost)}, scope)
 
     def _add_imports(self, names: Mapping[str, Node], scope: Scope) -> None:
+        """Add imported names to a scope, and mark them as imported in the module."""
         scope.update(names)
         get_module(scope).imported.update(names)
 
@@ -407,7 +417,7 @@ class Evaluator:
             base = top.joinpath(*parts)
             for file in (base.with_suffix(".py") if parts else base, base / "__init__.py"):
                 if is_input(file):
-                    return self.module(file)
+                    return self.load_module(file)
         return None
 
     def _invalidate_targets(self, statement: ast.stmt, scope: Scope) -> None:
@@ -422,6 +432,7 @@ class Evaluator:
                     self._assign_target(cast(ast.expr, node), lost, scope)
 
     def _assign_target(self, to: ast.expr, value: Node, scope: Scope) -> None:
+        """Assign a value to a name, to several names, to an attribute or to an item."""
         match to:
             case ast.Name():
                 scope[to.id] = value
@@ -433,7 +444,7 @@ class Evaluator:
             case ast.Attribute():
                 self._get_owner_fields(to.value, scope)[to.attr] = value
             case ast.Subscript():
-                content = self.value(to.value, scope).value
+                content = self.evaluate(to.value, scope).value
                 if isinstance(content, list | dict):
                     self._apply_function(
                         operator.setitem, content, self._make_key(to.slice, scope), value
@@ -443,7 +454,7 @@ class Evaluator:
 
     def _get_owner_fields(self, node: ast.expr, scope: Scope) -> dict[str, Node]:
         """Return the fields that an assignment to an attribute changes."""
-        owner = self.value(node, scope).value
+        owner = self.evaluate(node, scope).value
         result = owner if isinstance(owner, InstanceValue | ClassValue) else InstanceValue("")
         if isinstance(node, ast.Attribute) and isinstance(owner, UnknownValue):
             # Field of a base class that was not read.
@@ -454,8 +465,11 @@ class Evaluator:
 
     # Expressions.
 
-    def value(self, expression: ast.expr, scope: Scope) -> Node:
-        """Evaluate an expression; the result has the place of the expression."""
+    def evaluate(self, expression: ast.expr, scope: Scope) -> Node:
+        """Evaluate an expression, and return its value with the line of the expression.
+
+        The value of an expression that is not constant is an ``UnknownValue`` with its text.
+        """
         self._count_step(expression, scope)
         try:
             result = getattr(
@@ -476,6 +490,7 @@ class Evaluator:
         return replace(known, place=self._make_place(expression, scope))
 
     def _make_place(self, expression: ast.AST, scope: Scope) -> Place:
+        """Return file and line of an expression."""
         path = get_module(scope).path
         near = self.shown != Path() and path.is_relative_to(self.shown)
         return Place(
@@ -504,11 +519,13 @@ class Evaluator:
         return result
 
     def _is_true(self, node: Node) -> bool:
+        """Return the truth of a value; raise NotConstantError for an unknown value."""
         if isinstance(node.value, NamedValue | ModuleNames):
             raise NotConstantError
         return bool(node.value)
 
     def _list_items(self, node: Node) -> list[Node]:
+        """Return the items of a list or the keys of a table; else raise NotConstantError."""
         if isinstance(node.value, dict):
             return [Node(key, value.place) for key, value in node.value.items()]
         if not isinstance(node.value, list):
@@ -529,15 +546,15 @@ class Evaluator:
             part
             for expression in every
             for part in (
-                self._list_items(self.value(expression.value, scope))
+                self._list_items(self.evaluate(expression.value, scope))
                 if isinstance(expression, ast.Starred)
-                else [self.value(expression, scope)]
+                else [self.evaluate(expression, scope)]
             )
         ]
 
     def _make_key(self, expression: ast.expr, scope: Scope) -> Any:
         """Return a key of a table; for an unknown value, the text of the expression."""
-        value = self.value(expression, scope).value
+        value = self.evaluate(expression, scope).value
         if not isinstance(value, str | int | float | bool | UnknownValue):
             raise NotConstantError
         return str(value) if isinstance(value, UnknownValue) else value
@@ -559,7 +576,7 @@ class Evaluator:
             owner, node = scope["__class__"], scope["self"]
             names: Any = ChainMap(*(base.fields for base in owner.value.bases))
         else:
-            node = self.value(expression.value, scope)
+            node = self.evaluate(expression.value, scope)
             names = node.table or (_NAMED_CONSTANTS if str(node.value) in _NUMERIC_MODULES else {})
         result = self._apply_function(operator.getitem, names, expression.attr)
         method = isinstance(result, Node) and isinstance(result.value, FunctionValue)
@@ -575,12 +592,12 @@ class Evaluator:
     def _evaluate_dict(self, expression: ast.Dict, scope: Scope) -> dict[Any, Node]:
         result: dict[Any, Node] = {}
         for key, value in zip(expression.keys, expression.values, strict=True):
-            content = self.value(value, scope)
+            content = self.evaluate(value, scope)
             result |= content.table if key is None else {self._make_key(key, scope): content}
         return result
 
     def _evaluate_subscript(self, expression: ast.Subscript, scope: Scope) -> Any:
-        owner = self.value(expression.value, scope).value
+        owner = self.evaluate(expression.value, scope).value
         if not isinstance(owner, list | dict):
             raise NotConstantError
         if not isinstance(expression.slice, ast.Slice):
@@ -588,12 +605,12 @@ class Evaluator:
                 operator.getitem, owner, self._make_key(expression.slice, scope)
             )
         ends = (expression.slice.lower, expression.slice.upper, expression.slice.step)
-        part = slice(*(end and self._to_plain(self.value(end, scope)) for end in ends))
+        part = slice(*(end and self._to_plain(self.evaluate(end, scope)) for end in ends))
         return self._apply_function(operator.getitem, owner, part)
 
     def _evaluate_binop(self, expression: ast.BinOp, scope: Scope) -> Any:
         left, right = (
-            self.value(operand, scope).value for operand in (expression.left, expression.right)
+            self.evaluate(operand, scope).value for operand in (expression.left, expression.right)
         )
         added = isinstance(expression.op, ast.Add) and type(left) is type(right)
         joined = added and isinstance(left, list | str)
@@ -609,8 +626,8 @@ class Evaluator:
 
     def _evaluate_unaryop(self, expression: ast.UnaryOp, scope: Scope) -> Any:
         if isinstance(expression.op, ast.Not):
-            return not self._is_true(self.value(expression.operand, scope))
-        operand = self.value(expression.operand, scope)
+            return not self._is_true(self.evaluate(expression.operand, scope))
+        operand = self.evaluate(expression.operand, scope)
         if not _is_number(operand.value) or isinstance(expression.op, ast.Invert):
             raise NotConstantError
         sign = -1 if isinstance(expression.op, ast.USub) else 1
@@ -618,7 +635,7 @@ class Evaluator:
 
     def _evaluate_boolop(self, expression: ast.BoolOp, scope: Scope) -> Node:
         for operand in expression.values:
-            result = self.value(operand, scope)
+            result = self.evaluate(operand, scope)
             if self._is_true(result) is isinstance(expression.op, ast.Or):
                 break
         return result
@@ -627,16 +644,16 @@ class Evaluator:
         if len(expression.ops) > 1:
             raise NotConstantError
         both = (
-            self._to_plain(self.value(operand, scope))
+            self._to_plain(self.evaluate(operand, scope))
             for operand in (expression.left, *expression.comparators)
         )
         return self._apply_function(_OPERATOR_FUNCTIONS[type(expression.ops[0])], *both)
 
     def _evaluate_ifexp(self, expression: ast.IfExp, scope: Scope) -> Node:
         """Evaluate ``a if condition else b``: the condition, then only the selected operand."""
-        return self.value(
+        return self.evaluate(
             expression.body
-            if self._is_true(self.value(expression.test, scope))
+            if self._is_true(self.evaluate(expression.test, scope))
             else expression.orelse,
             scope,
         )
@@ -646,7 +663,7 @@ class Evaluator:
 
     def _evaluate_listcomp(self, expression: ast.ListComp, scope: Scope) -> list[Node]:
         return [
-            self.value(expression.elt, inner)
+            self.evaluate(expression.elt, inner)
             for inner in self._iterate_loops(expression.generators, scope)
         ]
 
@@ -654,7 +671,7 @@ class Evaluator:
 
     def _evaluate_dictcomp(self, expression: ast.DictComp, scope: Scope) -> dict[Any, Node]:
         return {
-            self._make_key(expression.key, inner): self.value(expression.value, inner)
+            self._make_key(expression.key, inner): self.evaluate(expression.value, inner)
             for inner in self._iterate_loops(expression.generators, scope)
         }
 
@@ -663,10 +680,10 @@ class Evaluator:
         if not loops:
             yield scope
             return
-        for item in self._list_items(self.value(loops[0].iter, scope)):
+        for item in self._list_items(self.evaluate(loops[0].iter, scope)):
             here = scope.new_child()
             self._assign_target(loops[0].target, item, here)
-            if all(self._is_true(self.value(test, here)) for test in loops[0].ifs):
+            if all(self._is_true(self.evaluate(test, here)) for test in loops[0].ifs):
                 yield from self._iterate_loops(loops[1:], here)
 
     # Calls.
@@ -675,16 +692,16 @@ class Evaluator:
         arguments = self._evaluate_starred(expression.args, scope)
         keywords: dict[str, Node] = {}
         for keyword in expression.keywords:
-            content = self.value(keyword.value, scope)
+            content = self.evaluate(keyword.value, scope)
             if keyword.arg is not None:
                 keywords[keyword.arg] = replace(content, place=self._make_place(keyword, scope))
             else:
                 keywords.update({str(key): value for key, value in content.table.items()})
-        called = self.value(expression.func, scope).value
+        called = self.evaluate(expression.func, scope).value
         if isinstance(called, FunctionValue | ClassValue):
             return self.call(called, arguments, keywords)
         if isinstance(expression.func, ast.Attribute):
-            content, name = self.value(expression.func.value, scope), expression.func.attr
+            content, name = self.evaluate(expression.func.value, scope), expression.func.attr
             if name in _ALLOWED_METHODS.get(type(content.value), ()):
                 return self._call_method(content.value, name, arguments, keywords)
             if isinstance(content.value, list | InstanceValue) and name.islower():
@@ -692,7 +709,13 @@ class Evaluator:
         return self._call_library(ast.unparse(expression.func), arguments, keywords)
 
     def _call_library(self, called: str, arguments: list[Node], keywords: dict[str, Node]) -> Any:
-        """Evaluate a call of a library function or an unread class."""
+        """Evaluate the call of a library function, or of a class whose module was not read.
+
+        Args:
+            called: Text of the called expression, such as ``math.radians``.
+            arguments: Positional arguments.
+            keywords: Keyword arguments. An object of an unread class has them as fields.
+        """
         name = called.rpartition(".")[2]
         if name in (*_PURE_FUNCTIONS, *_LIST_FUNCTIONS) and arguments:
             plain: Callable[[Node], Any] = (
@@ -762,7 +785,7 @@ class Evaluator:
     def call(
         self, called: FunctionValue | ClassValue, arguments: list[Node], keywords: dict[str, Node]
     ) -> Node:
-        """Call a function or a class.
+        """Evaluate the call of a function or class of an evaluated file.
 
         Raises:
             NotConstantError: If calls are nested deeper than `MAX_CALL_DEPTH`, or the function
@@ -781,7 +804,7 @@ class Evaluator:
         defaults = [*node.args.defaults, *node.args.kw_defaults]
         for name, default in zip(names[len(names) - len(defaults) :], defaults, strict=True):
             if default is not None:
-                scope[name] = self.value(default, around)
+                scope[name] = self.evaluate(default, around)
         arguments = arguments if called.own is None else [called.own, *arguments]
         others = {key: keywords[key] for key in keywords if key not in names}
         scope.update(zip(first, arguments, strict=False))
@@ -795,8 +818,8 @@ class Evaluator:
         self.depth += 1
         try:
             if isinstance(node, ast.Lambda):
-                return self.value(node.body, scope)
-            self.run(node.body, scope)
+                return self.evaluate(node.body, scope)
+            self.run_statements(node.body, scope)
         except _ReturnSignal as done:
             return done.node
         except (_LeaveSignal, _NextSignal) as error:
@@ -847,4 +870,5 @@ def _list_search_folders(path: Path) -> Iterator[Path]:
 
 
 def _is_number(value: Any) -> bool:
+    """Return True for a number that is not a truth value."""
     return isinstance(value, int | float) and not isinstance(value, bool)

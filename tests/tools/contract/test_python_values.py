@@ -14,7 +14,7 @@ def worked_out(tmp_path: Path, text: str) -> Node:
     """Returns the name ``x`` of a module."""
     path = tmp_path / "settings.py"
     path.write_text(text)
-    return Evaluator().module(path)["x"]
+    return Evaluator().load_module(path)["x"]
 
 
 def plain(node: Node) -> object:

@@ -1,4 +1,8 @@
-"""Reader of URDF, MJCF and USD files."""
+"""Reader of URDF, MJCF and USD files for the contract of a robot.
+
+Input is a model file; output is a `Source` with limits, passive terms and servo gains of each
+moving joint, each with its line, in the order of the file.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,10 @@ FILE_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", "
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the joint numbers in a model file; the joint order is that of the file."""
+    """Yield the joint numbers that a URDF, MJCF or USD states; the joint order is the file's.
+
+    Nothing is yielded for a model without moving joints.
+    """
     model = read_model_file(request.path)
     if isinstance(model, MjcfModel) and model.refusal is not None:
         problem, place = model.refusal
@@ -54,6 +61,10 @@ def read(request: Request) -> Iterator[Source]:
 def _list_joint_statements(
     model: RobotModel, joint: Joint, drives: list[int]
 ) -> Iterator[Statement]:
+    """Yield the limits and passive terms of a joint, with their lines.
+
+    ``drives`` are the indices of the joint's actuators, at which an MJCF may state the effort.
+    """
     for attribute in TREE_ATTRIBUTES:
         kind, value = attribute.kind, joint.stated.get(attribute.kind)
         if value is None or kind not in QUANTITIES:
@@ -104,6 +115,7 @@ def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator
 
 
 def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
+    """Return the place of the first stated attribute of an actuator, or of the actuator."""
     name = model.mj_model.actuator(number).name if model.mj_model else ""
     if not name:
         return model.file.place_by_number("actuator", number)

@@ -74,7 +74,10 @@ def read_onnx(path: Path) -> OnnxFile:
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the metadata of a policy as a source, if there are statements about joints."""
+    """Yield the joint numbers and sizes that an ONNX policy states in its metadata and tensors.
+
+    Nothing is yielded for a file with neither joints nor tensor sizes.
+    """
     file = read_onnx(request.path)
     table = {
         key: _split_list(text, Place(request.path, element=key))
@@ -102,6 +105,12 @@ def _split_list(text: str, place: Place) -> Node:
 def gather_fields(data: int | memoryview) -> ProtobufMessage:
     """Decode the fields of a message in the wire format of Protocol Buffers.
 
+    Args:
+        data: Bytes of the message.
+
+    Returns:
+        {field number: values in order}: integers, or bytes of nested messages and texts.
+
     Raises:
         ValueError: If the data is not such a message.
     """
@@ -128,14 +137,24 @@ def gather_fields(data: int | memoryview) -> ProtobufMessage:
 
 
 def get_text(message: ProtobufMessage, number: int, index: int = 0) -> str:
-    """Return a field of a message as text; "" if the field is missing or an integer."""
+    """Return a field of a decoded message as text; "" if the field is missing or an integer.
+
+    Args:
+        message: Message.
+        number: Field number.
+        index: Index among the values of a repeated field.
+    """
     values = message.get(number, ())
     content = values[index] if len(values) > index else b""
     return "" if isinstance(content, int) else bytes(content).decode(errors="replace")
 
 
 def decode_integers(values: Sequence[int | memoryview]) -> list[int]:
-    """Decode signed integers, packed or single."""
+    """Decode the values of a repeated integer field of Protocol Buffers to signed integers.
+
+    Args:
+        values: Single integers, or bytes with packed integers.
+    """
     flat: list[int] = []
     for value in values:
         if isinstance(value, int):
@@ -158,6 +177,7 @@ def _read_tensor_shape(data: int | memoryview) -> tuple[str, list[int]]:
 
 
 def _decode_varint(data: memoryview, position: int) -> tuple[int, int]:
+    """Decode the variable-length integer at a position; return it and the next position."""
     value = 0
     for shift in range(0, 70, 7):  # at most ten bytes
         value |= (data[position] & 0x7F) << shift

@@ -27,9 +27,13 @@ _ACTUATOR_QUANTITIES = FORMAT_KEYS["actuator"]
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the configurations in a Python file; without any, the flat tables."""
+    """Yield the joint numbers of each training configuration in a Python file.
+
+    A configuration is an object with a robot, actions or settings of a trainer. If the file has
+    none, its tables ``{key: value}`` with joint numbers are yielded. No code is executed.
+    """
     evaluator = py.Evaluator(request.folders)
-    module = evaluator.module(request.path)
+    module = evaluator.load_module(request.path)
     own_names = {
         name: node
         for name, node in module.items()
@@ -92,7 +96,7 @@ def _find_annotated_class(
 ) -> Node:
     """Return the first class in the annotation of an argument."""
     for child in [] if argument.annotation is None else ast.walk(argument.annotation):
-        node = evaluator.value(child, function.around) if isinstance(child, ast.Name) else None
+        node = evaluator.evaluate(child, function.around) if isinstance(child, ast.Name) else None
         if node is not None and isinstance(node.value, py.ClassValue):
             return node
     raise py.NotConstantError
@@ -167,6 +171,7 @@ def _list_actuators(node: Node) -> list[Node]:
 
 
 def _list_robot_statements(robot: Node) -> Iterator[Statement]:
+    """Yield default angles, gains, limits and friction of a robot's configuration."""
     angles = robot.get("init_state", "joint_pos")
     first_wins = robot.value.kind == "EntityCfg"
     if isinstance(angles.value, dict):
@@ -189,6 +194,7 @@ def _list_robot_statements(robot: Node) -> Iterator[Statement]:
 
 
 def _list_action_statements(action: Node, angles: list[Statement]) -> Iterator[Statement]:
+    """Yield scales and offsets of an action; default offsets are the default angles."""
     patterns = action.find_first("patterns").texts
     yield from action.get("scale").make_statements("action scale", patterns)
     if action.get("use_default_offset").value in (None, True):

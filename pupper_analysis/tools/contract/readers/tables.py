@@ -1,4 +1,9 @@
-"""Reader of YAML and JSON: deployments of Unitree robots, ROS 2 controllers, MoveIt, RTNeural."""
+"""Reader of YAML and JSON: deployments of Unitree robots, ROS 2 controllers, MoveIt, RTNeural.
+
+Input is a file; outputs are `Source` objects with joint order, motor map, numbers of joints and
+observations. `fields.toml` contains the keys of each format. Other readers use `read_table` for
+tables in their formats.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +38,7 @@ _TABLE_KEYS = {
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the sources in a YAML or JSON file, for example one per controller or robot."""
+    """Yield the joint numbers in a YAML or JSON file, for example of each controller or robot."""
     documents = read_yaml_nodes(request.path, read_text(request.path))
     for document in (document for document in documents if isinstance(document.value, dict)):
         layers = document.get("layers")
@@ -57,7 +62,10 @@ def read(request: Request) -> Iterator[Source]:
 
 
 def _read_document(request: Request, document: Node) -> Iterator[Source]:
-    """Yield the statements of a table and of nested tables: rl_sar's robots, ROS 2's nodes."""
+    """Yield a source for a table and for each nested table that states joint numbers.
+
+    Nested tables are robots in files of rl_sar, and nodes in files of ROS 2.
+    """
     rate = document.get("controller_manager", "ros__parameters", "update_rate")
     # Tables inside a trainer's settings are not sources.
     parts = {} if is_trainer_config(document) else document.value
@@ -77,7 +85,7 @@ def _read_document(request: Request, document: Node) -> Iterator[Source]:
 def read_table(
     request: Request, name: str, table: Node, role: Role, sizes: Sequence[Statement] = ()
 ) -> Iterator[Source]:
-    """Yield the source of a flat table that contains statements about joints or joint names.
+    """Yield the source of a table {key: value}, if it contains joint names or joint numbers.
 
     Args:
         request: Request with the path of the file.
@@ -127,7 +135,7 @@ def read_table(
 
 
 def _read_motor_numbers(motors: Node) -> list[int]:
-    """Return the indices of motors; empty unless all are distinct integers from 0."""
+    """Return the indices of motors; empty unless all are distinct integers >= 0."""
     numbers = [motor.number for motor in motors.items]
     whole = [
         int(number)
@@ -140,6 +148,15 @@ def _read_motor_numbers(motors: Node) -> list[int]:
 def _list_table_statements(
     table: Node, order: Sequence[str], motors: list[int], is_standing_table: bool
 ) -> Iterator[Statement]:
+    """Yield the joint numbers of a table.
+
+    Args:
+        table: Table with keys in lower case.
+        order: Joint names that the table lists; empty if it lists none.
+        motors: Motor index of each joint; empty if not stated.
+        is_standing_table: True if gains, efforts and default angles of the table are for standing
+            up, not for the policy. They are then skipped.
+    """
     valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
     is_complete = sorted(motors) == list(range(len(motors)))
@@ -210,12 +227,12 @@ def _read_limits(request: Request, limits: Node) -> Iterator[Source]:
 
 
 def is_trainer_config(root: Node) -> bool:
-    """Return True if a table has default joint angles as in legged_gym."""
+    """Return True if a table has legged_gym's default joint angles, so that it is a trainer's."""
     return bool(root.get("init_state", "default_joint_angles").table)
 
 
 def read_settings(root: Node) -> Iterator[Statement]:
-    """Yield the statements in a trainer's configuration."""
+    """Yield the joint numbers, settings and observation scales of a legged_gym configuration."""
     for path, quantity in FORMAT_KEYS["settings"].items():
         parts = FIELD_TABLE["quantities"][quantity].get("parts", False)
         for statement in root.get(*path.split(".")).make_statements(quantity):
