@@ -416,7 +416,7 @@ def files() -> Any:
                 message="another unit",
                 diagnostic=problem("another unit"),
                 differences=(1,),
-                leads=False,
+                is_reported_first=False,
             ),
         ),
         parts=(problem("a tail too many"),),
