@@ -1,4 +1,8 @@
-"""Exceptions with a common base class. Each message states the problem and valid alternatives."""
+"""Exceptions with a common base class, ``PupperAnalysisError``.
+
+Each exception contains a diagnostic, from which its message is formed, and the numbers of the
+problem as attributes. Messages state the problem and, if known, valid alternatives.
+"""
 
 from __future__ import annotations
 

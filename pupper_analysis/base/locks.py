@@ -1,4 +1,8 @@
-"""Locks: a single run at a time writes to a folder, or adds rows to a file."""
+"""Locks: a single run at a time writes to a folder, or adds rows to a file.
+
+`lock_file` holds a POSIX lock on a lock file (``lockf``) while a context is active. The system
+refuses the lock to other processes; a set of held files refuses it to other threads of the process.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Provenance of a result: command, options, versions, hashes of the input files, and date."""
+"""Provenance of a result: command, options, versions, hashes of the input files, and date.
+
+Command, options and input files are taken from the record of the current run (`runs`). JSON results
+and pages contain the provenance, so that the computation can be repeated.
+"""
 
 from __future__ import annotations
 

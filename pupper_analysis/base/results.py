@@ -1,4 +1,9 @@
-"""Base classes of results, and the conversion to JSON, dictionaries and tables."""
+"""Base classes of results, and the conversion to JSON, dictionaries and tables.
+
+A result is a dataclass whose containers are frozen. `Result` provides a short ``repr``, JSON, and
+plots; `Tabular` a pandas table; `Pictured` pictures and animations of the robot. Plots and pictures
+are made by the package ``present``, which is imported at the first use.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Command line: commands of the tools, imported at first use, and the exit status of a run."""
+"""Command line: commands of the tools, imported at first use, and the exit status of a run.
+
+`group` finds the commands of this package and of installed plug-ins by name, and imports only the
+command that runs. `run` executes a command and ends the process with its exit status; errors become
+a line on standard error.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +46,11 @@ def list_tools() -> list[str]:
 
 @cache
 def _import_command(name: str) -> click.Command | None:
-    """Return a command, with the modes that other tools add in ``modes.py``; None if unknown."""
+    """Return a command, extended by the modules ``modes.py`` of all tools; None if unknown.
+
+    A module ``modes.py`` contains ``MODES``: {command: function that returns the command with
+    further options}.
+    """
     tools = {**other_tools(), **own_tools()}
     if name not in tools:
         return None

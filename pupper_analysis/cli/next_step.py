@@ -1,4 +1,9 @@
-"""Command line of the next step that a result suggests."""
+"""Command line of the next step that a result suggests.
+
+Input is a ``NextStep``: another command with its own words. Output is a line that can be pasted
+into a shell: the command, the robot that the user typed, and those of the typed options that the
+next command also has.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +65,8 @@ def complete_command(step: NextStep | None) -> str:
         return ""
     if not several:
         robot = robot[: len(taken)]
-    options = _list_common_options(order, values, target, (*step.words, *step.omitted))
+    excluded = (*step.words, *step.omitted)
+    options = _list_common_options(order, values, target, excluded)
     split = next(
         (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)
     )
@@ -70,7 +76,10 @@ def complete_command(step: NextStep | None) -> str:
 
 
 def print_next_step(step: NextStep | None) -> None:
-    """Print the command line of a next step of a result without a document; see above."""
+    """Print the command line to run next, after a command that prints no report.
+
+    Nothing is printed if `complete_command` returns an empty line.
+    """
     if line := complete_command(step):
         click.echo(f"  next: {line}")
 
@@ -86,15 +95,15 @@ def _list_common_options(
     order: Sequence[click.Parameter],
     values: Mapping[str, Any],
     target: click.Command,
-    own: Sequence[str],
+    excluded: Sequence[str],
 ) -> Iterator[str]:
-    """Yield the typed options that the next command has, too, with their values.
+    """Yield the typed options that the next command also has, each followed by its value.
 
     Args:
         order: Typed parameters.
         values: {name of a parameter: typed value}.
         target: Next command.
-        own: Words and omitted options of the next step. Options among them are not yielded.
+        excluded: Options that are not yielded, for example because the next step sets them.
     """
     known = {(one.name, *one.opts) for one in target.params if isinstance(one, click.Option)}
     for option in dict.fromkeys(order):
@@ -104,7 +113,7 @@ def _list_common_options(
             or (option.name, *option.opts) not in known
             or option.name in _OUTPUT_PARAMETERS
             or isinstance(option.type, OutputPath)
-            or not set(option.opts).isdisjoint(own)
+            or not set(option.opts).isdisjoint(excluded)
         ):
             continue
         if option.is_flag:

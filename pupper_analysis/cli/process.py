@@ -1,4 +1,10 @@
-"""Output and signals of the process of a command: no tracebacks, no lost results."""
+"""Output and signals of the process of a command: no tracebacks, no lost results.
+
+`tolerate_output_errors` replaces standard output and standard error by streams that record the
+first output error and discard later data, so that the command can still write its files.
+`catch_ending_signals` turns SIGINT, SIGTERM and SIGHUP into the exception `ProcessEnded`, so that
+context managers release their resources.
+"""
 
 from __future__ import annotations
 
@@ -164,17 +170,20 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
     _active_endings.append(ending)
 
     def end(number: int, _frame: FrameType | None) -> None:
-        """Record the first signal and raise `ProcessEnded`."""
+        """Record the first signal and raise `ProcessEnded`; end the process at a second signal."""
         if ending.signal:
             os._exit(128 + number)
         ending.signal = number
         if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
-            previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, again)
+            previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, raise_again)
             signal.setitimer(signal.ITIMER_REAL, RAISE_INTERVAL, RAISE_INTERVAL)
         raise ProcessEnded
 
-    def again(_number: int, _frame: FrameType | None) -> None:
-        """Raise `ProcessEnded` again, unless an instance is being handled or has been caught."""
+    def raise_again(_number: int, _frame: FrameType | None) -> None:
+        """Raise `ProcessEnded` if the first instance was lost; handler of the interval timer.
+
+        Nothing is raised while an instance is being handled, and after ``ending.caught`` is set.
+        """
         handled = sys.exc_info()[1]
         while handled is not None and not isinstance(handled, ProcessEnded):
             handled = handled.__context__

@@ -1,4 +1,9 @@
-"""Arguments and options that select a robot, shared by all commands."""
+"""Arguments and options that select a robot, shared by all commands.
+
+A robot is the name of a variant, a scaled variant (``--base``, ``--leg-scale``,
+``--torso-mass-scale``), or one or two model files. `RobotOptions` collects the typed options and
+returns the selected robots; `load_selected_robot` loads a robot.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +98,7 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     name = "robot"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the word; for standard input, the name under which the content is read."""
+        """Return the text that names a robot; for ``-``, the name of standard input as a file."""
         return str(shared.MODEL_FILE.convert(value, param, ctx)) if value == "-" else value
 
     def shell_complete(
@@ -138,8 +143,12 @@ class RobotOptions:
     torso_mass_scale: float | None
 
     @staticmethod
-    def taken_from(values: dict[str, Any]) -> RobotOptions:
-        """Remove the options of the robot from a command's values; missing options are None."""
+    def pop_from(values: dict[str, Any]) -> RobotOptions:
+        """Remove the options of the robot from a command's values, and return them.
+
+        Args:
+            values: {parameter: value} of a command; modified. Missing options become None.
+        """
         return RobotOptions(
             **{field.name: values.pop(field.name, None) for field in fields(RobotOptions)}
         )
@@ -306,7 +315,7 @@ def pass_robot_options(command: Command) -> Command:
 
     @wraps(command)
     def wrapped(**values: Any) -> None:
-        command(RobotOptions.taken_from(values), **values)
+        command(RobotOptions.pop_from(values), **values)
 
     return wrapped
 

@@ -1,4 +1,10 @@
-"""Shared parts of commands: options, parsing of option values, and output of results."""
+"""Shared parts of commands: options, parsing of option values, and output of results.
+
+Input is the command line: `Command` parses it, registers the files that the parameters name, and
+checks before the computation that all results can be written. The functions ``parse_...`` convert
+the text of an option into numbers in SI units; their errors name the option. Output are tables on
+the terminal, Markdown, JSON and HTML files, and the exit status.
+"""
 
 from __future__ import annotations
 
@@ -123,7 +129,14 @@ class Command(click.Command):
         return [option for option in self.params if isinstance(option.type, OutputPath)]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the options; for an unknown option, suggest options with all of its words."""
+        """Parse the words of the command line into the parameters of the command.
+
+        The error about an unknown option, such as ``--kp-limit``, suggests the options whose names
+        contain all words of that name and more.
+
+        Raises:
+            click.UsageError: If a word is not valid, for example a unit apart from its number.
+        """
         _refuse_separate_units(ctx, args)
         ctx.meta[TYPED_WORDS] = tuple(args)
         try:
@@ -144,7 +157,7 @@ class Command(click.Command):
         run.force = bool(take_parameter("force", False))
         for name in _list_named_files(self, context):
             register_input(name)
-        _check_outputs(self, context)
+        _prepare_outputs(self, context)
         import_without_opengl()
         context.with_resource(no_mujoco_log())
         try:
@@ -216,10 +229,14 @@ def _list_named_files(command: click.Command, context: click.Context) -> Iterato
                     yield from Path(text).iterdir()
 
 
-def _check_outputs(command: Command, context: click.Context) -> None:
-    """Check that all results may and can be written.
+def _prepare_outputs(command: Command, context: click.Context) -> None:
+    """Check that all results may and can be written, and register existing files as outputs.
 
-    If a result goes to standard output (``-``), all other output goes to standard error.
+    If a result goes to standard output (``-``), all other output is redirected to standard error.
+
+    Raises:
+        OutputError: If a result cannot or must not be written, or two have the same path.
+        ConfigurationError: If a suffix belongs to another format.
     """
     from pupper_analysis.base import files
 
@@ -366,8 +383,8 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
     ) -> float:
         """Parse an option's text, for example ``5deg``, into the SI unit of the quantity.
 
-        ``name`` is the quantity: "length" [m], "angle" [rad] and so on. A text without a unit is in
-        the SI unit. A number from Python is returned unchanged, except for a length.
+        ``name`` is the quantity: "length" [m], "angle" [rad] and so on. A number without a unit is
+        in the SI unit, also if it comes from Python instead of the command line.
 
         Raises:
             click.BadParameter: If the text is no such quantity, or a length without unit is
@@ -389,8 +406,12 @@ def parse_quantity(kind: str, text: str) -> float:
     A number without a unit is in SI units.
 
     Args:
-        kind: Key of ``units.UNITS``.
-        text: Text.
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``: "length", "angle", "mass" ...
+        text: Number, directly followed by the unit.
+
+    Returns:
+        Value in the SI unit of the quantity; for the quantity "position", a ``Position`` [rad or m]
+        if the text has a unit.
 
     Raises:
         ValueError: If the text is no number, has an unknown unit, or is a length that is
@@ -414,7 +435,12 @@ or cm: no two parts of a legged robot are so far apart (chosen, not tuned)."""
 
 
 def is_millimetres(kind: str, value: float) -> bool:
-    """Return True if a length that was typed without a unit is probably in mm."""
+    """Return True if a number without a unit is a length that is probably in mm.
+
+    Args:
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "length".
+        value: Number, taken as metres.
+    """
     return kind == "length" and MAX_BARE_LENGTH <= abs(value) < math.inf
 
 
@@ -449,7 +475,7 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
 
     Args:
         option: Name of the option, for errors.
-        kind: Quantity, a key of ``units.UNITS``, for example "length".
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``, for example "length".
         text: Text of the value.
         given: Complete value of the option, for errors.
 
@@ -564,7 +590,8 @@ def show_report(
         report: Report.
         style: ``text`` or ``markdown``.
         everything: True to print all tables and notes. Ignored for Markdown.
-        next_step: Command to run next. Default: the next step of the only document.
+        next_step: Command to run next. Default: the next step of the document, if the report
+            contains a single document.
     """
     if style == "markdown":
         from pupper_analysis.base.provenance import collect_provenance
@@ -642,7 +669,17 @@ def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] 
 
 
 def finish_command(json_path: Path | None, content: object, *, passed: bool) -> None:
-    """Write results as JSON, if a path was typed; set the exit status if the command failed."""
+    """Write results as JSON if a path was typed, and end the command with status 1 if it failed.
+
+    Args:
+        json_path: Path of the option ``--json``; None if it was not typed.
+        content: Results.
+        passed: Whether all checks of the command passed. Otherwise this function does not return.
+
+    Raises:
+        click.exceptions.Exit: If ``passed`` is False.
+        OutputError: If the file cannot be written, or must not be replaced.
+    """
     write_json(json_path, content)
     if not passed:
         click.get_current_context().exit(EXIT_FAILED)

@@ -32,7 +32,7 @@ OPTION_FIELDS = {name: field for name, field in FIELDS.items() if field.help}
 
 
 def make_option(field: Field) -> Callable[[Command], Command]:
-    """Return the option of a field, as decorator."""
+    """Return a decorator that adds the option of a field of the stand task to a command."""
     example = f"; e.g. {field.example}." if field.example else "."
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
     if field.per or field.choices:
@@ -81,12 +81,17 @@ def _list_elements(kind: str, words: Sequence[str] | None) -> list[str]:
     return []
 
 
-def make_options(*folders: str) -> tuple[Callable[[Command], Command], ...]:
-    """Return the options of all fields, or of the fields under some headings of the live page."""
+def make_options(*headings: str) -> tuple[Callable[[Command], Command], ...]:
+    """Return decorators that add the options of the stand task to a command.
+
+    Args:
+        *headings: Headings of the sliders on the page of ``live``. If given, only fields with a
+            slider under one of the headings are included; otherwise all fields.
+    """
     return tuple(
         make_option(field)
         for field in OPTION_FIELDS.values()
-        if not folders or (field.slider is not None and field.slider.folder in folders)
+        if not headings or (field.slider is not None and field.slider.folder in headings)
     )
 
 

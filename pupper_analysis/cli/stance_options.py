@@ -1,4 +1,9 @@
-"""Options of the robot, the stance and the servos, shared by all commands about stances."""
+"""Options of the robot, the stance and the servos, shared by all commands about stances.
+
+The decorators `robot_and_task` and `robot_and_stance` add the options to a command. The command
+receives their values as a `RobotAndTask`, which loads the robot, applies payload, effort limits and
+MuJoCo options to it, and returns the stand task.
+"""
 
 from __future__ import annotations
 
@@ -125,7 +130,7 @@ class RobotAndTask:
     @classmethod
     def of_fixed_base(cls, **options: Any) -> RobotAndTask:
         """Return the options of a robot whose base is fixed, without stance and payload."""
-        which = RobotOptions.taken_from(options)
+        which = RobotOptions.pop_from(options)
         return cls(
             which=which,
             payload=0.0,
@@ -143,7 +148,11 @@ class RobotAndTask:
         Args:
             words: Words that name the robot.
             visuals: False if the robot is not drawn; see ``load_robot``.
-            payload_sought: True if the command computes a payload: the place then needs no mass.
+            payload_sought: True if the command computes a payload mass. Then ``--payload-at`` is
+                accepted without ``--payload``.
+
+        Raises:
+            ConfigurationError: If an option is refused without another option, or is not valid.
         """
         if not self.payload and not payload_sought:
             refuse_alone(("--payload",), "payload_at")
@@ -218,7 +227,11 @@ class RobotAndTask:
             _print_first_difference(robot)
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
-        """Return kp [N m/rad] and kd [N m s/rad] of the servos; None: gains of the model."""
+        """Return the typed gains kp [N m/rad] and kd [N m s/rad] of the servos.
+
+        Each is a number for all joints, or a vector (nu,) in the order of the joints, or None if
+        the option was not typed, so that the model's gains apply.
+        """
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
     def task(self) -> StandTask:
@@ -271,7 +284,7 @@ def _gather_options(command: Command, more: tuple[Callable[[Command], Command], 
     @wraps(command)
     def wrapped(**values: Any) -> None:
         stance = {name: values.pop(name) for name in OPTION_FIELDS}
-        which = RobotOptions.taken_from(values)
+        which = RobotOptions.pop_from(values)
         own = {name: values.pop(name) for name in names if name in values}
         options = RobotAndTask(which=which, stance=stance, **own)
         command(options, **values)
@@ -328,9 +341,20 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
 
 
 def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
-    """Return a gain for all joints, or a gain per joint (nu,); None if no gain was typed.
+    """Return the servo gains that the texts of ``--kp`` or ``--kd`` specify.
 
-    Joints without a typed gain keep that of the model.
+    Args:
+        option: ``kp`` (N m/rad; N/m for a slide) or ``kd`` (N m s/rad; N s/m).
+        texts: Texts ``[JOINTS=]NUMBER``, of which later texts have priority.
+        robot: Robot. Joints that no text names keep the gain of its model.
+
+    Returns:
+        Number for all joints if the last text names no joints, otherwise a list of length nu; None
+        without texts.
+
+    Raises:
+        UnknownNameError: If a pattern matches no joint.
+        ConfigurationError: If a text has another form.
     """
     from pupper_analysis.robot.servos import model_with_servos
 

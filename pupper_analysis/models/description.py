@@ -1,4 +1,9 @@
-"""``Description``: URDF and MJCF of a robot, with contact points, frames and additions."""
+"""``Description``: URDF and MJCF of a robot, with contact points, frames and additions.
+
+A description is the input from which a ``Robot`` is built. It contains the URDF as text and the
+MJCF as MuJoCo spec, the names of contact points in both files, and a list of the elements that the
+preparation has added to the MJCF.
+"""
 
 from __future__ import annotations
 

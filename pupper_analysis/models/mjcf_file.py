@@ -337,7 +337,7 @@ class IncludeTree:
     def _read_include(
         self, element: etree._Element, path: Path, within: tuple[Path, ...]
     ) -> tuple[Path, etree._Element]:
-        """Return path and root element of the file of an ``<include>``; each file is parsed once."""
+        """Return path and root element of the file of an ``<include>``; parse each file once."""
         included = self._find_included(element, path)
         resolved = included.resolve()
         if resolved in within:

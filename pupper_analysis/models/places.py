@@ -1,4 +1,8 @@
-"""Locations in model files, and errors that contain locations."""
+"""Locations in model files, and errors that contain locations.
+
+A `Place` is a file with a line number (XML) or with the path of an element (binary formats). The
+functions ``make_..._error`` create a ``ModelError`` whose message starts with the location.
+"""
 
 from __future__ import annotations
 

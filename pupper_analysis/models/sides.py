@@ -1,4 +1,9 @@
-"""Left-right symmetry of joints and links, derived from names."""
+"""Left-right symmetry of joints and links, derived from names.
+
+Input are names of joints or links, such as ``FL_knee``. `find_mirror_pairs` pairs the names that
+differ only in a word for left or right. `find_unlike_pairs` selects the pairs whose motor
+parameters differ unexpectedly, which indicates an error in a file.
+"""
 
 from __future__ import annotations
 

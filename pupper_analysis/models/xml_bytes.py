@@ -1,4 +1,9 @@
-"""XML file as bytes, in which single attributes are changed and all other bytes are kept."""
+"""XML file as bytes, in which single attributes are changed and all other bytes are kept.
+
+`read_document` returns the elements with the byte offsets of their start tags. Attributes are set
+and children added in memory; ``XmlDocument.render`` replaces only the changed bytes, so that
+comments, white space and the order of attributes of the user's file stay the same.
+"""
 
 from __future__ import annotations
 

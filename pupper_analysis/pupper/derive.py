@@ -1,4 +1,10 @@
-"""Derive a variant: the URDF with yourdfpy, the MJCF with MuJoCo's spec."""
+"""Derive a variant: the URDF with yourdfpy, the MJCF with MuJoCo's spec.
+
+Input are the URDF or MJCF of a base model and the scale factors of the legs and of the torso mass.
+Thighs and calves are stretched along their length by a linear map of positions; masses, inertias,
+shapes and keyframes follow. `derive_urdf` and `derive_mjcf` are independent implementations; a
+comparison of both results tests them.
+"""
 
 from __future__ import annotations
 

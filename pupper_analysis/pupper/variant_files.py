@@ -1,4 +1,9 @@
-"""Files of a variant: derive, write and load them; parse the words that name a robot."""
+"""Files of a variant: derive, write and load them; parse the words that name a robot.
+
+Input is the name of a variant or a ``VariantSpec``; the URDF and MJCF are derived from the files of
+the base model in memory, and cached until a base file changes. `load_variant` returns the robot,
+`write_variant` writes both files.
+"""
 
 from __future__ import annotations
 

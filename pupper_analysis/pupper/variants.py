@@ -1,4 +1,9 @@
-"""Base models of the package, and the variants derived from them."""
+"""Base models of the package, and the variants derived from them.
+
+A ``VariantSpec`` contains the name of a base model and two scale factors: of the legs, and of the
+torso mass. ``VARIANTS`` lists the variants with names. The files are derived by `derive` and
+`variant_files`.
+"""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ URDF, MJCF = (
     find_model_folder("urdf") / "pupper_v3.urdf",
     find_model_folder("mjcf") / "pupper_v3.xml",
 )
-NOTHING = RobotOptions.taken_from({})
+NOTHING = RobotOptions.pop_from({})
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_none_or_two_robots_are_refused(
     words: tuple[str, ...], options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(PupperAnalysisError, match=message):
-        RobotOptions.taken_from(dict(options)).select_robot(words)
+        RobotOptions.pop_from(dict(options)).select_robot(words)
 
 
 @pytest.mark.slow

@@ -56,7 +56,7 @@ def test_the_help_fits_into_80_columns(name: str) -> None:
 
 def derived(*given: object) -> object:
     names = ("base", "leg_scale", "torso_mass_scale")
-    return RobotOptions.taken_from(dict(zip(names, given, strict=True))).select_robot(())
+    return RobotOptions.pop_from(dict(zip(names, given, strict=True))).select_robot(())
 
 
 def test_derived_variant_keeps_the_scales_that_are_not_given() -> None:

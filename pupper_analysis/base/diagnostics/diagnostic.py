@@ -1,4 +1,9 @@
-"""``Diagnostic``: a stable code, a subject, values with units, and sources."""
+"""``Diagnostic``: a stable code, a subject, values with units, and sources.
+
+`diagnose` creates a diagnostic from a code and values. Severity, group and texts in both languages
+are in the catalogue, under the code; `fill_template` inserts the values into a text. Programs read
+the code and the values, users the text.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Reading of the `stated` robot model, and of other parameters, from a compiled MJCF."""
+"""Reading of the `stated` robot model, and of other parameters, from a compiled MJCF.
+
+`read_mjcf_model` returns the links and joints of an MJCF, expressed in the base frame at zero joint
+positions. Poses come from the compiled model, and specified values from the spec, since the
+compiler replaces missing values by defaults. The other functions return parameters of geoms,
+contact pairs, options and keyframes, with their locations in the file.
+"""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ class RobotModel:
         """Whether the robot has a free base.
 
         True if the file contains a free joint, or if at least two moving links are attached to the
-        base and the links fixed to it: URDFs of legged robots contain no free joint.
+        base and the links fixed to it: the URDF of a legged robot usually contains no free joint.
         """
         if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
             return True

@@ -1,4 +1,9 @@
-"""Reading of the `stated` robot model of a URDF from XML, including meshes."""
+"""Reading of the `stated` robot model of a URDF from XML, including meshes.
+
+`read_urdf_model` returns the links and joints of a URDF, expressed in the frame of its root link at
+zero joint positions. Convex hulls and volumes of STL and OBJ meshes are computed on demand, and
+cached until the file changes.
+"""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def _add_policy_mode(name: str, command: Command) -> Command:
             return
         refuse_unused("--policy", {"--policy": allowed})
         _run_policy_mode(
-            name, quantities, **policy_options, which=RobotOptions.taken_from(values), **values
+            name, quantities, **policy_options, which=RobotOptions.pop_from(values), **values
         )
 
     extended = copy.copy(command)
