@@ -50,8 +50,8 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
             with server.atomic():
                 scene.show(answer)
                 shown = time.thread_time()
-                panels.status(stance_document(answer, None, None))
-                panels.answered()
+                panels.show_status(stance_document(answer, None, None))
+                panels.clear_results()
             done = time.thread_time()
             wall.append(time.perf_counter() - begun)
             for name, took in zip(

@@ -217,8 +217,8 @@ def command(
     load = None if added is None else shared.parse_measure("added", "mass", added)
     if load == 0:
         refuse_alone(("--added",), "added_at")
-    meant = which.select_robot(words) or "v3"
-    robot = load_selected_robot(meant)
+    selection = which.select_robot(words) or "v3"
+    robot = load_selected_robot(selection)
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan | Recording
     if record is not None:
@@ -274,7 +274,7 @@ def command(
     )
     shared.write_page(report_path, result, [robot])
     if output is not None and isinstance(result, Fit):
-        models = _write_models(robot, meant, result, output, anyway=anyway)
+        models = _write_models(robot, selection, result, output, anyway=anyway)
         if models and style == "text":
             command_name = "stand" if robot.floating else "hold"
             print_next_step(NextStep(command_name, models, robot_typed=False))
@@ -323,9 +323,14 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
 
 
 def _write_models(
-    robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path, *, anyway: bool
+    robot: Robot,
+    selection: str | VariantSpec | RobotFiles,
+    found: Fit,
+    folder: Path,
+    *,
+    anyway: bool,
 ) -> tuple[str, ...]:
-    """Write the corrected models of the selected robot ``meant``, and return their paths.
+    """Write the corrected models of the selected robot ``selection``, and return their paths.
 
     An unexplained fit is only written if ``anyway`` is True, with inflated intervals; otherwise the
     result is empty.
@@ -341,10 +346,10 @@ def _write_models(
         return ()
     with TemporaryDirectory() as temporary:
         files = None
-        if not isinstance(meant, RobotFiles):  # a derived variant has no files of its own
+        if not isinstance(selection, RobotFiles):  # a derived variant has no files of its own
             from pupper_analysis.pupper.variant_files import write_variant
 
-            files = write_variant(meant, temporary)
+            files = write_variant(selection, temporary)
         written = write_fit(robot, posterior, folder, fit=found, files=files)
     first_notes = {note.code: note for note in reversed(written.diagnostics)}  # one of each kind
     for note in reversed(first_notes.values()):

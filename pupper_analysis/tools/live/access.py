@@ -26,12 +26,14 @@ CHECKED_HEADERS = ("Host", "Origin", "Upgrade", "Cookie")
 """Headers of a request that are evaluated."""
 
 TOKEN_COOKIE = "pupper_analysis_token"
+"""Name of the cookie in which a browser stores the access token of the page."""
 
 _LOOPBACK_NAMES = frozenset(("localhost", "127.0.0.1", "::1"))
+"""Host names in a request that belong to a server that only this machine can reach."""
 
 
 def is_loopback(host: str) -> bool:
-    """Return True if an address can be reached from this machine only."""
+    """Return True if a server at a host name or IP address is reachable from this machine only."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -53,7 +55,11 @@ class Access:
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(16)
 
     def find_refusal(self, path: str, headers: Mapping[str, str]) -> Diagnostic | None:
-        """Return the reason to refuse a request, or None.
+        """Return the reason to refuse a request to the page server; None if it is allowed.
+
+        A request is refused if it names the server by an unknown host name (unless a token is
+        required), if its origin is another page, or if the required token is missing. Assets of the
+        page need no token.
 
         Args:
             path: Requested path with the query.
@@ -71,7 +77,7 @@ class Access:
         return None
 
     def _has_token(self, path: str, headers: Mapping[str, str]) -> bool:
-        """Return True if the query or the cookie contains the token."""
+        """Return True if the query or the cookie of a request contains the access token."""
         tokens = parse_qs(urlsplit(path).query).get("token", [])
         try:
             cookie = SimpleCookie(headers.get("Cookie", "")).get(TOKEN_COOKIE)
@@ -82,7 +88,7 @@ class Access:
 
     @property
     def cookie_header(self) -> str:
-        """Header that stores the token in the browser."""
+        """Value of the ``Set-Cookie`` header that stores the access token in the browser."""
         return f"{TOKEN_COOKIE}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
 
@@ -95,7 +101,7 @@ def _parse_host_name(host: str) -> str:
 
 
 def strip_folders(text: str) -> str:
-    """Return a text with file names instead of paths.
+    """Return a text in which absolute paths are replaced by their file names.
 
     Errors contain paths on the server, which the user of a page should not see.
     """

@@ -118,12 +118,12 @@ def command(
     headless: bool,
     fixed_base: bool,
 ) -> None:
-    """Open a page with sliders for a stance that shows its torques, contact forces and sag.
+    """Open a page with sliders for a stance; it shows torques, contact forces and sag.
 
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. Each browser that
     opens the page has a separate session.
-    Only this machine can reach the page. With --host, everybody can who reaches the port and has
-    the printed address with the token. The page is served until Ctrl-C.
+    Only this machine can reach the page. With --host, other machines can open the page with the
+    printed address, which contains a token. The page is served until Ctrl-C.
 
     With --mujoco or --drop MuJoCo's own viewer opens instead.
 
@@ -142,16 +142,18 @@ def command(
     modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
     refuse_unused(mode, _OPTIONS_OF_MODE)
-    meant = which.select_robot(words) or "v3"
-    where: ServeOptions = {"language": language, "host": host, "port": port}
+    selection = which.select_robot(words) or "v3"
+    server_options: ServeOptions = {"language": language, "host": host, "port": port}
     if policy is not None:
-        _open_walk(meant, policy, contract, command_text, browser=not no_browser, **where)
+        _open_walk(
+            selection, policy, contract, command_text, browser=not no_browser, **server_options
+        )
         return
     if mode != "the page":
         from pupper_analysis.tools.live import window
 
-        robot = load_selected_robot(meant, fixed_base=fixed_base)
-        if isinstance(meant, RobotFiles):
+        robot = load_selected_robot(selection, fixed_base=fixed_base)
+        if isinstance(selection, RobotFiles):
             print_notes(robot)
         if not dropped:
             window.view_robot(robot, headless=headless)
@@ -159,11 +161,11 @@ def command(
         if not window.drop_and_report(robot, headless=headless):
             click.get_current_context().exit(shared.EXIT_FAILED)
         return
-    _open_page(meant, stance, browser=not no_browser, **where)
+    _open_page(selection, stance, browser=not no_browser, **server_options)
 
 
 def read_stance(path: Path) -> State:
-    """Read the state of a stance file.
+    """Read a stance file, and return the state of the live page: stance, payload and servo gains.
 
     Raises:
         ConfigurationError: If the file is not a stance, an option is unknown or has no slider, or a
@@ -176,12 +178,14 @@ def read_stance(path: Path) -> State:
         make_state,
     )
 
-    def typed(**_: object) -> None:
-        """Accept the options of a stance; click parses the values."""
+    def accept_options(**_: object) -> None:
+        """Do nothing: this command exists so that click parses the options of a stance file."""
 
     options = add_options((stance_option,), PAYLOAD_OPTIONS, GAIN_OPTIONS, make_options())
     parameters = (
-        click.command(options(typed)).make_context("stance", ["--stance", str(path)]).params
+        click.command(options(accept_options))
+        .make_context("stance", ["--stance", str(path)])
+        .params
     )
     robot_values = {"payload": parameters["payload"]}
     if parameters["payload_at"] is not None:
@@ -194,32 +198,32 @@ def read_stance(path: Path) -> State:
 
 
 def _open_page(
-    meant: str | VariantSpec | RobotFiles,
+    selection: str | VariantSpec | RobotFiles,
     stance: Path | None,
     *,
     browser: bool,
-    **where: Unpack[ServeOptions],
+    **server_options: Unpack[ServeOptions],
 ) -> None:
-    """Serve the page until Ctrl-C."""
+    """Serve the page of a selected robot until Ctrl-C; ``stance``: file of the initial stance."""
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.server import Page
 
     import_viser()  # before the robot is loaded
     initial_state = None if stance is None else read_stance(stance)
-    robot = load_walking_robot(meant, "text", everything=False)
+    robot = load_walking_robot(selection, "text", everything=False)
     with shared.show_progress("making the page"):
-        page = Page(robot, initial_state, **where)
-    _serve(page, where["host"], browser=browser)
+        page = Page(robot, initial_state, **server_options)
+    _serve(page, server_options["host"], browser=browser)
 
 
 def _open_walk(
-    meant: str | VariantSpec | RobotFiles,
+    selection: str | VariantSpec | RobotFiles,
     policy: Path,
     contract: Path | None,
     command_text: str,
     *,
     browser: bool,
-    **where: Unpack[ServeOptions],
+    **server_options: Unpack[ServeOptions],
 ) -> None:
     """Serve the page of a walking policy until Ctrl-C."""
     from pupper_analysis.tools.live.render import import_viser
@@ -232,10 +236,10 @@ def _open_walk(
         check_command(shared.parse_point("command", command_text, 3)),
         Policy.load(policy, contract),
     )
-    robot = load_walking_robot(meant, "text", everything=False)
+    robot = load_walking_robot(selection, "text", everything=False)
     with shared.show_progress("making the page"):
-        page = WalkPage(robot, loaded_policy, command, **where)
-    _serve(page, where["host"], browser=browser)
+        page = WalkPage(robot, loaded_policy, command, **server_options)
+    _serve(page, server_options["host"], browser=browser)
 
 
 def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
@@ -250,12 +254,12 @@ def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
             "page; what is said on the way is not encrypted",
             err=True,
         )
-    collect_garbage_often()
+    restore_garbage_collection()
     serve(page, browser=browser, wait=threading.Event().wait)
 
 
-def collect_garbage_often() -> None:
-    """Restore Python's default thresholds of garbage collection, for new objects only.
+def restore_garbage_collection() -> None:
+    """Restore Python's default thresholds of garbage collection, and exempt all present objects.
 
     Commands postpone collections because commands end soon (``cli.GARBAGE``). A page runs for
     hours, and the PlaCo robots are in reference cycles: 60 KB per action were not released.

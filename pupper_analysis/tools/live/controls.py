@@ -31,10 +31,10 @@ from pupper_analysis.tools.live.state import PAGE_UNITS, SLIDER_FIELDS, State, f
 Array = NDArray[np.float64]
 
 PLACE_LABELS = {"centre": "place-centre", "inside": "place-inside", "offset": "place-offset"}
-"""Catalogue key of the label of each place mode."""
+"""{mode of the horizontal base position (`PLACE_MODES`): catalogue key of its label}."""
 
 LIFT_SLIDER = "lift"
-"""Slider of the height of a lifted foot. Moving the slider lifts the foot."""
+"""Name of the slider of the height of a lifted foot. Moving the slider lifts the foot."""
 
 
 class Controls:
@@ -63,7 +63,7 @@ class Controls:
         self.sliders: dict[str, Any] = {}
 
     def add_stance_controls(self) -> None:
-        """Add the controls of the stance to the current container of viser."""
+        """Add the sliders and fields of a stance to the current container of viser."""
         gui, translator = self._gui, self._translator
         self._name_of_place = {translator(label): name for name, label in PLACE_LABELS.items()}
         for folder in _list_folders(FIELDS):
@@ -86,14 +86,16 @@ class Controls:
                         translator("contacts"), "", multiline=True, hint=translator("hint-contacts")
                     )
         self.place.on_update(
-            self._make_callback(lambda s: s.having(place=self._name_of_place[self.place.value]))
+            self._make_callback(
+                lambda s: s.with_values(place=self._name_of_place[self.place.value])
+            )
         )
         self.lifted.on_update(self._make_callback(self._apply_lift))
         self.foot.on_update(self._on_foot_selected)
         self.contacts.on_update(self._make_callback(self._apply_contacts))
 
     def add_joint_controls(self) -> None:
-        """Add the sliders of the posture: joints that carry no foot."""
+        """Add the sliders of the joints that carry no foot to the current container of viser."""
         gui, robot = self._gui, self._robot
         free, home = free_joints(robot), robot.home[-robot.nu :]
         with gui.add_folder(term("Posture", self._translator.code), visible=bool(free)):
@@ -102,11 +104,11 @@ class Controls:
     def _set_joint(self, joint: str, position: float) -> None:
         """Set the position of a joint in the posture [rad or m]."""
         with self._lock:
-            self._state = self._state.having(posture={**self._state.posture, joint: position})
+            self._state = self._state.with_values(posture={**self._state.posture, joint: position})
         self._changed()
 
     def add_body_controls(self) -> None:
-        """Add the controls of payload and servo gains."""
+        """Add the sliders of payload and servo gains to the current container of viser."""
         gui, translator = self._gui, self._translator
         for folder in ("Payload", "Servos"):
             with gui.add_folder(term(folder, translator.code)):
@@ -119,7 +121,7 @@ class Controls:
                 self._add_slider(control)
 
     def _add_slider(self, control: Control) -> None:
-        """Add a slider."""
+        """Add the slider of a control to the current container of viser."""
         span, code = self._ranges[control.name], self._translator.code
         handle = self._gui.add_slider(
             control.label(code),
@@ -133,7 +135,7 @@ class Controls:
         self.sliders[control.name] = handle
 
     def _make_callback(self, change: Callable[[State], State]) -> Callable[[Any], None]:
-        """Return the callback of a control.
+        """Return a callback for viser that changes the state if the user changes a control.
 
         Changes by the program (without a client) are ignored.
         """
@@ -173,14 +175,14 @@ class Controls:
             new_value = tuple(numbers)
         else:
             new_value = value
-        state = state.having(
+        state = state.with_values(
             **{
                 field.name: {**field_value, self._selected_foot: new_value}
                 if field.per
                 else new_value
             }
         )
-        return state.having(place="offset") if field.name == "offset" else state
+        return state.with_values(place="offset") if field.name == "offset" else state
 
     def _apply_lift(self, state: State) -> State:
         """Return the state with the selected foot lifted or not."""
@@ -189,12 +191,12 @@ class Controls:
         }
         if self.lifted.value:
             swing[self._selected_foot] = float(self.sliders[LIFT_SLIDER].value)
-        return state.having(swing=swing)
+        return state.with_values(swing=swing)
 
     def _apply_contacts(self, state: State) -> State:
         """Return the state with the contacts in the text field, a ``LINK=CONTACT`` per line."""
         lines = filter(str.strip, self.contacts.value.splitlines())
-        return state.having(contacts=to_task_value(FIELDS["contacts"], [*lines]))
+        return state.with_values(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 
     def _show_contacts(self, *, typed: bool) -> None:
         """Show the contacts of the state as text, unless typed, and in the list of feet."""
@@ -211,7 +213,7 @@ class Controls:
 
     @property
     def _selected_foot(self) -> str:
-        """Foot whose sliders are shown."""
+        """Name of the foot whose sliders are shown."""
         return self._feet[self.foot.value]
 
     def _on_foot_selected(self, _event: Any) -> None:
@@ -221,16 +223,16 @@ class Controls:
 
     @property
     def state(self) -> State:
-        """Current state of the controls."""
+        """State that the user has requested with the controls, in the units of the page."""
         with self._lock:
             return self._state
 
     def set_state(self, state: State, *, notify: bool) -> None:
-        """Set all controls.
+        """Set all controls of the page to the values of a state.
 
         Args:
-            state: New state.
-            notify: True to report the change.
+            state: New state, in the units of the page.
+            notify: Whether to call the callback for changes of the state.
         """
         with self._lock:
             self._state = state
@@ -254,12 +256,12 @@ class Controls:
             self._changed()
 
     def _slider_value(self, state: State, control: Control) -> float:
-        """Return the value of a slider in a state."""
+        """Return the value of a slider in a state, in the units of the page."""
         value = getattr(state, control.field.name)
         return self._ranges[control.name].value if value is None else control.extract_number(value)
 
     def _move_slider(self, name: str, value: float) -> None:
-        """Set a slider; extend the range if necessary."""
+        """Set a slider to a value in the units of the page; extend its range if necessary."""
         handle = self.sliders[name]
         if value < handle.min:
             handle.min = value
@@ -268,11 +270,14 @@ class Controls:
         handle.value = value
 
     def _show_place(self) -> None:
-        """Show the place mode of the state."""
+        """Show the mode of the horizontal base position in the dropdown list."""
         self.place.value = self._translator(PLACE_LABELS[self._state.place])
 
     def _find_posture(self, state: State) -> Mapping[str, float]:
-        """Return the joint positions of a state; empty if the robot lacks a joint."""
+        """Return {joint: position [rad or m]} of the posture of a state.
+
+        Empty if the robot does not accept the posture: the result of the solver has the error.
+        """
         try:
             return named_positions(self._robot, state.posture)
         except PupperAnalysisError:  # the result contains the error
@@ -309,7 +314,7 @@ def _find_folder(field: Field) -> str:
 
 
 def _clamp_to_range(span: Range, value: float) -> float:
-    """Return a value rounded and clipped to a range."""
+    """Return a slider value rounded to two decimals and clipped to a range."""
     return min(max(round(value, 2), span.low), span.high)
 
 
@@ -317,16 +322,18 @@ def _clamp_to_range(span: Range, value: float) -> float:
 
 
 _UNLIMITED_BOUND = {"rad": math.pi, "m": 1.0}
-"""Bound of a slider of a joint without limits, by unit [rad or m]. Chosen, not tuned."""
+"""Bounds (+-) of a joint slider where the joint has no limit or a larger limit, by unit [rad or m].
+Chosen, not tuned."""
 
 _JOINT_STEP = 0.5
-"""Step of a joint slider [deg or mm]: half of the smallest visible change."""
+"""Step of a joint slider [deg or mm]: half of the smallest visible change. Chosen, not tuned."""
 
 _SLIDER_DIGITS = 2
-"""Number of decimals of a slider value [deg or mm] that the program sets."""
+"""Number of decimals to which the program rounds a slider value [deg or mm]. Chosen, not tuned."""
 
 _POSITION_DIGITS = 6
-"""Number of decimals of a joint position [rad or m]."""
+"""Number of decimals to which a joint position [rad or m] from a slider is rounded. Chosen, not
+tuned."""
 
 
 class JointSliders:
@@ -377,13 +384,13 @@ class JointSliders:
         self._initial_values = {name: slider.value for name, slider in self.sliders.items()}
 
     def _on_moved(self, joint: str, event: Any) -> None:
-        """Report a change by the user."""
+        """Report a joint position [rad or m] that the user has set with a slider."""
         if event.client is not None:  # not a change by the program
             value = float(self.sliders[joint].value) / self._scales[joint]
             self._moved(joint, round(value, _POSITION_DIGITS) + 0.0)  # never -0
 
     def show(self, positions: Mapping[str, float]) -> None:
-        """Show joint positions [rad or m]; joints without position return to the initial value."""
+        """Set sliders to joint positions [rad or m]; joints without one to the initial value."""
         for joint, slider in self.sliders.items():
             value = self._initial_values[joint]
             if joint in positions:
@@ -413,13 +420,13 @@ class Control:
     axis: int | None = None
 
     def label(self, language: str) -> str:
-        """Return the label with the unit."""
+        """Return the label of the slider with its unit, in the language ``en`` or ``zh``."""
         unit, _ = PAGE_UNITS[self.field.kind]
         axis = "" if self.axis is None else f" {self.field.axes[self.axis]}"
         return f"{self.field.words(language).label}{axis}" + (f" ({unit})" if unit else "")
 
     def hint(self, language: str) -> str:
-        """Return the explanation of the slider in a language."""
+        """Return the explanation of the slider in the language ``en`` or ``zh``."""
         arguments = {} if self.axis is None else {"axis": _AXIS_TERMS[self.field.axes[self.axis]]}
         return fill_template(self.field.words(language).hint, arguments, language)
 
@@ -471,10 +478,10 @@ class Range:
 
 
 def make_slider_ranges(robot: Robot) -> dict[str, Range]:
-    """Return the range of each slider, in mm, degrees, kg, N m/rad and N m s/rad.
+    """Return {name of a slider: range}, in mm, degrees, kg, N m/rad and N m s/rad.
 
     Ranges of lengths are proportional to the height of the nominal stand, ranges of masses to the
-    mass of the robot.
+    mass of the robot. Sliders of joints are not included.
     """
     ranges = {}
     for name, control in CONTROL_BY_NAME.items():
@@ -516,7 +523,10 @@ def _make_gain_range(field: Field, slider: Slider, robot: Robot) -> Range:
 
 
 def choose_slider_step(span: float) -> float:
-    """Return a step of 1, 2 or 5 x 10^k that divides the range into 160 to 400 steps."""
+    """Return the step of a slider, 1, 2 or 5 x 10^k, that divides its range into 160 to 400 steps.
+
+    ``span`` is the length of the range, in the unit of the slider.
+    """
     power = 10.0 ** math.floor(math.log10(span / 200))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= span / 400)
 

@@ -86,7 +86,7 @@ def _make_sag_blocks(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block
 def refusal_document(
     answer: Answer, error: StanceUnreachableError | None, *, pending: bool
 ) -> doc.Document:
-    """Create the report of a stance that is out of reach, for the live page.
+    """Create the report of a stance that is out of reach, with the reason, for the live page.
 
     Args:
         answer: State of the page whose stance is out of reach.

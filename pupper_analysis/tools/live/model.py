@@ -59,7 +59,7 @@ class Answer:
 
     @property
     def unreachable(self) -> bool:
-        """True if the stance is out of reach."""
+        """Whether the requested stance is out of reach."""
         return isinstance(self.refusal, StanceUnreachableError)
 
 
@@ -75,7 +75,7 @@ class StanceSolver:
         self._cached_robot: tuple[object, Robot] | None = None
 
     def load_robot(self, state: State) -> Robot:
-        """Return the robot of a state, with the payload. The last robot is cached.
+        """Return the robot with the payload of a state. The last robot is cached.
 
         Raises:
             PupperAnalysisError: If the payload is not valid.
@@ -89,7 +89,10 @@ class StanceSolver:
         return cached[1]
 
     def solve_state(self, state: State) -> Answer:
-        """Solve a state; errors are part of the result."""
+        """Solve the stance of a state, and compute its static torques and contact forces.
+
+        An error is not raised, but becomes part of the result.
+        """
         robot = task = stand = None
         try:
             robot = self.load_robot(state)
@@ -103,9 +106,9 @@ class StanceSolver:
 
 
 def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
-    """Explain why a stance is out of reach, with the nearest stance. Takes about a second.
+    """Return an error that explains why a stance is out of reach, with the nearest stance.
 
-    Returns None if the stance is reachable.
+    Takes about a second. None if the stance is reachable.
     """
     assert answer.robot is not None
     try:
@@ -116,7 +119,10 @@ def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
 
 
 def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
-    """Predict the equilibrium without feed-forward, or return the reason why there is none."""
+    """Predict the equilibrium of a stance on its servos without feed-forward.
+
+    The result is a diagnostic with the reason if there is no equilibrium.
+    """
     assert answer.robot is not None
     assert answer.stand is not None
     try:
@@ -160,12 +166,12 @@ def simulate_stance(answer: Answer) -> Stance:
 
 
 def push_stand(answer: Answer, impulse: float, direction: float) -> PushTrial:
-    """Simulate a push of the stand with position commands only.
+    """Simulate a push of the robot in its stance, with position commands without feed-forward.
 
     Args:
         answer: Solved state.
         impulse: Impulse [N s].
-        direction: Direction from the forward axis of the base [rad].
+        direction: Direction of the horizontal push, from the forward axis of the base [rad].
 
     Raises:
         PupperAnalysisError: If the simulation is not possible.

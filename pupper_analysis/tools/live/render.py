@@ -1,4 +1,9 @@
-"""Rendering of documents as HTML panels in a single language, and the viser server of a page."""
+"""Rendering of documents as HTML panels in a single language, and the viser server of a page.
+
+`start_server` starts viser's web server with an access control, and without its log output. The
+``render_...`` functions turn the parts of a `Document` into HTML with a `Translator`, which selects
+the language and deletes folder names. Plots and views are left out, since the 3-D scene shows both.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +44,8 @@ from pupper_analysis.tools.live.access import (
 from pupper_analysis.tools.live.scene import choose_utilisation_colour, to_css
 
 CLOSE_TIMEOUT = 0.3
-"""Time [s] for browsers to confirm the end of a connection. A suspended browser never confirms.
-Chosen, not tuned."""
+"""Time [s] that browsers have to confirm the end of a connection. A suspended browser never
+confirms. Chosen, not tuned."""
 
 
 def import_viser() -> Any:
@@ -56,7 +61,7 @@ def import_viser() -> Any:
 
 
 def find_free_port(host: str, port: int | None) -> int:
-    """Return the requested port if free, or any free port without a request.
+    """Return a port on which a server can listen: ``port``, or any free port if ``port`` is None.
 
     viser would use the next port if the port is taken, and would wait indefinitely for an unknown
     host.
@@ -103,7 +108,7 @@ def start_server(host: str, port: int, label: str, access: Access | None = None)
 
 
 def make_address(server: Any, host: str, access: Access) -> str:
-    """Return the address that a browser opens.
+    """Return the address (URL) that a browser opens to show a page.
 
     Args:
         server: viser's server.
@@ -149,7 +154,7 @@ def _guard_requests(access: Access) -> Iterator[None]:
 
 
 def stop_server(server: Any) -> None:
-    """Stop a server without output."""
+    """Stop a viser server without its output on the terminal."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
@@ -218,11 +223,11 @@ class Translator:
         return self._select_language(text(key, **values))
 
     def format_diagnostic(self, message: Diagnostic) -> str:
-        """Return the text of a diagnostic, without folders."""
+        """Return the text of a diagnostic in the language of the page, without folder names."""
         return message.with_names(strip_folders).text(self.code)
 
     def translate(self, words: Words) -> str:
-        """Return the text of a document element, without folders."""
+        """Return the text of a document element in the page's language, without folder names."""
         return strip_folders(
             self._select_language(words) if isinstance(words, Text) else words.text
         )
@@ -252,14 +257,14 @@ _BOX_CLASSES = {"good": "good", "bad": "bad", "warn": "wait"}
 
 
 def render_panel(document: Document, translator: Translator) -> str:
-    """Render a document: title, verdict with reasons, and blocks."""
+    """Render a document as HTML: title, verdict with reasons, and blocks."""
     parts = [_render_heading(document.title, translator), render_verdict(document, translator)]
     parts += [_render_block(block, translator) for block in document.blocks]
     return join_parts(*parts)
 
 
 def render_verdict(document: Document, translator: Translator) -> str:
-    """Render the verdict with the reasons as a box; empty without verdict."""
+    """Render the verdict of a document with the reasons as an HTML box; empty without verdict."""
     if document.passed is None:
         return ""
     verdict = () if document.verdict is None else (document.verdict,)
@@ -268,17 +273,17 @@ def render_verdict(document: Document, translator: Translator) -> str:
 
 
 def join_parts(*parts: str) -> str:
-    """Join rendered parts, with the style sheet."""
+    """Join rendered HTML parts to a panel, with the style sheet."""
     return f'{PANEL_STYLE}<div class="pa">{"".join(parts)}</div>'
 
 
 def render_waiting(words: Words, translator: Translator) -> str:
-    """Render a message about work in progress."""
+    """Render a message about work in progress as HTML."""
     return join_parts(_render_box("warn", translator.translate(words)))
 
 
 def render_hint(words: Words, translator: Translator) -> str:
-    """Render a hint, if there is no result."""
+    """Render a hint as HTML that is shown in place of a result."""
     return join_parts(f"<div>{_escape_text(translator.translate(words))}</div>")
 
 
@@ -344,7 +349,7 @@ def _format_unit(column: Column) -> str:
 
 
 def _render_cell(cell: Cell, translator: Translator) -> str:
-    """Render a cell; a number with a share gets a bar."""
+    """Render a table cell as HTML; a number with a ``bar_fraction`` gets a bar."""
     if not isinstance(cell, Number):
         return f"<td>{_escape_text(translator.translate(cell))}</td>"
     number = f'<td class="n">{_escape_text(cell.text)}</td>'

@@ -49,7 +49,7 @@ NO_LIMIT_COLOUR: Colour = (150, 150, 150)
 
 
 def choose_utilisation_colour(utilisation: float | None) -> Colour:
-    """Return the colour of a motor utilisation; None is a motor without limit."""
+    """Return the colour (RGB, 0 to 255) of a motor utilisation; None is a motor without limit."""
     if utilisation is None or not math.isfinite(utilisation):
         return NO_LIMIT_COLOUR
     for (low, low_colour), (high, high_colour) in pairwise(UTILISATION_COLOURS):
@@ -63,7 +63,7 @@ def choose_utilisation_colour(utilisation: float | None) -> Colour:
 
 
 def to_css(colour: Colour) -> str:
-    """Return a colour in CSS."""
+    """Return an RGB colour (0 to 255) as CSS text."""
     return f"rgb({colour[0]},{colour[1]},{colour[2]})"
 
 
@@ -82,7 +82,7 @@ BodyMeshes = dict[tuple[int, Colour], Mesh]
 
 
 def make_body_meshes(model: mujoco.MjModel) -> BodyMeshes:
-    """Return the visible shapes of a robot, joined by body and colour."""
+    """Return the visible shapes of a robot as {(body, colour): mesh in the body frame [m]}."""
     shapes, meshes = collect_visible_shapes(model, MAX_FACES)
     meshes_by_key: dict[tuple[int, Colour], list[Mesh]] = {}
     for shape in shapes:
@@ -101,7 +101,7 @@ def _join_meshes(meshes: list[Mesh]) -> Mesh:
 
 
 def triangulate_shape(shape: Shape) -> Mesh:
-    """Return the triangles of a primitive shape, centred, with the axis along z."""
+    """Return the triangles [m] of a primitive shape, centred at the origin, axis along z."""
     from trimesh import creation  # comes with viser
 
     size, solid = shape.size, None
@@ -119,20 +119,38 @@ def triangulate_shape(shape: Shape) -> Mesh:
 
 
 GHOST_COLOUR: Colour = (110, 130, 150)
+"""Colour of the transparent figure in the nearest reachable stance."""
+
 TWIN_COLOUR: Colour = (226, 120, 30)
+"""Colour of the second figure, which shows a simulated motion."""
+
 FORCE_COLOUR: Colour = (0, 128, 96)
+"""Colour of the arrows of contact forces."""
+
 INSIDE_COLOUR: Colour = (30, 140, 70)
+"""Colour of the CoM if its projection is inside the support polygon, and of the polygon of a stance
+in balance."""
+
 OUTSIDE_COLOUR: Colour = (200, 30, 40)
+"""Colour of the CoM if its projection is outside the support polygon, and of the polygon of a
+stance that is not in balance."""
+
 LOAD_COLOUR: Colour = (90, 60, 140)
+"""Colour of the payload."""
+
 STEP_COLOUR: Colour = (190, 194, 200)
+"""Colour of a step under a foot."""
+
 PIT_COLOUR: Colour = (120, 126, 134)
+"""Colour of a pit under a foot."""
 
 _NUM_POLYGON_CORNERS = 24
 """Number of corners of the drawn support polygon. The last corner is repeated, so that the size of
 the array is constant."""
 
 _WEIGHT_ARROW_LENGTH = 3.0
-"""Length of an arrow of the robot's total weight, relative to the height of the stand."""
+"""Length of the arrow of a force equal to the robot's weight, relative to the height of the stand.
+Chosen, not tuned."""
 
 
 _DISC_RADIUS, _DISC_REFERENCE_HEIGHT = 0.025, 0.13
@@ -180,24 +198,24 @@ class RobotFigure:
                 receive_shadow=False,
             )
 
-    def pose(self, qpos: Array) -> None:
-        """Move the figure to a configuration, shape (nq,)."""
+    def set_configuration(self, qpos: Array) -> None:
+        """Draw the figure in a configuration, shape (nq,) [m, quaternion, rad]."""
         self.robot.mj_convention.set_state(self._data, qpos)
         mujoco.mj_kinematics(self.robot.mj_model, self._data)
         for body, frame in self._bodies.items():
             frame.position = self._data.xpos[body]
             frame.wxyz = self._data.xquat[body]
 
-    def shift(self, place: Array) -> None:
-        """Translate the figure, shape (3,) [m]."""
-        self._root.position = place
+    def set_position(self, position: Array) -> None:
+        """Set the translation of the drawn figure in the world frame, shape (3,) [m]."""
+        self._root.position = position
 
     def show(self, shown: bool) -> None:
-        """Show or hide the figure."""
+        """Show or hide the drawn robot."""
         self._root.visible = shown
 
     def remove(self) -> None:
-        """Remove the figure from the scene."""
+        """Remove the drawn robot from the scene."""
         self._root.remove()
 
 
@@ -218,7 +236,7 @@ class Scene:
         self._size = 1.0
 
     def show(self, answer: Answer) -> None:
-        """Draw a stance with torques and forces; without a stance, the ground only."""
+        """Draw a solved stance with torques and contact forces; else the ground only."""
         robot, stand = answer.robot, answer.stand
         self.hide("twin")
         self._draw_only(())
@@ -233,7 +251,7 @@ class Scene:
             self.hide("stand")
             return
         self.hide("ghost")
-        self._get_figure("stand").pose(stand.qpos)
+        self._get_figure("stand").set_configuration(stand.qpos)
         self._get_figure("stand").show(True)
         described = describe_scene(robot, stand, answer.statics)
         self._draw_steps(described)
@@ -243,31 +261,31 @@ class Scene:
         self._draw_torques(described.joints)
         self._draw_forces(described)
 
-    def ghost(self, robot: Robot, stand: Stand | None) -> None:
+    def draw_ghost(self, robot: Robot, stand: Stand | None) -> None:
         """Draw a stance as a transparent figure (ghost), or hide it if ``stand`` is None."""
         if stand is None:
             self.hide("ghost")
             return
         self._prepare_robot(robot)
-        self._get_figure("ghost").pose(stand.qpos)
+        self._get_figure("ghost").set_configuration(stand.qpos)
         self._get_figure("ghost").show(True)
 
-    def twin(self, robot: Robot, qpos: Array, ground: Ground) -> None:
+    def draw_twin(self, robot: Robot, qpos: Array, ground: Ground) -> None:
         """Draw a simulated configuration as a second figure beside the stand.
 
         Args:
             robot: Robot.
-            qpos: Configuration, shape (nq,).
+            qpos: Configuration, shape (nq,) [m, quaternion, rad].
             ground: Ground, whose slope direction determines the side.
         """
         figure = self._get_figure("twin")
         along = np.array([-math.sin(ground.uphill), math.cos(ground.uphill), 0.0])
-        figure.shift(2.6 * robot.stand_height * along)
-        figure.pose(qpos)
+        figure.set_position(2.6 * robot.stand_height * along)
+        figure.set_configuration(qpos)
         figure.show(True)
 
     def hide(self, name: str) -> None:
-        """Hide a figure, if the figure exists."""
+        """Hide the figure ``stand``, ``ghost`` or ``twin``, if it exists."""
         if name in self._figures:
             self._figures[name].show(False)
 
@@ -440,7 +458,7 @@ class Scene:
 
 
 def make_force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
-    """Return contact forces as arrows from the contact points, shape (n, 2, 3) [m]."""
+    """Return contact forces as arrows from the contact points, shape (n, 2, 3) [m]: start, end."""
     weight = robot.weight
     scale = _WEIGHT_ARROW_LENGTH * robot.stand_height / weight
     return np.array(
@@ -449,7 +467,7 @@ def make_force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
 
 
 def format_joint_label(name: str, torque: float, share: float | None) -> str:
-    """Format the label of a joint: name, torque [N m], utilisation in percent."""
+    """Return the label of a joint: name, torque [N m], utilisation (``share`` = 1 is 100 %)."""
     suffix = "" if share is None else f", {100 * share:.0f} %"
     return f"{escape_control(name)}: {torque:+.3f} N m{suffix}"
 

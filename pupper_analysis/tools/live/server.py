@@ -20,11 +20,14 @@ from pupper_analysis.tools.live.session import Session
 from pupper_analysis.tools.live.state import State, check_page_robot
 
 DEFAULT_HOST = "127.0.0.1"
+"""Default address of the page server, which only this machine can reach."""
 
 _CAMERA_POSITION = (2.6, -2.3, 1.7)
 """Initial position of the camera, in heights of the stand: front right."""
 
-_JOIN_TIMEOUT = 1.0  # s, for all threads together to finish
+_JOIN_TIMEOUT = 1.0
+"""Time [s] that the threads of all sessions together have to finish when a page is closed. Chosen,
+not tuned."""
 
 
 class ServeOptions(TypedDict, total=False):
@@ -86,7 +89,7 @@ class ServedPage:
         self._server.on_client_disconnect(self._on_disconnect)
 
     def _on_connect(self, client: Any) -> None:
-        """Create the session of a browser."""
+        """Create the session of a browser that has opened the page."""
         if self._closed:  # a late connection from viser's queue would keep the process alive
             return
         session = self._make_session(client, self._language)
@@ -103,7 +106,7 @@ class ServedPage:
             session.close()
 
     def close(self) -> None:
-        """Close all sessions and stop the server."""
+        """Close the sessions of all browsers, and stop the server of the page."""
         with self._lock:
             self._closed = True
             sessions = [*self.sessions.values()]
@@ -122,7 +125,7 @@ class Page(ServedPage):
     Args:
         robot: Robot.
         state: Initial state.
-        **where: See `ServedPage`.
+        **server_options: See `ServedPage`.
 
     Raises:
         ConfigurationError: If the server cannot use this address, the robot or the state is not
@@ -131,7 +134,7 @@ class Page(ServedPage):
     """
 
     def __init__(
-        self, robot: Robot, state: State | None = None, **where: Unpack[ServeOptions]
+        self, robot: Robot, state: State | None = None, **server_options: Unpack[ServeOptions]
     ) -> None:
         render.import_viser()  # before time-consuming work
         check_page_robot(robot)
@@ -141,12 +144,12 @@ class Page(ServedPage):
             robot.name,
             robot.stand_height,
             lambda client, translator: Session(client, model, initial_state, translator),
-            **where,
+            **server_options,
         )
 
 
 def check_state(model: StanceSolver, state: State) -> None:
-    """Check that a state is valid for a robot.
+    """Check that the state of a page is valid for its robot.
 
     Raises:
         PupperAnalysisError: If the robot lacks a foot, a joint, or the link of a payload.

@@ -55,7 +55,7 @@ class Panels:
         gui = client.gui
         robot = model.load_robot(State())
         self._numbers = render.NumberPanel(gui, translator, "solving", 330)
-        self.controls = Controls(gui, robot, translator, session.changed)
+        self.controls = Controls(gui, robot, translator, session.report_change)
         tabs = gui.add_tab_group()
         with tabs.add_tab(translator("stance")):
             self.controls.add_stance_controls()
@@ -73,7 +73,7 @@ class Panels:
         reset.on_click(lambda _: session.reset())
 
     def _add_simulation_controls(self, gui: Any, mass: float) -> None:
-        """Add the controls of simulations and pushes."""
+        """Add the controls of simulations and pushes; ``mass`` [kg] scales the largest impulse."""
         session, translator = self._session, self.translator
         simulate = gui.add_button(translator("simulate"), hint=translator("hint-simulate"))
         max_impulse = max(
@@ -98,47 +98,52 @@ class Panels:
 
     @property
     def requested_push(self) -> tuple[float, float]:
-        """Impulse [N s] and direction [rad] of the sliders."""
+        """Impulse [N s] and direction [rad, from the forward axis] of a push, from the sliders."""
         return float(self._impulse.value), math.radians(float(self._direction.value))
 
-    def status(self, document: Document) -> None:
+    def show_status(self, document: Document) -> None:
         """Show the report of the stance (loads, sag, contact forces) in the number panel."""
         self._numbers.content = render.render_panel(document, self.translator)
 
-    def result(self, document: Document) -> None:
-        """Show the results of a simulation."""
+    def show_result(self, document: Document) -> None:
+        """Show the report of a simulation in the simulation panel."""
         self._result.content = render.render_panel(document, self.translator)
 
-    def wait(self, key: str) -> None:
-        """Show that a simulation is running."""
+    def show_waiting(self, key: str) -> None:
+        """Show in the simulation panel that a simulation is running.
+
+        Args:
+            key: Key of the message in the catalogue of texts.
+        """
         self._result.content = render.render_waiting(text(key), self.translator)
 
-    def hint(self, key: str) -> None:
-        """Show a message instead of a simulation result.
+    def show_hint(self, key: str) -> None:
+        """Show a message in place of a simulation result.
 
         Args:
             key: Key of the message in the catalogue of texts.
         """
         self._result.content = render.render_hint(text(key), self.translator)
 
-    def answered(self) -> None:
+    def clear_results(self) -> None:
         """Clear the simulation result, and hide the button of the nearest reachable stance.
 
         Called when the stance of the page has changed.
         """
-        self.nearest(False)
-        self.hint("not-simulated-yet")
+        self.show_nearest_button(False)
+        self.show_hint("not-simulated-yet")
 
-    def nearest(self, visible: bool) -> None:
-        """Show or hide the button of the nearest stance."""
+    def show_nearest_button(self, visible: bool) -> None:
+        """Show or hide the button that sets the nearest reachable stance."""
         self._nearest.visible = visible
 
 
 QUIET_SECONDS = 0.15
-"""Time without changes [s] after which the closer analysis starts: longer than pauses while a
-slider is moved."""
+"""Time without changes [s] after which the slower analysis (static deflection, stability,
+explanation of a refusal) starts: longer than pauses while a slider is moved. Chosen, not tuned."""
 
-_FRAME_PERIOD = 1 / 30  # s between the pictures of a motion
+_FRAME_PERIOD = 1 / 30
+"""Time [s] between two pictures of a simulated motion. Chosen, not tuned."""
 
 
 class Session:
@@ -181,21 +186,21 @@ class Session:
             thread.start()
 
     def close(self) -> None:
-        """Request the end of the threads; each ends after the current work."""
+        """Request the end of the session's threads; each ends after the current work."""
         self._closed.set()
         self._state_changed.set()
         self._work_pending.set()
 
-    def changed(self) -> None:
-        """Report that the state of the controls has changed."""
+    def report_change(self) -> None:
+        """Report that the user has changed a control, so that the new state is solved."""
         self._state_changed.set()
 
     def reset(self) -> None:
-        """Return to the default state."""
+        """Set all controls of the page to the default state."""
         self._panels.controls.set_state(State(), notify=True)
 
     def go_to_nearest(self) -> None:
-        """Set the controls to the nearest stance, if there is a stance."""
+        """Set the controls to the nearest reachable stance, if one was found."""
         with self._lock:
             answer, refusal = self._answer, self._refusal
         if answer is not None and refusal is not None and refusal.nearest is not None:
@@ -219,13 +224,13 @@ class Session:
         """Queue a simulation of the current stance; without a balanced stance, show a hint."""
         with self._lock:
             if self._answer is None or self._answer.statics is None:
-                self._panels.hint("nothing-to-simulate")
+                self._panels.show_hint("nothing-to-simulate")
                 return
-            self._panels.wait(words)
+            self._panels.show_waiting(words)
             self._pending_job = job
         self._work_pending.set()
 
-    def export(self) -> tuple[Answer | None, SteadyState | Diagnostic | None]:
+    def get_shown_stance(self) -> tuple[Answer | None, SteadyState | Diagnostic | None]:
         """Return the solved stance that the page shows, and the predicted sag, for a download.
 
         The sag is a message if there is no equilibrium, and None until computed.
@@ -260,7 +265,7 @@ class Session:
         except Exception as error:
             if not self._closed.is_set():
                 with self._lock:
-                    self._panels.status(unexpected_document(error))
+                    self._panels.show_status(unexpected_document(error))
 
     def _show_answer(self, answer: Answer) -> None:
         """Show an answer without the results that take longer."""
@@ -268,7 +273,7 @@ class Session:
             self._reset_results(answer, answers.predict_stance_verdict(answer, closely=False))
             self._scene.show(answer)
             self._show_status()
-            self._panels.answered()
+            self._panels.clear_results()
 
     def _show_status(self) -> None:
         """Show the status panel of the current answer."""
@@ -278,10 +283,10 @@ class Session:
             message = refusal_document(answer, self._refusal, pending=self._pending)
         else:
             message = stance_document(answer, self._sag, self._verdict)
-        self._panels.status(message)
+        self._panels.show_status(message)
 
     def _run_worker(self) -> None:
-        """Loop of the second thread: closer analysis and simulations."""
+        """Loop of the second thread: slower analysis of the shown stance, and simulations."""
         analysed: Answer | None = None
         while not self._closed.is_set():
             self._work_pending.wait()
@@ -306,7 +311,7 @@ class Session:
         try:
             job(answer)
         except PupperAnalysisError as error:
-            self._if_shown(answer, partial(self._panels.result, failure_document(error)))
+            self._if_shown(answer, partial(self._panels.show_result, failure_document(error)))
 
     def _if_shown(self, answer: Answer, show: Callable[[], None]) -> bool:
         """Call a function if the answer is still current; return True if called."""
@@ -328,8 +333,8 @@ class Session:
                 self._refusal, self._pending = error, False
                 self._show_status()
                 nearest = None if error is None else error.nearest
-                self._panels.nearest(nearest is not None)
-                self._scene.ghost(robot, nearest)
+                self._panels.show_nearest_button(nearest is not None)
+                self._scene.draw_ghost(robot, nearest)
 
             self._if_shown(answer, show_refusal)
         elif answer.statics is not None:
@@ -370,13 +375,13 @@ class Session:
         def show() -> None:
             self._verdict = verdict or self._verdict
             self._show_status()
-            self._panels.result(document)
+            self._panels.show_result(document)
 
         if self._if_shown(answer, show):
             self._play_motion(answer, time, motion)
 
     def _play_motion(self, answer: Answer, time: Any, motion: Any) -> None:
-        """Play a motion once in real time; stop if there is other work."""
+        """Play a motion (times [s], configurations (n, nq)) in real time, until other work."""
         robot, task = answer.robot, answer.task
         assert robot is not None
         assert task is not None
@@ -386,19 +391,22 @@ class Session:
 
             def show(instant: float = elapsed) -> None:
                 qpos = interpolate_motion(times, motion, instant)
-                self._scene.twin(robot, qpos, task.ground)
+                self._scene.draw_twin(robot, qpos, task.ground)
 
             if not self._if_shown(answer, show) or self._closed.wait(_FRAME_PERIOD):
                 return
 
 
 def interpolate_motion(times: Any, motion: Any, instant: float) -> Any:
-    """Return the configuration (nq,) of a motion at an instant, by linear interpolation.
+    """Return the configuration of a motion at an instant, by linear interpolation.
 
     Args:
         times: Times of the samples, shape (n,) [s].
-        motion: Configurations, shape (n, nq).
+        motion: Configurations, shape (n, nq) [m, quaternion, rad].
         instant: Time [s], clipped to the first and last sample.
+
+    Returns:
+        Configuration, shape (nq,), with a normalised quaternion.
     """
     after = int(np.clip(np.searchsorted(times, instant), 1, len(times) - 1))
     before = after - 1

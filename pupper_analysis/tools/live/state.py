@@ -32,8 +32,8 @@ def check_page_robot(robot: Robot) -> None:
 
 
 PLACE_MODES = ("centre", "inside", "offset")
-"""Modes of the horizontal base position: CoM over the centre, CoM inside the polygon, or given
-offset."""
+"""Modes of the horizontal base position: CoM over the centre of the feet, CoM inside the support
+polygon, or an offset of the base that the user sets."""
 
 ROBOT_SLIDER_FIELDS = {name: field for name, field in ROBOT_FIELDS.items() if field.slider}
 """Fields of the robot with a slider: payload, position of the payload, servo gains."""
@@ -90,7 +90,7 @@ class State:
             raise AttributeError(f"a State has no {name}")
         return self.values[name] if name in self.values else find_default_value(SLIDER_FIELDS[name])
 
-    def having(self, **values: Any) -> State:
+    def with_values(self, **values: Any) -> State:
         """Return a copy of the page's state with changed values.
 
         Args:
@@ -99,7 +99,7 @@ class State:
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
-        """Yield the fields of `FIELDS` that are requested, with values in the page's units."""
+        """Yield each field of the stand task that the user has set, and its value in page units."""
         for name, field in FIELDS.items():
             if name == "offset":
                 if self.place == "offset":
@@ -111,7 +111,7 @@ class State:
                 yield field, self.values[name]
 
     def task(self) -> StandTask:
-        """Return the stand task.
+        """Return the stand task, in SI units, that the state of the page requests.
 
         Raises:
             ConfigurationError: If a value is out of bounds. The message uses the page's units.
@@ -126,7 +126,7 @@ class State:
         )
 
     def payload_point(self) -> tuple[str | float, ...]:
-        """Return the position of the payload in SI units.
+        """Return the position of the payload that the page requests, in SI units.
 
         Returns:
             (x, y, z) [m] in the base frame, or (frame, x, y, z).
@@ -135,7 +135,7 @@ class State:
         return place
 
     def with_task(self, task: StandTask) -> State:
-        """Return the state with the numbers of another task, converted to the page's units.
+        """Return the state of the page with the numbers of another task, in the page's units.
 
         Args:
             task: Task with the same feet and the same mode of the base position.
@@ -145,16 +145,19 @@ class State:
             for name, value in task.values().items()
             if name in SLIDER_FIELDS and value is not None and getattr(self, name) is not None
         }
-        return self.having(**values)
+        return self.with_values(**values)
 
 
 def find_contact_factor(contact: Contact | Weld) -> float:
-    """Return the factor from SI units to the page's units for the number of a contact's plane."""
+    """Return the factor from SI to page units for the number of a contact's plane.
+
+    From rad to degrees if the number is an angle, else from m to mm.
+    """
     return PAGE_UNITS["angle" if contact.turns else "length"][1]
 
 
 def find_default_value(field: Field) -> Any:
-    """Return the default of a field; None if the default is the robot's own value."""
+    """Return the default of a field of the page; None if the default is a value of the robot."""
     if field.per:
         return FrozenDict()
     if field.nominal != "zero":
@@ -163,9 +166,9 @@ def find_default_value(field: Field) -> Any:
 
 
 def _check_value(field: Field, value: Any) -> Any:
-    """Check that all numbers are finite.
+    """Check that all numbers of a field's value are finite, and return the value.
 
-    Leave out entries of feet or joints that have no effect.
+    Entries of feet or joints that have no effect are left out.
     """
     if value is None:
         return None
@@ -196,7 +199,7 @@ def _iterate_numbers(value: Any) -> Iterator[tuple[str, float]]:
 
 
 def convert_to_si(field: Field, value: Any) -> Any:
-    """Convert a value from the page's units (`PAGE_UNITS`) to SI units."""
+    """Convert a field's value from the page's units (`PAGE_UNITS`: mm, degrees) to SI units."""
     unit, _ = PAGE_UNITS[field.kind]
     if isinstance(value, str) or unit not in ("mm", "°"):
         return value
@@ -204,7 +207,7 @@ def convert_to_si(field: Field, value: Any) -> Any:
 
 
 def convert_to_page_units(field: Field, value: Any) -> Any:
-    """Convert a value from SI units to the page's units (`PAGE_UNITS`), rounded to 9 decimals."""
+    """Convert a field's value from SI to the page's units (`PAGE_UNITS`), to 9 decimals."""
     _, factor = PAGE_UNITS[field.kind]
     return _map_numbers(value, lambda number: round(factor * number, 9))
 
@@ -263,7 +266,7 @@ def make_state(task: StandTask, **robot_values: Any) -> State:
 
 
 def write_stance_file(state: State) -> str:
-    """Return the options of the state as TOML, for ``--stance``."""
+    """Return the stance, payload and gains of a state as TOML text, a file for ``--stance``."""
     lines, tables = [], []
     for option, element, value in _typed_options(state):
         if element:

@@ -36,6 +36,7 @@ _AVERAGING_TIME, _TABLE_PERIOD, _FRAME_PERIOD = 1.0, 0.25, 0.04
 Chosen, not tuned."""
 
 _COMMAND_AXES = ("forward", "left", "turning")
+"""Names of the three components of a walking command: two speeds and the turning rate."""
 
 PUSH_DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0, 1.0),
               "right": (0.0, -1.0)}  # fmt: skip
@@ -82,7 +83,7 @@ class WalkSession:
             button = gui.add_button(translator.translate(text(f"walking-push-to-{name}")))
             button.on_click(lambda _, x=x, y=y: self.push(x, y))
         restart = gui.add_button(translator("walking-again"))
-        restart.on_click(lambda _: self.begin_again())
+        restart.on_click(lambda _: self.restart_walk())
         robot = stage.robot
         self._figure = RobotFigure(scene, "/walking", robot, make_body_meshes(robot.mj_model))
         self._cell_size = robot.stand_height
@@ -98,7 +99,7 @@ class WalkSession:
         work.start()
 
     def close(self) -> None:
-        """Request the end of the thread."""
+        """Request the end of the thread that simulates the walking robot."""
         self._closed.set()
         self._restart.set()
 
@@ -115,8 +116,8 @@ class WalkSession:
         with self._lock:
             self._requested_push = (x * size, y * size)
 
-    def begin_again(self) -> None:
-        """Restart from the initial state."""
+    def restart_walk(self) -> None:
+        """Request a restart of the simulation from the initial state."""
         self._restart.set()
 
     def _run_simulations(self) -> None:
@@ -180,14 +181,21 @@ class WalkSession:
         place = np.array([qpos[0], qpos[1], 0.0])
         qpos[:2] = 0.0
         with self._client.atomic():
-            self._figure.pose(qpos)
+            self._figure.set_configuration(qpos)
             self._grid.position = -np.fmod(place, self._cell_size)
 
 
 def walking_document(
     stage: Stage, window: Run, duration: float, fall: Diagnostic | None
 ) -> doc.Document:
-    """Create the document of the last second: actual and commanded speeds, motor torques."""
+    """Create the report of the last second of walking: actual and commanded speeds, motor torques.
+
+    Args:
+        stage: Policy on the robot.
+        window: States and targets of the last second.
+        duration: Simulated time since the start [s].
+        fall: Description of the fall; None if the robot has not fallen.
+    """
     tracking, torques = (
         evaluate_tracking(stage, window, 0.0),
         np.nan_to_num(joint_torques(stage, window)),
@@ -238,7 +246,7 @@ class WalkPage(ServedPage):
         policy: Policy.
         command: Initial forward speed, speed to the left [m/s] and turning rate to the left
             [rad/s], shape (3,).
-        **where: See `ServedPage`.
+        **server_options: See `ServedPage`.
 
     Raises:
         ConfigurationError: If the server cannot use this address, the base is fixed, or the
@@ -248,7 +256,7 @@ class WalkPage(ServedPage):
     """
 
     def __init__(
-        self, robot: Robot, policy: Policy, command: Array, **where: Unpack[ServeOptions]
+        self, robot: Robot, policy: Policy, command: Array, **server_options: Unpack[ServeOptions]
     ) -> None:
         render.import_viser()  # before time-consuming work
         stage = prepare_stage(robot, policy)
@@ -256,5 +264,5 @@ class WalkPage(ServedPage):
             robot.name,
             robot.stand_height,
             lambda client, translator: WalkSession(client, stage, command, translator),
-            **where,
+            **server_options,
         )

@@ -33,8 +33,8 @@ DROP_SECONDS = 6.0
 """Duration of a simulated drop [s]. v3 lands after 0.18 s and is steady to 0.005 mm after 2.3 s."""
 
 DROP_HEIGHT = 0.15
-"""Height of the feet above the ground [m], if the keyframe has the feet on the ground; as in v3's
-keyframe."""
+"""Height of the lowest foot above the ground [m] at the start of a drop, if the keyframe has the
+feet on the ground. The value of v3's keyframe."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +60,9 @@ class Drop:
 def simulate_drop(robot: Robot) -> Drop:
     """Simulate a drop with the servos at the joint positions of the keyframe ``home``.
 
-    The robot falls from the height of the keyframe (v3: 0.28 m). If the feet are within
-    `DROP_HEIGHT` / 2 of the ground, the robot is raised to `DROP_HEIGHT`.
+    The robot falls for `DROP_SECONDS` from the height of the keyframe (v3: 0.28 m). If the lowest
+    foot is less than `DROP_HEIGHT` / 2 above the ground, the robot is raised until this foot is at
+    `DROP_HEIGHT`.
     """
     data = make_home_data(robot)
     model = robot.mj_model
@@ -95,7 +96,7 @@ def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
 
 
 def _foot_clearance(robot: Robot, qpos: Array) -> float:
-    """Return the vertical distance of the lowest foot from the ground (m)."""
+    """Return the height [m] of the lowest foot above the ground in a configuration (nq,)."""
     feet = Configuration(robot, qpos).foot_positions()
     return min(float(place[2]) - robot.contact_radius[foot] for foot, place in feet.items())
 
@@ -148,18 +149,17 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
 
 
 def drop_and_report(robot: Robot, *, headless: bool) -> bool:
-    """Drop a robot and print whether the robot stands at the end.
+    """Drop a robot in simulation, and print whether the robot stands at the end.
 
-    The result is the same whatever is done in the window.
+    Actions in the window do not change the result.
 
     Args:
         robot: The robot.
         headless: Open no window.
 
     Returns:
-        Whether the stand is stable, no link has a mass that the file does not state, and the file
-        contradicts the result neither by its servos nor by its run from the keyframe; otherwise
-        the command ends with status 1.
+        True if the robot stands stably, the files state the masses of all links, and
+        `list_contradictions` is empty. Otherwise the command ends with status 1.
 
     Raises:
         ConfigurationError: If the base is fixed.
@@ -181,9 +181,11 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
 
 
 def list_contradictions(robot: Robot) -> tuple[str, ...]:
-    """Return what contradicts a drop of the prepared robot.
+    """Return messages about properties of the robot's file that contradict a stable drop.
 
-    These are bad servos of the file, a failing run of the file, and feet without friction.
+    The simulated robot is prepared: bad servos are replaced, for example. The messages are about
+    replaced servos, a failure of the unmodified MJCF started from its keyframe, and feet without
+    friction.
     """
     replaced: tuple[MadeServo, ...] = ()
     with contextlib.suppress(ModelError):  # torque motors have no servo
@@ -199,7 +201,7 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
 
 
 def format_drop(result: Drop) -> str:
-    """Format the line that reports a drop, in the tutorial's form."""
+    """Return the line that reports a drop: base height, its deviation, tilt, ground contacts."""
     still = result.height_deviation < STABLE_DEVIATION
     sign, end = "<" if still else ">=", result.end
     ending = " = stable" if result.stable else " = NOT stable" if not still else ""

@@ -64,6 +64,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
 
 
 def _plan_table(path: StancePath) -> doc.Table:
+    """Create the table of the planned path: duration, utilisations, margins."""
     peak = text(
         "greatest-torque-of-motors",
         joint=doc.Name(path.peak_joint),
@@ -72,8 +73,8 @@ def _plan_table(path: StancePath) -> doc.Table:
     return _quantity_table(
         text("the-path-title"),
         (text("time"), "s", float(path.time[-1]), ".4g"),
-        *_known(peak, path.peak_utilisation),
-        *_known(text("greatest-speed-of-joints"), path.peak_speed_utilisation),
+        *_make_utilisation_row(peak, path.peak_utilisation),
+        *_make_utilisation_row(text("greatest-speed-of-joints"), path.peak_speed_utilisation),
         (text("least-com-margin"), "mm", 1e3 * float(path.com_margin.min()), ".1f"),
         (
             text("least-margin-of-the-zero"),
@@ -85,12 +86,13 @@ def _plan_table(path: StancePath) -> doc.Table:
     )
 
 
-def _known(name: doc.Text, share: float) -> list[tuple[doc.Text, str, float, str]]:
-    """Return the row of a share of a limit; none if the limit is unknown."""
+def _make_utilisation_row(name: doc.Text, share: float) -> list[tuple[doc.Text, str, float, str]]:
+    """Return a row (name, unit, value, format) for a utilisation; empty for NaN (unknown limit)."""
     return [] if math.isnan(share) else [(name, "%", 100 * share, ".1f")]
 
 
 def _tracking_table(tracking: PathTracking) -> doc.Table:
+    """Create the table of the simulated path: errors of torques, joints and base, foot slip."""
     return _quantity_table(
         text("how-it-is-followed"),
         (text("torque-error-of-the-largest"), "%", 100 * tracking.torque_error, ".1f"),

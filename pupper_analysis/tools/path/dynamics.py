@@ -32,9 +32,9 @@ MAX_ACCELERATION = 1e9
 forces can overflow. Chosen, not tuned."""
 
 _MOMENT_ITERATIONS = 2
-"""Number of fixed-point iterations between normal forces and the moments proportional to them. Each
-iteration reduces the error by about (rolling friction / distance between feet), one tenth. Balance
-is exact after each iteration."""
+"""Number of fixed-point iterations between the normal forces and the rolling moments, which are
+proportional to the normal forces. Each iteration reduces the error by about (rolling friction /
+distance between feet), one tenth. Balance is exact after each iteration. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,8 +38,8 @@ Array = NDArray[np.float64]
 _T = TypeVar("_T", float, NDArray[np.float64])
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Constraints whose target values ``task_between`` computes. Values of all other constraints are
-interpolated between the two stances."""
+"""Constraints whose target values ``interpolate_task`` computes. Values of all other constraints
+are interpolated between the two stances."""
 
 UNLOADED_HEIGHT = 1e-12
 """Height [m] that represents a foot that touches the ground without load. Chosen: positive, but
@@ -65,9 +65,9 @@ class Key:
     joints: Array
 
     def margin(self, feet: Sequence[str]) -> float:
-        """Compute the CoM margin [m] in the polygon of some feet.
+        """Compute the distance [m] of the projected CoM from the edge of the polygon of some feet.
 
-        The margin is the distance of the CoM's projection from the edge, positive inside.
+        The distance is positive inside the polygon.
         """
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 
@@ -90,17 +90,24 @@ class Segment:
     before: tuple[str, ...]
     after: tuple[str, ...]
 
-    def placed(self, robot: Robot) -> list[int]:
-        """Return the indices of joints whose position one of the two stances specifies."""
+    def find_specified_joints(self, robot: Robot) -> list[int]:
+        """Return the indices of joints whose position a stance at either end specifies."""
         tasks = self.start.task, self.end.task
         names = {joint for task in tasks for joint in placed_joints(robot, task.posture)}
         return sorted(map(robot.joint_names.index, names))
 
 
-def segments_of(
+def solve_segments(
     robot: Robot, stances: Sequence[StandTask]
 ) -> tuple[list[Segment], tuple[Stand, ...]]:
-    """Solve the stances, and check that each can follow the previous stance.
+    """Solve the stances of a path, and check that each can follow the previous stance.
+
+    Args:
+        robot: Robot with a floating base.
+        stances: Two or more stand tasks.
+
+    Returns:
+        A segment between each two successive stances; the solved stands.
 
     Raises:
         ConfigurationError: If stances have different grounds, mix ``com`` types, move a foot that
@@ -149,7 +156,7 @@ def segments_of(
     return segments, tuple(solved)
 
 
-def task_between(
+def interpolate_task(
     robot: Robot,
     segment: Segment,
     stance_feet: Sequence[str],
@@ -157,7 +164,7 @@ def task_between(
     ik_seed: Array,
     away: Mapping[str, Array],
 ) -> StandTask:
-    """Interpolate the stand task of a sample, in world coordinates.
+    """Interpolate the stand task of a sample between two stances, in world coordinates.
 
     Args:
         robot: Robot.
@@ -213,7 +220,9 @@ def task_between(
         if FIELDS[name].constraint not in _PATH_CONSTRAINTS and not FIELDS[name].per
     }
     joints = between(segment.start.joints, segment.end.joints).tolist()
-    posture = {robot.joint_names[index]: joints[index] for index in segment.placed(robot)}
+    posture = {
+        robot.joint_names[index]: joints[index] for index in segment.find_specified_joints(robot)
+    }
     heights = {
         foot: between(first.swing.get(foot, 0.0), last.swing.get(foot, 0.0)) for foot in robot.feet
     }
@@ -235,8 +244,8 @@ MAX_JUMP = 0.5
 branch has changed, and the path is refused. Chosen, not tuned."""
 
 _ROLL_TOLERANCE = 1e-8
-"""Difference [m] between the foot displacements of two iterations at which rolling has converged.
-Chosen: far below the error of a foot in MuJoCo."""
+"""Difference [m] between the foot displacements of two fixed-point iterations, below which the
+rolling of the feet has converged. Chosen: far below the error of a foot in MuJoCo."""
 
 _MAX_ROLL_ITERATIONS = 50
 """Upper bound of the fixed-point iterations: the rolling displacement of a foot depends on the leg
@@ -267,11 +276,19 @@ class PathPlace:
 
     @property
     def qpos(self) -> Array:
-        """Configuration, shape (nq,)."""
+        """Configuration of the sample, shape (nq,) [m, quaternion, rad]."""
         return self.stand.qpos
 
-    def motion(self, rate: float, acceleration: float) -> tuple[Array, Array]:
-        """Compute ``qvel`` and ``qacc``, shape (nv,), from ds/dt [1/s] and d2s/dt2 [1/s^2]."""
+    def compute_motion(self, rate: float, acceleration: float) -> tuple[Array, Array]:
+        """Compute velocity and acceleration at a sample, shape (nv,), from those of s.
+
+        Args:
+            rate: ds/dt of the path parameter s [1/s].
+            acceleration: d2s/dt2 [1/s^2].
+
+        Returns:
+            ``qvel`` [m/s, rad/s] and ``qacc`` [m/s^2, rad/s^2].
+        """
         tangent = self.tangent
         return rate * tangent, rate**2 * self.curvature + acceleration * tangent
 
@@ -294,8 +311,8 @@ class Geometry:
     per_segment: int
     seconds: float
 
-    def where(self, index: int) -> Diagnostic:
-        """Describe the time and segment of a sample, for error messages."""
+    def describe_sample(self, index: int) -> Diagnostic:
+        """Return a text with the time and the segment of a sample, for error messages."""
         return _describe_sample(index, self.per_segment, self.seconds / len(self.segments))
 
 
@@ -304,6 +321,9 @@ def minimum_jerk(progress: float) -> tuple[float, float, float]:
 
     Both derivatives are zero at x = 0 and x = 1. (Flash and Hogan 1985, "The coordination of arm
     movements".)
+
+    Args:
+        progress: Fraction x of the duration, from 0 to 1.
     """
     x = progress
     return (
@@ -321,7 +341,7 @@ def path_geometry(
     *,
     rolling: bool = True,
 ) -> Geometry:
-    """Solve the stands of all samples of a path.
+    """Solve the stands of all samples of a path, and differentiate them along the path.
 
     Args:
         robot: Robot with a floating base.
@@ -337,7 +357,7 @@ def path_geometry(
         StanceUnreachableError: If a sample is out of reach. The error states the time.
         StaticsInfeasibleError: If the CoM leaves the support polygon. The error states the time.
     """
-    segments, solved = segments_of(robot, stances)
+    segments, solved = solve_segments(robot, stances)
     places: list[PathPlace] = []
     ik_seed = np.array(solved[0].joint_positions(robot))
     roll = _RollingFeet(robot, solved[0])
@@ -371,6 +391,7 @@ def path_geometry(
 
 
 def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnostic:
+    """Return a text with the time and segment of a sample; ``duration`` of a segment [s]."""
     number = max(0, (index - 1) // per_segment)
     moment = duration * index / per_segment
     return diagnose("at-the-time", time=moment, one=number + 1, two=number + 2)
@@ -392,6 +413,7 @@ class _RollingFeet:
         self.turned = self._compute_rotations(start)
 
     def _compute_rotations(self, stand: Stand) -> dict[str, Array]:
+        """Return {contact point: rotation of its frame in the world, shape (3, 3)}."""
         config = Configuration(self.robot, stand.qpos)
         return {foot: config.frame_rotation(self.robot.contact_frames[foot]) for foot in self.away}
 
@@ -404,11 +426,24 @@ class _RollingFeet:
         *,
         rolling: bool,
     ) -> Stand:
-        """Solve a sample by fixed-point iteration between leg angles and rolling displacement."""
+        """Solve the stand of a sample by iteration between leg angles and rolling of the feet.
+
+        Args:
+            segment: Segment of the path.
+            stance_feet: Contact points that carry load.
+            share: Path parameter s of the segment, from 0 to 1.
+            ik_seed: Initial guess of the joint positions, shape (nu,) [rad].
+            rolling: Whether feet roll; otherwise the stand is solved once.
+
+        Raises:
+            NoEquilibriumError: If the rolling displacement does not converge.
+            StanceUnreachableError: If the sample is out of reach.
+            StaticsInfeasibleError: If the CoM leaves the support polygon.
+        """
         robot, normals = self.robot, ground_normals(self.robot, segment.start.task.ground)
         away = {foot: place + self.step[foot] for foot, place in self.away.items()}
         for _ in range(_MAX_ROLL_ITERATIONS):
-            task = task_between(robot, segment, stance_feet, share, ik_seed, away)
+            task = interpolate_task(robot, segment, stance_feet, share, ik_seed, away)
             stand = solve_stand(robot, task, explain=False)
             if not rolling:
                 return stand
@@ -464,7 +499,7 @@ def _differentiate(
         rows.append(still.frame_jacobian(robot.contact_frames[foot], offset)[:3])
         moves = np.zeros(3) if foot in segment.stance_feet else two.feet[foot] - one.feet[foot]
         rates.append(moves)
-    placed = segment.placed(robot)
+    placed = segment.find_specified_joints(robot)
     rows.append(np.eye(robot.nv)[robot.nv - robot.nu :][placed])
     rates.append((two.joints - one.joints)[placed])
     jacobian = np.concatenate(rows)

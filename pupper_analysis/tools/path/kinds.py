@@ -8,6 +8,7 @@ from pupper_analysis.base.kinds import NUM_HEAD_BYTES, Kind
 
 
 def _is_path_table(file: BinaryIO) -> bool:
+    """Return True if the header of a CSV file has a time column, then only q and tau columns."""
     head, _, _ = file.read(NUM_HEAD_BYTES).partition(b"\n")
     columns = head.decode(errors="replace").split(",")
     return columns[0] == "time (s)" and all(
@@ -16,3 +17,4 @@ def _is_path_table(file: BinaryIO) -> bool:
 
 
 PATH_TABLE: Final = Kind("table of a path", _is_path_table)
+"""File kind of the CSV that `StancePath.to_csv` writes and may replace."""

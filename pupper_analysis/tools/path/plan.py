@@ -35,18 +35,21 @@ from pupper_analysis.tools.path.kinds import PATH_TABLE
 Array = NDArray[np.float64]
 
 MIN_FADED_LOAD = 1e-3
-"""Smallest fraction of the load that is passed to fewer feet. For smaller fractions the zero-moment
+"""Smallest fraction of the load for which the forces with fewer feet are computed, when the load of
+a lifted foot fades out. For smaller fractions the zero-moment
 point is so close to the edge of the polygon that rolling friction decides whether fewer feet can
 carry the load. Chosen, not tuned."""
 
 
-def path_effort(
+def compute_path_sample(
     robot: Robot,
     place: PathPlace,
     rate: float,
     acceleration: float,
 ) -> dict[str, Array]:
-    """Compute a sample of each array of a `StancePath`, with minimum tangential forces.
+    """Compute torques, contact forces and margins of a sample of a path, as in `StancePath`.
+
+    The tangential forces are minimal.
 
     Towards a segment on which fewer feet carry load, the forces are a weighted mean of two
     solutions, with all feet and with fewer feet. Equilibrium is linear in the forces, so the mean
@@ -65,7 +68,7 @@ def path_effort(
     Raises:
         StaticsInfeasibleError: If no contact forces exist.
     """
-    qvel, qacc = place.motion(rate, acceleration)
+    qvel, qacc = place.compute_motion(rate, acceleration)
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
 
     def balance(feet: Sequence[str], *, held: bool = False) -> InverseDynamics:
@@ -116,11 +119,12 @@ def path_effort(
 
 
 def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Find adjacent segments on which fewer feet carry load.
+    """Find the previous or next segment of a sample if fewer feet carry load on it.
 
     Returns:
-        For each: the feet; the position in the segment, from 0 (far) to 1 (at the stance between
-        the segments); the margin of the CoM in this stance [m].
+        For each such segment: its carrying feet; nearness of the sample to the stance between the
+        segments, from 0 (far end) to 1 (at this stance); CoM margin [m] in this stance with these
+        feet.
     """
     segment, stance_feet = place.segment, place.stand.stance_feet
     return [
@@ -134,7 +138,8 @@ def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, fl
 
 
 MAX_SAMPLES = 20_000
-"""Upper bound of the number of samples of a path, which bounds time and memory. Chosen."""
+"""Upper bound of the number of samples of a path, which bounds time and memory. Chosen, not
+tuned."""
 
 MIN_SAMPLES_PER_SEGMENT = 16
 """Lower bound of the number of samples per segment. The sampled peaks of acceleration are then
@@ -203,6 +208,7 @@ class StancePath(Tabular):
     fastest_joint: str
 
     def _columns(self) -> dict[str, Array]:
+        """Return the columns of the result's table, a row per sample."""
         angles = dict(zip(self.joint_names, self.joint_positions().T, strict=True))
         torques = dict(zip(self.joint_names, self.torques.T, strict=True))
         return {
@@ -214,11 +220,11 @@ class StancePath(Tabular):
         }
 
     def joint_positions(self) -> Array:
-        """Return the joint positions, shape (n, nu) [rad]."""
+        """Return the joint positions of all n samples of the path, shape (n, nu) [rad]."""
         return self.qpos[:, self.qpos.shape[1] - len(self.joint_names) :]
 
     def to_csv(self, path: str | Path, *, force: bool = False) -> None:
-        """Write time, joint positions and torques as CSV, with units in the header.
+        """Write time [s], joint positions [rad] and motor torques [N m] of a path as CSV.
 
         Args:
             path: Output file.
@@ -293,9 +299,9 @@ def stance_path(
         _, rate, acceleration = minimum_jerk(place.progress)
         motion = rate / duration, acceleration / duration**2
         try:
-            efforts.append(path_effort(robot, place, *motion))
+            efforts.append(compute_path_sample(robot, place, *motion))
         except StaticsInfeasibleError as error:
-            raise error.with_location(geometry.where(index)) from None
+            raise error.with_location(geometry.describe_sample(index)) from None
     time = np.linspace(0.0, float(seconds), len(efforts))
     tables = {name: np.array([effort[name] for effort in efforts]) for name in efforts[0]}
     used = divide_by_limits(tables["torques"], robot.effort_limits)
@@ -321,7 +327,7 @@ def stance_path(
 
 
 def divide_by_limits(values: Array, limits: Array) -> Array:
-    """Compute |values| / limits, shape (n, nu).
+    """Compute the utilisation abs(values) / limits of torques or velocities, shape (n, nu).
 
     Args:
         values: Torques or velocities of the joints, shape (n, nu).

@@ -101,7 +101,7 @@ def path_commands(
     drive_of: Callable[[Robot], Servos] = model_with_servos,
     timestep: float | None = None,
 ) -> PathCommands:
-    """Compute servo commands for each time step of a path.
+    """Compute the servo commands q* + (tau + kd dq*/dt) / kp for each time step of a path.
 
     Args:
         robot: Robot.
@@ -275,7 +275,7 @@ def study_path(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> PathThere:
-    """Plan the path from the nominal stand to a stance, and simulate the path.
+    """Plan a path from the nominal stand to a stance, simulate it, and judge the tracking.
 
     Args:
         robot: Robot.
@@ -347,11 +347,11 @@ TORQUE_TOLERANCE = 0.05
 Chosen, not tuned."""
 
 MIN_LIFTED_HEIGHT = 2e-3
-"""Planned height [m] above which a foot that touches the ground is a failure. Chosen."""
+"""Planned height [m] of a foot above which touching the ground is a failure. Chosen, not tuned."""
 
 MIN_LOADED_FRACTION = 0.05
 """Planned load, as a fraction of the weight, above which a foot that loses ground contact is a
-failure. Chosen."""
+failure. Chosen, not tuned."""
 
 _NUM_CHECKED_STATES = 400
 """Number of simulated states whose contacts are checked, at intervals of 1 to 20 ms. On an
@@ -409,10 +409,11 @@ def track_path(
     extended legs. Creep of rolling feet is not compensated; creep matters for paths of less than a
     second.
 
-    A path is tracked if joint and torque errors are within `JOINT_TOLERANCE` and
-    `TORQUE_TOLERANCE`, no motor or joint exceeds a torque or velocity limit, the robot does not
-    fall, loaded feet stay on the ground, lifted feet do not touch the ground, and no other part
-    touches the ground.
+    A path is tracked if the simulation does not diverge, joint and torque errors are within
+    `JOINT_TOLERANCE` and `TORQUE_TOLERANCE`, no motor saturates, neither torques nor speeds of the
+    path exceed a limit, the robot does not fall, loaded feet (`MIN_LOADED_FRACTION`) stay on the
+    ground, lifted feet (`MIN_LIFTED_HEIGHT`) do not touch the ground, and no other part touches it.
+    Contacts and falls are checked at about `_NUM_CHECKED_STATES` states.
 
     Args:
         robot: Robot without closed loops.

@@ -65,11 +65,11 @@ class Open:
         return str(self.session._panels._result.content)
 
     def shows(self, state: State) -> bool:
-        answer, _ = self.session.export()
+        answer, _ = self.session.get_shown_stance()
         return answer is not None and answer.state == state
 
     def settled(self) -> bool:
-        answer, sag = self.session.export()
+        answer, sag = self.session.get_shown_stance()
         return answer is not None and answer.state == self.controls.state and sag is not None
 
 
@@ -253,7 +253,7 @@ def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
     assert controls.contacts.value.startswith("FR=slope:20deg,uphill=90deg\n")
     state = controls.state
     wait_for(lambda: page.shows(state), "not shown")
-    answer, _ = page.session.export()
+    answer, _ = page.session.get_shown_stance()
     assert answer is not None
     assert answer.stand is not None
     seen = [node for name, node in page.session._scene._nodes.items() if name.startswith("steps/")]
