@@ -501,7 +501,7 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
         return
     message = diagnose(
         "stand-creeps",
-        severity=Severity.WARNING if creep.matters else Severity.NOTE,
+        severity=Severity.WARNING if creep.is_notable else Severity.NOTE,
         duration=Quantity(creep.duration, "s"),
         speed=Quantity(creep.speed, "m/s"),
         rate=Quantity(creep.rate, "rad/s"),

@@ -29,13 +29,13 @@ _CHATTER_STATES = 50
 Chosen, not tuned."""
 
 _MAX_FORCE_VARIATION = 0.05
-"""Largest standard deviation of the total vertical ground force on the feet, relative to the
-robot's weight, that ``find_chatter`` does not report. The deviation is that over the last
+"""Standard deviation of the total vertical ground force on the feet, relative to the robot's
+weight, above which ``find_chatter`` reports contact chatter. The deviation is taken over the last
 `_CHATTER_STATES` states of a rollout. Chosen, not tuned."""
 
 MAX_CREEP_SPEED = 1e-3
 """Creep speed of a foot above which ``find_creep`` reports the foot [m/s]: 5 mm in 5 s.
-`simulate_nudges` subtracts creep up to this speed from the slip of a foot."""
+`simulate_nudges` subtracts creep up to this speed from the slip of a foot. Chosen, not tuned."""
 
 
 _SOLVER_NOISE_RATIO = 0.2
@@ -69,7 +69,7 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
 
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
-    """Describe the first mode that the nudged simulation refutes; () without any."""
+    """Create the message about the first mode that a nudged simulation refuted; empty if none."""
     if not stability.refuted_modes:
         return ()
     mode = stability.refuted_modes[0]
@@ -84,7 +84,7 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Describe the growth of a mode, with the nudge of the simulation that confirmed the growth."""
+    """Create the message about a growing mode, with the nudge that confirmed the growth, if any."""
     nudge = None if mode.nudge is None else Quantity(mode.nudge, mode.nudge_unit)
     is_length = mode.nudge_unit == "m"
     return diagnose(
@@ -125,10 +125,10 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
 
 
 def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, float]:
-    """Compute the creep speed of each contact point, v = |f_t| / c, in MuJoCo's friction [m/s].
+    """Compute the creep speed of each contact point in MuJoCo's friction: {point: |f_t| / c [m/s]}.
 
-    The viscosity c is that of ``GroundLaw`` at the predicted depth of the point; the speed is
-    infinite if the viscosity is zero.
+    f_t is the predicted tangential force [N], and c the viscosity [N s/m] of ``GroundLaw`` at the
+    depth of the point in the stand. The speed is infinite if the viscosity is zero.
 
     Args:
         robot: The robot.
@@ -145,7 +145,7 @@ def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) ->
 
 
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
-    """Report the foot with the largest creep speed if the speed exceeds ``MAX_CREEP_SPEED``."""
+    """Report the contact point with the largest creep speed, if above ``MAX_CREEP_SPEED``."""
     speeds = creep_speeds(robot, stand, prediction)
     foot = max(speeds, key=speeds.__getitem__, default="")
     if not speeds.get(foot, 0.0) > MAX_CREEP_SPEED:

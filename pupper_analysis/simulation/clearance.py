@@ -1,7 +1,8 @@
-"""Lower bounds of the distance between a moving robot and the ground.
+"""Lower bounds of the distance [m] between a moving robot and the ground.
 
-`GroundClearance` excludes contacts without collision detection: for the bounding boxes of all
-parts at one state, and for other states by a bound of the displacement between both.
+`GroundClearance` excludes contacts without collision detection. At one state it computes the
+distance of the bounding boxes of all parts. For other states of a simulation it subtracts a bound
+of the displacement between both states.
 """
 
 from __future__ import annotations
@@ -84,11 +85,11 @@ class GroundClearance:
         return max(float(lowest.min()) - self._margin, 0.0)
 
     def displacements(self, states: Array, reference: Array) -> Array:
-        """Return bounds of the displacement of all points between a state and others, (n,) [m].
+        """Return upper bounds of the displacement of each point of the robot, shape (n,) [m].
 
         Args:
-            states: States of a simulation (mjSTATE_FULLPHYSICS), shape (n, size).
-            reference: State, shape (size,).
+            states: n states of a simulation (mjSTATE_FULLPHYSICS), shape (n, size).
+            reference: State from which the displacements are counted, shape (size,).
         """
         moved = np.abs(states - reference)
         total = self._length * moved[:, self._hinges].sum(axis=1)
@@ -102,7 +103,7 @@ class GroundClearance:
 
 
 def _chain_length(model: mujoco.MjModel) -> float:
-    """Return a bound of the distance between the base and any point of the robot [m].
+    """Return an upper bound of the distance between the base and any point of the robot [m].
 
     The bound is infinite with a slide joint without limits.
     """

@@ -1,16 +1,16 @@
 """Test of growing modes in a nudged simulation of the unmodified model.
 
-The spectrum of a step (``robot.stability``) states that a deviation x grows as x(t) = x(0) 2^(t/T).
-That is a hypothesis: the linearisation may be valid for micrometres only, and dry friction makes it
-depend on the finite-difference step. The test is:
+The eigenvalues of a simulation step, its spectrum (``robot.stability``), predict that a deviation x
+along a mode grows as x(t) = x(0) 2^(t/T). The prediction is tested, since the linearisation may be
+valid for micrometres only, and dry friction makes it depend on the finite-difference step:
 
-1. Two simulations start at the judged state, displaced along the modes by +p and -p. The friction
+1. Two simulations start at the tested state, displaced along the modes by +p and -p. The friction
    of joints and contacts is that of the model.
 2. The deviation D(t) is half the difference of the two simulations: the largest over the joints.
-   What both have in common, such as creep, cancels.
-3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over the least value, within
-   ``LONGEST_TRIAL`` seconds, without slowing down. The doubling time T is half the time of the last
-   two doublings.
+   Motion of both simulations, such as creep, cancels.
+3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over the smallest value,
+   within ``LONGEST_TRIAL`` seconds, without slowing down. The doubling time T is half the time of
+   the last two doublings.
 4. Modes that shake are confirmed, too, if D is sustained: the growth may end in a limit cycle.
 5. Otherwise the simulation refutes the modes: the simulation decides, and the disagreement is
    reported.
@@ -35,44 +35,45 @@ from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
 Array = NDArray[np.float64]
 
 DOUBLINGS = 3
-"""Doublings of a deviation that confirm a mode. Chosen, not tuned: contacts that open or load at
-once end a growth that is linear for micrometres only."""
+"""Number of doublings of the deviation D that confirm a growing mode. Chosen, not tuned: growth
+that is linear for micrometres only ends earlier, when a contact opens or loads."""
 
 NUDGE_ANGLE, NUDGE_SPEED = 1e-4, 0.1
-"""Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along a mode. A foot
-that carries 1/10,000 of the weight is 10 um deep: ``2 ** DOUBLINGS * NUDGE_ANGLE`` at a leg of
-0.1 m moves that foot by 80 um."""
+"""Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along a mode, in the
+simulations that test growth. Chosen small: a foot that carries 1/10,000 of the weight is 10 um
+deep, and ``2 ** DOUBLINGS * NUDGE_ANGLE`` at a leg of 0.1 m moves that foot by 80 um."""
 
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
-"""Initial deviations, in the units of ``NUDGE_ANGLE`` and ``NUDGE_SPEED``, along modes that dry
-friction hides from a small nudge (``Mode.without_dry_friction``). Dry friction of 0.01 N m holds a
-servo of 5 N m/rad within 2e-3 rad."""
+"""Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along modes that dry
+friction would stop after a small nudge (``Mode.without_dry_friction``). Chosen larger than the
+deviation that dry friction holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
-"""Longest simulated time (s): ``DOUBLINGS`` of a mode that doubles in ``HOLD_DURATION``, and one
-more ``HOLD_DURATION`` for the decay of other motion."""
+"""Upper bound of the simulated time of a growth test [s]: ``DOUBLINGS`` of a mode that doubles in
+``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other motion."""
 
 _CHUNK_DURATION = 2.0
 """Simulated time between two evaluations of growth and decay [s]. Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Deviation relative to the initial deviation below which the modes are refuted at once. Chosen,
-not tuned."""
+"""Deviation D relative to the initial deviation below which a growth test ends and refutes the
+modes. Chosen, not tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
-"""Time (s) after which the modes are refuted if D is less than this factor above the least value;
-an exponential with T = ``HOLD_DURATION`` has a factor of 2.8."""
+"""Simulated time [s] after which a growth test ends if the deviation D is below ``_HALF_GROWTH``
+times its smallest value. Exponential growth with T = ``HOLD_DURATION`` has a factor of 2.8."""
 
 _MAX_DOUBLING_RATIO = 1.6
 """Largest ratio of the times of the last doubling and the doubling before. The ratio is 1 for
 exponential growth and 2 for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
-"""Deviation relative to the initial deviation above which an oscillation is sustained after
-``_HALF_TIME``. Chosen, not tuned."""
+"""Deviation D relative to the initial deviation above which an oscillation counts as sustained
+after ``_HALF_TIME`` (18 s). Chosen, not tuned."""
 
 _MAX_WINDOW = 1.0
-"""Longest window over which the maximum of an oscillating D is taken [s]. Chosen, not tuned."""
+"""Upper bound of the time window over which the maximum of an oscillating deviation is taken [s].
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +99,11 @@ class GrowthTrial(Result):
 def confirm_growth(
     stability: Stability, model: mujoco.MjModel, data: mujoco.MjData, ctrl: Array
 ) -> Stability:
-    """Confirm or refute the modes with which a state would not last, by simulation.
+    """Confirm or refute by simulation the modes that grow within ``HOLD_DURATION``.
 
-    Nothing is simulated if there is no such mode, or if the state is not at rest. Modes that dry
-    friction hides (``Mode.without_dry_friction``) are tested last, and only if no other mode is
-    confirmed to leave the state within ``HOLD_DURATION``.
+    The state is returned unchanged if there is no such mode, or if the state is not at rest. Modes
+    that grow only without dry friction (``Mode.without_dry_friction``) are tested last, and only if
+    no other mode is confirmed to grow within ``HOLD_DURATION``.
 
     Args:
         stability: Result of the spectrum at the state.
@@ -111,9 +112,9 @@ def confirm_growth(
         ctrl: Command of the actuators, shape (model.nu,).
 
     Returns:
-        The stability. A mode with the simulated doubling time (None if the oscillation is
-        sustained) replaces the leaving modes in ``unstable``; ``refuted_modes`` contains the
-        leaving modes that do not grow in the simulation.
+        The stability with tested modes. In ``unstable``, one mode with the simulated doubling time
+        (None for a sustained oscillation) replaces the modes that were tested together.
+        ``refuted_modes`` contains tested modes that do not grow in the simulation.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -146,7 +147,7 @@ def confirm_growth(
 
 
 def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
-    """Return the nudges (rad or m, rad/s or m/s) with which modes are tested."""
+    """Return the deviations (rad or m, rad/s or m/s) with which modes are tested, in order."""
     small, large = (NUDGE_ANGLE, NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
     if not modes[0].without_dry_friction:
         return [small]
@@ -162,7 +163,7 @@ def simulate_growth(
     angle: float,
     speed: float,
 ) -> GrowthTrial:
-    """Simulate the deviation along modes until growth is confirmed, refuted, or the time is over.
+    """Simulate a deviation along modes until growth is confirmed or refuted, or the time is over.
 
     Args:
         model: MuJoCo model.
@@ -207,10 +208,11 @@ def simulate_growth(
 def _make_displacement(
     model: mujoco.MjModel, modes: list[Mode], angle: float, speed: float
 ) -> Array:
-    """Compute the displacement along modes in the tangent space of (qpos, qvel, act), (2 nv + na,).
+    """Compute the initial displacement of (qpos, qvel, act) along modes, shape (2 nv + na,).
 
-    The result is the sum of the modes' directions, over the modes that both finite-difference steps
-    share. Without such a mode the result is a velocity of all coordinates.
+    This is the scaled sum of the directions of the modes that were found with both steps of the
+    finite differences (``repeated_at_second_step``). Without such a mode it is a velocity of all
+    coordinates.
     """
     nv = model.nv
     repeated = [mode for mode in modes if mode.repeated_at_second_step]
@@ -256,7 +258,7 @@ def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) ->
 
 
 def _doubling_time(mode: Mode) -> float:
-    """Return the doubling time of a mode [s]; infinite if the mode has none."""
+    """Return the doubling time of a mode [s]; infinite if the mode does not grow."""
     return mode.doubling_time or math.inf
 
 

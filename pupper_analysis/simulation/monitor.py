@@ -1,7 +1,8 @@
 """Evaluate the states of simulations: falls, ground contacts, motor torques, contact forces.
 
-`StandReference` judges whether a state still stands, `ContactSampler` evaluates the contacts of a
-state, and `record_contacts` those of a rollout. All states are MuJoCo's mjSTATE_FULLPHYSICS.
+`StandReference` compares a state with the expected stand, and decides whether the robot has fallen
+or left its place. `ContactSampler` computes the ground contacts of one state, and `record_contacts`
+those of a rollout, with mean torques and forces. All states are MuJoCo's mjSTATE_FULLPHYSICS.
 """
 
 from __future__ import annotations
@@ -35,12 +36,13 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 FALLEN_HEIGHT_RATIO = 0.5
-"""Smallest remaining height of the judged point of `StandReference`, relative to the expected
-height: below, a robot has fallen. Chosen, not tuned."""
+"""Height of the CoM, fixed in the base, relative to the expected height above the feet, below which
+a robot has fallen (`StandReference.has_fallen`). Chosen, not tuned."""
 
 MAX_STANDING_TILT = math.radians(10)
-"""Largest tilt of the base of a robot that stands [rad]. Chosen, not tuned: dropped variants that
-stand tilt by up to 2.6 deg; v3-long-leg, which sits on its shanks, by 16 deg."""
+"""Largest tilt of the base with which `StandCheck` counts a robot as standing [rad]. Chosen between
+measured tilts: dropped robots that stand tilt by up to 2.6 deg, a robot that sits on its shanks by
+16 deg."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,23 +66,23 @@ class StandCheck(Result):
 
     @property
     def stands(self) -> bool:
-        """Whether the robot is upright and at the expected height, on its feet only."""
+        """Whether the robot stands: upright, not collapsed, and on its feet only."""
         return self.tilt <= MAX_STANDING_TILT and not self.touching and not self.collapses
 
 
 @dataclass(frozen=True, eq=False)
 class StandReference:
-    """Pose of the expected stand, against which simulated states are judged.
+    """Pose of the expected stand, with which simulated states are compared.
 
-    For a free base the judged point is fixed in the base and coincides with the CoM in the expected
-    stand. For a fixed base the joint positions are judged.
+    For a free base, the reference point is fixed in the base and coincides with the CoM in the
+    expected stand. For a fixed base, the joint positions are compared.
 
     Attributes:
         robot: The robot.
         rotation: Expected orientation of the base, base to world, shape (3, 3).
-        com_position: Expected position of the judged point in the world, shape (3,) [m].
-        com_offset: Position of the judged point in the base frame, shape (3,) [m].
-        com_height: Expected height of the judged point above the lowest foot contact [m]; for a
+        com_position: Expected position of the reference point in the world, shape (3,) [m].
+        com_offset: Position of the reference point in the base frame, shape (3,) [m].
+        com_height: Expected height of the reference point above the lowest foot contact [m]; for a
             welded robot, distance between base and CoM plus the stand height; 1 for a fixed base.
         joints: Expected joint positions, shape (nu,) [rad, m].
     """
@@ -94,7 +96,7 @@ class StandReference:
 
     @classmethod
     def of(cls, robot: Robot, qpos: Array, rotation: Array | None = None) -> StandReference:
-        """Make the reference of a configuration.
+        """Create the reference of the stand at a configuration, for the check of simulated states.
 
         Args:
             robot: The robot.
@@ -123,7 +125,7 @@ class StandReference:
         )
 
     def tilt(self, state: Array) -> float:
-        """Return the tilt of the base against the expected orientation [rad]; yaw has no effect.
+        """Return the tilt of a free base from the expected orientation [rad]; yaw has no effect.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -131,13 +133,13 @@ class StandReference:
         return base_tilt(self.robot, self.rotation, state)
 
     def _locate_com_point(self, state: Array) -> Array:
-        """Return the world position of the judged point in a state, shape (3,) [m]."""
+        """Return the world position of the CoM of the stand, fixed in the base, (3,) [m]."""
         base = state[1 + self.robot.mj_convention.qpos_index[:7]]
         position: Array = base[:3] + rotation_from_quaternion(base[3:]) @ self.com_offset
         return position
 
     def check_stand(self, state: Array, touching: Collection[str]) -> StandCheck:
-        """Check whether a robot stands: a common predicate for all commands.
+        """Check whether a robot stands in a simulated state: tilt [rad], height [m], contacts.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -176,8 +178,9 @@ class StandReference:
     def has_collapsed(self, state: Array) -> bool:
         """Return True if a robot no longer stands, or has left the posture (fixed base).
 
-        With a free base, the limits of tilt, height and travel are defined by `fall.has_collapsed`.
-        With a fixed base, a joint must deviate by at least ``MIN_POSTURE_DEVIATION``.
+        With a free base, `fall.has_collapsed` defines the limits of tilt, height and travel. With a
+        fixed base, a joint has left the posture if it deviates by ``MIN_POSTURE_DEVIATION`` or
+        more.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -208,7 +211,7 @@ class ContactSample:
     bodies: set[str]
 
     def unloaded_feet(self, feet: Iterable[str]) -> list[str]:
-        """Return the feet on which the ground exerts no force."""
+        """Return the feet, of those given, on which the ground exerts no force in this sample."""
         return [foot for foot in feet if foot not in self.forces or not self.forces[foot].any()]
 
 
@@ -301,7 +304,7 @@ def rotation_angle(robot: Robot, rotation: Array, state: Array) -> float:
 
 
 def base_tilt(robot: Robot, rotation: Array, state: Array) -> float:
-    """Compute the tilt of the base against a reference orientation [rad]; yaw has no effect.
+    """Compute the tilt of the base from a reference orientation [rad]; yaw has no effect.
 
     Args:
         robot: Robot with a free base.
@@ -329,7 +332,7 @@ def has_diverged(states: Array, timestep: float) -> bool:
 
 
 def describe_divergence(integrator: str, timestep: float) -> Diagnostic:
-    """Return the message that a simulation diverged.
+    """Create the message that a simulation diverged.
 
     Args:
         integrator: MuJoCo integrator.
@@ -340,7 +343,7 @@ def describe_divergence(integrator: str, timestep: float) -> Diagnostic:
 
 
 def describe_fall(tilt_angle: float, height: float) -> Diagnostic:
-    """Return the message that the robot fell.
+    """Create the message that the robot fell.
 
     Args:
         tilt_angle: Tilt of the base [rad].
@@ -413,7 +416,11 @@ class ContactRecord:
     lifted: dict[str, float] = field(default_factory=dict)
 
     def foot_drops(self, stand: Stand) -> dict[str, Array]:
-        """Compute target minus settled position, {stance point: shape (3,) [m]}."""
+        """Compute target minus settled position of the contact points of a stand.
+
+        Returns:
+            {stance point: shape (3,) [m], in the world frame}.
+        """
         return {
             foot: stand.foot_targets[foot] - self.feet_settled[foot] for foot in stand.stance_feet
         }
@@ -428,9 +435,9 @@ def record_contacts(
     settling: int,
     loaded: Container[str],
 ) -> ContactRecord:
-    """Sample the contacts of a rollout; average settled torques and forces.
+    """Sample the ground contacts of a rollout, and average the settled torques and forces.
 
-    Torques and forces are means over the last second before the nudge.
+    Torques [N m] and forces [N] are means over the last second before the nudge.
 
     Args:
         robot: The robot.
@@ -496,7 +503,7 @@ def record_contacts(
 def find_pushing_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, min_force: float
 ) -> set[tuple[str, str]]:
-    """Return the pairs of bodies that press on each other.
+    """Return the pairs of bodies with a contact force above a bound.
 
     Args:
         model: MuJoCo model.

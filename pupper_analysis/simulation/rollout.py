@@ -1,7 +1,8 @@
 """Prepare and run MuJoCo rollouts of stands; ``monitor`` evaluates the states.
 
-`make_stand_start` places a robot on soft ground with commanded servos; `roll_out` and
-`simulate_commands` run MuJoCo from there.
+`make_stand_start` computes the initial state and the servo commands of a stand: the robot is
+lowered into the soft ground until the contacts carry its weight. `roll_out` and `simulate_commands`
+run MuJoCo from a state and return the states after each step.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompen
 Array = NDArray[np.float64]
 
 _MIN_DROP, _MAX_DROP = 1e-6, 0.065536
-"""First and last distance [m] by which ``place_on_ground`` lowers the base; doubled in between.
-Chosen, not tuned."""
+"""First and largest distance [m] by which ``place_on_ground`` lowers the base; the distance is
+doubled in between. Chosen, not tuned."""
 
 _DROP_RESOLUTION = 1e-12
 """Largest interval at which the bisection of ``place_on_ground`` ends [m]. Chosen, not tuned."""
@@ -78,7 +79,7 @@ def make_stand_start(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> StandStart:
-    """Place a robot on the ground in a stand, with commanded servos.
+    """Compute the initial state and servo commands for the simulation of a stand.
 
     Args:
         robot: The robot.
@@ -111,7 +112,10 @@ def make_stand_start(
 def weld_generalized_forces(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> dict[str, Array]:
-    """Compute the generalised force of each weld in a stand, {weld: (nv,)} [N, N m]."""
+    """Compute the generalised force of each welded body in a stand, {weld: (nv,)} [N, N m].
+
+    The weld wrenches are those of ``prediction``, the statics of the stand.
+    """
     columns = stand_contacts(robot, stand).weld_columns(Configuration(robot, stand.qpos))
     wrenches = prediction.weld_wrenches
     return {name: own @ wrenches[name][: own.shape[1]] for name, own in columns.items()}
@@ -121,10 +125,12 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     """Lower a stand into MuJoCo's soft ground until the contacts carry the weight.
 
     Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal,
-    with the joint positions kept, until the vertical balance is zero. The simulation then starts
-    at rest instead of with a fall of some millimetres. A stand is not lowered if the base is
-    fixed, a contact is welded, or feet on separate planes have a depth already. If no depth
-    carries the weight, the state at the largest depth is returned.
+    with constant joint positions, until the balance along the normal is zero. The simulation then
+    starts at rest instead of with a fall of some millimetres.
+
+    A stand is not lowered if the base is fixed or welded, a contact is welded, or the stand has
+    feet on separate planes and penetration depths already. If no depth up to `_MAX_DROP` carries
+    the weight, the state at this depth is returned.
 
     Args:
         robot: The robot.
@@ -133,7 +139,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         torques: Motor torques that balance the stand, shape (nu,) [N m].
 
     Returns:
-        The state (mjSTATE_FULLPHYSICS).
+        The state (mjSTATE_FULLPHYSICS), at rest.
     """
     model = drive.model
     data = mujoco.MjData(model)
@@ -143,7 +149,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     normal = UP if on_planes else next(iter(stand.normals.values()), UP)
 
     def surplus(drop: float) -> float:
-        """Return contact force minus weight along the normal [N]."""
+        """Return contact force minus weight [N] along the normal, with the base lowered [m]."""
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
         robot.mj_convention.set_state(data, qpos)
@@ -185,9 +191,9 @@ def settled_activations(
 ) -> Array:
     """Compute the activations of filtered actuators at rest, shape (model.na,).
 
-    The activation of an actuator with filter dynamics is the command, clipped to ``ctrlrange``.
-    Other activations are zero, as are activations with a time constant above ``max_time_constant``
-    [s].
+    The activation of an actuator with filter dynamics is its command in ``ctrl``, shape
+    (model.nu,), clipped to ``ctrlrange``. Activations are zero for other actuators, and for time
+    constants above ``max_time_constant`` [s].
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
@@ -205,7 +211,7 @@ def settled_activations(
 
 
 def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return the state (mjSTATE_FULLPHYSICS) of MuJoCo's data."""
+    """Return the state in MuJoCo's data as an array, in the order of mjSTATE_FULLPHYSICS."""
     state = np.empty(mujoco.mj_stateSize(model, STATE_SPEC))
     mujoco.mj_getState(model, data, state, STATE_SPEC)
     return state
@@ -219,7 +225,7 @@ def roll_out(
     *,
     control_spec: int = int(mujoco.mjtState.mjSTATE_CTRL.value),
 ) -> Array:
-    """Simulate a model from several states.
+    """Simulate a model from several initial states, in parallel threads.
 
     MuJoCo's warnings about diverging simulations are suppressed, and no log file is written:
     ``monitor`` detects divergence.
@@ -242,7 +248,7 @@ def roll_out(
 
 
 def simulate_commands(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
-    """Simulate a model from a state.
+    """Simulate a model from an initial state, with given actuator commands.
 
     Args:
         model: MuJoCo model.
@@ -259,7 +265,7 @@ def simulate_commands(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array
 def make_forced_controls(
     robot: Robot, model: mujoco.MjModel, ctrl: Array, runs: int, steps: int
 ) -> tuple[Array, Array]:
-    """Build the controls of rollouts with a force on the base, for ``FORCED_CONTROL_SPEC``.
+    """Create the controls of rollouts with a force on the base, for ``FORCED_CONTROL_SPEC``.
 
     Args:
         robot: The robot.
@@ -280,6 +286,11 @@ def make_forced_controls(
 
 def check_stand(robot: Robot, stand: Stand, duration: float) -> Robot:
     """Check the arguments of a simulation of a stand; return the robot with the stand's contacts.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        duration: Simulated time [s].
 
     Raises:
         ConfigurationError: If the base is fixed and the stand has stance feet, the stand belongs to

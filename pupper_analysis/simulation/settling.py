@@ -1,7 +1,8 @@
 """Test whether a robot comes to rest in a stand, with a simulation as short as possible.
 
-`comes_to_rest` returns a truth value for many servos or stands; `verify_stand` simulates 12 s and
-returns all quantities.
+`comes_to_rest` simulates a stand with given servos until base and feet are at rest, nudges the
+robot, and evaluates the growing modes; it returns True or False. It is used to test many servos or
+stands. `verify_stand` simulates 12 s and returns all quantities.
 """
 
 from __future__ import annotations
@@ -37,33 +38,34 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 MAX_HEIGHT_DEVIATION = 2e-4
-"""Largest standard deviation of the base's height, within a second, of a robot at rest [m]. Chosen,
-not tuned."""
+"""Upper bound of the standard deviation of the base's height, within a second, for a robot at rest
+[m]. Chosen, not tuned."""
 
 MAX_FOOT_DISPLACEMENT = 5e-3
 """Largest horizontal displacement of a foot from the target for a robot at rest [m]. Chosen, not
 tuned."""
 
 MAX_BASE_ROTATION = 0.1
-"""Largest rotation of the base against the stand [rad]. A robot that rotates further is not held
-up by the servos. Chosen, not tuned."""
+"""Upper bound of the rotation of the base from the stand [rad], beyond which the robot has left the
+stand. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
-"""Largest ratio of the rest quantities to the bounds, over one second, at which settling ends
-early. The spectrum then decides whether the robot stays at rest. Chosen, not tuned."""
+"""Largest ratio of height deviation, height drift and foot displacement to their bounds, as of
+`_rest_ratio`, at which the settling simulation ends early. The growing modes then decide whether
+the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
-"""Ratio of foot displacement or base rotation to the bound above which the simulation ends with
-failure: feet are held there by friction, and a base that starts at rest overshoots to at most twice
-the final tilt."""
+"""Ratio of foot displacement to `MAX_FOOT_DISPLACEMENT`, or of base rotation to
+`MAX_BASE_ROTATION`, above which the settling simulation ends with failure. Chosen: a base that
+starts at rest overshoots to at most twice the final tilt."""
 
 _CHECK_INTERVAL = 0.25
-"""Simulated time between two tests of whether the robot is at rest or lost [s]. The interval is
-longer than a foot that is thrown up stays off the ground. Chosen, not tuned."""
+"""Simulated time between two tests whether the robot is at rest or has left the stand [s]. Chosen,
+not tuned: longer than the flight of a foot that bounces."""
 
 _DECAY_TIME_CONSTANTS = 3.0
-"""Duration of the nudged simulation, in time constants of the least damped mode: 5 % of the nudge
-is left after three."""
+"""Duration of the nudged simulation, in time constants of the least damped mode. Chosen: 5 % of the
+nudge remains after three."""
 
 _MIN_NUDGE_TIME = 1.5
 """Shortest simulated time after a nudge [s]. Measured: a stand that a nudge of 1 mm/s upsets is
@@ -83,9 +85,9 @@ def comes_to_rest(
 ) -> bool:
     """Return True if a robot comes to rest in a stand, and again after a nudge.
 
-    The settling simulation lasts as long as in ``verify_stand``, but ends once the robot is at
-    rest or lost. Then a nudge must decay, and no mode of the spectrum may grow within
-    ``HOLD_DURATION``.
+    The settling simulation lasts at most as long as in ``verify_stand``, but ends once the robot is
+    at rest or has left the stand. Then a nudge must decay, and no mode may grow within
+    ``HOLD_DURATION`` (12 s).
 
     Args:
         robot: The robot.
@@ -163,7 +165,7 @@ def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) ->
 
 
 def _rest_ratio(held: StandStart, states: Array, displacements: Array) -> float:
-    """Return the largest ratio of height deviation, drift and foot displacement to the bound."""
+    """Return the largest ratio of height deviation, drift and foot displacement to its bound."""
     heights = monitor.base_heights(held.robot, states)
     duration = float(held.drive.model.opt.timestep) * (len(states) - 1)
     drift = abs(float(heights[-1] - heights[0])) / duration

@@ -51,10 +51,10 @@ def stand_stability(
 ) -> Stability:
     """Judge whether a stand is stable, from the eigenvalues of a MuJoCo step.
 
-    The evaluation takes milliseconds unless a mode grows; then one to three nudged simulations, of
-    up to ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
-    feed-forward the stand is judged; without, the equilibrium of the servos (``steady_state``, feet
-    pinned). Larger pushes are not covered.
+    The evaluation takes milliseconds unless a mode grows; then nudged simulations, of up to
+    ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
+    feed-forward the stand is evaluated; without, the equilibrium of the servos (``steady_state``,
+    feet pinned). Larger pushes are not covered.
 
     Args:
         robot: The robot.
@@ -111,7 +111,8 @@ def rest_stability(
 
 
 MAX_RESTING_SPEED = 5e-3
-"""Largest speed of a state at rest [m/s, rad/s]; feet creep more slowly. Chosen, not tuned."""
+"""Largest speed [m/s, rad/s] with which `find_final_spectrum` counts a state as at rest; feet creep
+more slowly. Chosen, not tuned."""
 
 
 def evaluate_final_stability(
@@ -119,8 +120,14 @@ def evaluate_final_stability(
 ) -> Stability:
     """Judge the stability of the final state of a simulation, or of the initial state.
 
-    See `find_final_spectrum` for the arguments. A nudged simulation confirms or refutes the growing
-    modes.
+    A nudged simulation confirms or refutes the growing modes.
+
+    Args:
+        drive: MuJoCo model with servos.
+        start: Initial state of the simulation, mjSTATE_FULLPHYSICS.
+        end: Final state of the simulation, mjSTATE_FULLPHYSICS.
+        ctrl: Command of the actuators, shape (model.nu,).
+        has_fallen: Whether the simulation has failed, so that the initial state is evaluated.
     """
     spectrum, settled = find_final_spectrum(drive, start, end, ctrl, has_fallen=has_fallen)
     return confirm_growth(spectrum, drive.model, settled, ctrl)
@@ -129,7 +136,7 @@ def evaluate_final_stability(
 def find_final_spectrum(
     drive: Servos, start: Array, end: Array, ctrl: Array, *, has_fallen: bool = False
 ) -> tuple[Stability, mujoco.MjData]:
-    """Compute the modes at the final state of a simulation, or at the initial state.
+    """Compute the growing modes at the final state of a simulation, or at the initial state.
 
     The initial state is evaluated if the simulation has failed (``has_fallen``), since the modes
     that upset the robot grow there, or if the final state is not at rest.
@@ -142,7 +149,7 @@ def find_final_spectrum(
         has_fallen: Whether the simulation has failed.
 
     Returns:
-        Spectrum, without simulation of growing modes; and the state of the spectrum.
+        Modes, not yet tested by a simulation; and the state at which they were computed.
     """
     first = start if has_fallen else end
     spectrum, settled = judge_settled(drive.model, _make_data(drive, first, ctrl), 0.0)
@@ -162,12 +169,12 @@ def _make_data(drive: Servos, state: Array, ctrl: Array) -> mujoco.MjData:
 def evaluate_stability(
     drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Judge the stability of a simulated state under a constant command.
+    """Judge the stability of a state under a constant command; a simulation tests growing modes.
 
     Args:
         drive: MuJoCo model with servos.
         state: MuJoCo state, mjSTATE_FULLPHYSICS.
-        ctrl: Command of the actuators.
+        ctrl: Command of the actuators, shape (model.nu,).
         settle: Time for which the state is simulated first [s].
     """
     return judge_stability(drive.model, _make_data(drive, state, ctrl), settle=settle)
@@ -176,12 +183,12 @@ def evaluate_stability(
 def evaluate_spectrum(
     drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Compute the modes of MuJoCo's simulation step at a state under a constant command.
+    """Compute the modes of MuJoCo's step at a state under a constant command, without their test.
 
     Args:
         drive: MuJoCo model with servos.
         state: MuJoCo state, mjSTATE_FULLPHYSICS.
-        ctrl: Command of the actuators.
+        ctrl: Command of the actuators, shape (model.nu,).
         settle: Time for which the state is simulated first [s].
     """
     return step_stability(drive.model, _make_data(drive, state, ctrl), settle=settle)
@@ -190,10 +197,10 @@ def evaluate_spectrum(
 def judge_stability(
     model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Judge the stability of a state: a common rule for all commands.
+    """Judge the stability of a state of a MuJoCo model: eigenvalues of a step, then a simulation.
 
-    A mode of the spectrum (``step_stability``) that would leave the state counts only if a nudged
-    simulation of the unmodified model confirms the mode; see ``confirm_growth``.
+    Modes that grow within ``HOLD_DURATION`` remain in the result only if a nudged simulation of the
+    unmodified model confirms the growth (``confirm_growth``).
 
     Args:
         model: MuJoCo model.
@@ -205,16 +212,17 @@ def judge_stability(
 
 
 MAX_JOINT_DISPLACEMENT = 1e-2
-"""Largest displacement of a joint after a nudge, from the position before the nudge, at which the
-joint has stayed [rad, m]. Chosen, not tuned."""
+"""Displacement of a joint after a nudge, from the position before the nudge, from which on the
+robot counts as displaced by the nudge [rad, m]. Chosen, not tuned."""
 
 _MAX_SPEED_RATIO = 0.9
-"""Largest ratio of the speeds in the last and the second third of the time for a nudge that
-decays. A sustained oscillation has a ratio of 1. Chosen, not tuned."""
+"""Largest ratio ``speed in the last third / speed in the second third`` of the time after a nudge,
+with which the motion counts as decayed. A sustained oscillation has a ratio of 1. Chosen, not
+tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Speed relative to the nudge below which the motion has decayed: contacts and the constraint
-solver cause motion of this size. Chosen, not tuned."""
+"""Speed relative to the speed of the nudge below which the motion counts as decayed: contacts and
+the constraint solver cause motion of this size. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +259,10 @@ class Nudge(Result):
 
     @property
     def stays(self) -> bool:
-        """Whether no joint was displaced by ``MAX_JOINT_DISPLACEMENT`` at any time."""
+        """Whether all joints stayed within ``MAX_JOINT_DISPLACEMENT`` at all times after the nudge.
+
+        Creep is subtracted.
+        """
         return self.farthest < MAX_JOINT_DISPLACEMENT
 
 
@@ -277,11 +288,11 @@ def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: f
 def measure_response(
     model: mujoco.MjModel, before: Array, states: Array, creep: Array | None = None
 ) -> Nudge:
-    """Measure the response to a nudge.
+    """Measure the response to a nudge: remaining speeds [m/s, rad/s], joint displacements [rad, m].
 
     Feet creep on MuJoCo's friction at a speed that hardly changes, before the nudge and after.
     Speeds are therefore deviations from a straight line in time. The mean speed of a free base is
-    compared with that before the nudge: without friction, the base keeps the velocity of the nudge.
+    compared with the speed before the nudge: without friction, the base keeps the nudge's velocity.
 
     Args:
         model: MuJoCo model.

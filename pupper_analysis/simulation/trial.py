@@ -1,7 +1,9 @@
 """Simulate a stand with the base nudged in twelve directions, and report the first failure.
 
-A simulation ends when its outcome is decided: at the first failure, or when the speeds and the
-spectrum of the step prove that the robot rests for the remaining time (`_NudgedRun.will_hold`).
+A simulation ends at the first failure, or when no failure is expected for the remaining time: its
+motion is bounded from the speeds and the growing modes of a step (`_NudgedRun.will_hold`).
+Failures are saturated motors, slipping or lifted feet, large joint deviations, joint limits, and
+other parts on the ground.
 """
 
 from __future__ import annotations
@@ -30,44 +32,45 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 Array = NDArray[np.float64]
 
 BASE_NUDGE_SPEED = 0.01
-"""Initial speed of the base in each direction [m/s]; for a rotation, at the height of the CoM. An
-unstable equilibrium is left only after a perturbation; a stand that is stable by a few percent
-survives this speed. Chosen, not tuned."""
+"""Initial speed of the base in each direction [m/s]; for a yaw rotation, speed / CoM height is the
+angular speed. An unstable equilibrium is left only after a perturbation; a stand that is stable by
+a few percent survives this speed. Chosen, not tuned."""
 
 _HORIZONTAL_NUDGES = 8
 """Number of horizontal nudges, at equal angles; the first is along world x. Chosen, not tuned."""
 
 _HORIZONTAL_FACTOR = 1 / math.cos(math.pi / _HORIZONTAL_NUDGES)
 """Factor of the horizontal speeds, so that the octagon of nudges contains the circle with radius
-``BASE_NUDGE_SPEED``. An unstable stand is left once the mode exceeds a limit, so a stand that
-survives two neighbouring nudges survives the nudges between."""
+``BASE_NUDGE_SPEED``: a stand that survives two neighbouring nudges is assumed to survive smaller
+nudges between them."""
 
 MAX_JOINT_DEVIATION = 0.1
-"""Largest deviation of a joint from the stand [rad, m] before the stand has buckled. Robots that
-buckle go on to 0.3 rad and more."""
+"""Largest deviation of a joint from the stand [rad, m] after a nudge; beyond, the stand has
+buckled. Measured: joints of robots that buckle deviate by 0.3 rad and more in the end."""
 
 MAX_FOOT_SLIP = 5e-3
-"""Largest displacement of a foot along the ground, beyond the creep, before the foot has slid [m].
-Rolling gives 1 mm. Deep in soft ground, where MuJoCo's friction is viscous, feet creep as far in
-12 s with a tenth of the friction used."""
+"""Largest displacement of a foot along the ground after a nudge, beyond the creep [m]; beyond, the
+foot has slid. Chosen larger than the displacement of rolling feet, 1 mm."""
 
 MAX_FOOT_LIFT = 2e-3
-"""Largest rise of a foot without ground contact before the foot has lifted [m]. A foot with little
-load rises by less after a nudge."""
+"""Largest rise of a foot without ground contact after a nudge [m]; beyond, the foot has lifted. A
+foot with little load rises by less after a nudge. Chosen, not tuned."""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
-"""Bounds of ``is_near_limit``: CoM margin relative to the CoM displacement by a nudge; utilisation
-of motors and friction; distance of a joint from the limits [rad, m]. Measured: of 80 random robots
-with 50 to 97 % of their payloads, those that a nudge upset had a CoM margin below 3
+"""Bounds with which ``is_near_limit`` requires nudged simulations: lower bound of the CoM margin,
+relative to the CoM displacement by a nudge; upper bound of the utilisation of motors and friction;
+lower bound of the distance of a joint from its limits [rad, m]. Measured: of 80 random robots with
+50 to 97 % of their payloads, robots that fell after a nudge had a CoM margin below 3
 displacements."""
 
 _MIN_LOAD_RATIO = 0.02
-"""Smallest load of a foot, relative to the mean load, of a foot that a nudge does not lift. Minimum
-tangential forces may leave two of four feet on unequal slopes with 1/10,000 of the weight."""
+"""Load of a foot, relative to the mean foot load, below which ``is_near_limit`` assumes that a
+nudge may lift the foot. Minimum tangential forces may leave two of four feet on unequal slopes with
+1/10,000 of the weight. Chosen, not tuned."""
 
 _LIMIT_ATOL = 1e-6
-"""Largest distance between a joint and a limit on which the joint rests [rad, m]: the rounding of
-poses."""
+"""Largest distance [rad, m] between a joint and its limit with which the joint counts as resting on
+the limit. Chosen as the rounding of configurations in files."""
 
 _SAMPLE_TIME = 0.05
 """Time between the states that are evaluated [s]. Chosen, not tuned."""
@@ -148,17 +151,17 @@ def simulate_nudges(
 ) -> NudgeTrial:
     """Simulate a stand whose base starts with a velocity, in each of twelve directions.
 
-    The velocity is ``BASE_NUDGE_SPEED`` up or down, or as a rotation about z in both senses, or
-    along the ground in each of eight directions, with a larger speed that covers the directions
-    between.
+    The velocity is ``BASE_NUDGE_SPEED`` up or down; or along the ground in each of eight
+    directions, with a larger speed that covers the directions between; or a rotation about z in
+    both senses.
 
     The model is simulated unmodified, with the dry friction of joints and contacts. A stand that
     only dry friction holds is detected by the spectrum and a larger nudge
     (``growth.confirm_growth``).
 
-    Each simulation ends at its first failure, or when the robot rests: the bound of its remaining
-    motion is below 1 mm or 1 mrad, this motion causes no failure, and no mode of the spectrum
-    leaves the state within ``HOLD_DURATION``.
+    Each simulation ends at its first failure, after ``duration``, or when the robot rests: with the
+    current speeds and the fastest growing mode, the remaining motion is below 1 mm or 1 mrad, and
+    this motion causes no failure.
 
     A foot that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the weight may lift
     if the foot is back on the ground at the end.
@@ -168,7 +171,7 @@ def simulate_nudges(
         stand: The stand, solved for the simulated ground.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
-        duration: Time after each nudge for which the outcome is decided [s], 2 to 600.
+        duration: Time after each nudge for which the result holds [s], 2 to 600.
         until_failure: End all simulations once the earliest failure is known. ``failed_nudges`` is
             then a lower bound.
 
@@ -217,12 +220,12 @@ def simulate_nudges(
 
 
 def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> bool:
-    """Return True if a nudge may move a stable stand to where the linearisation does not hold.
+    """Return True if a stand is so near a limit that a small nudge may cause a failure.
 
-    A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and torques and forces by
-    about one percent. A stand is far from the limits if the CoM is far from the edge of the support
-    polygon, motors and friction have reserves, joints are far from the limits, and each foot
-    carries load. False if the statics have no CoM margin, or if the base is fixed or welded.
+    A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
+    forces by about one percent. A stand is near a limit if its CoM is near the edge of the support
+    polygon, a motor or the friction is almost used up, a joint is near its limit, or a foot carries
+    little load. False if the statics have no CoM margin, or if the base is fixed or welded.
 
     Args:
         robot: The robot, with the payload.
@@ -250,9 +253,10 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 
 
 def _free_joint_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
-    """Return lower and upper joint limits, (nu,) each; infinite for a closed gripper's joints.
+    """Return lower and upper joint limits, (nu,) each [rad, m], which the nudged stand must keep.
 
-    The result is the joints that carry no foot and rest on a limit in the stand.
+    A limit is infinite if a joint that carries no foot rests on it in the stand, for example the
+    joint of a closed gripper.
     """
     angles, free = stand.qpos[7:], np.isin(robot.joint_names, free_joints(robot))
     at_lower = free & (angles < robot.lower_limits + _LIMIT_ATOL)
@@ -263,7 +267,10 @@ def _free_joint_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
 
 
 def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
-    """Return the CoM height above the mean contact point [m]; the stand height if welded."""
+    """Return the height of the CoM above the mean contact point in a stand [m].
+
+    For a robot with welds, the stand height of the robot.
+    """
     if robot.welds:
         return robot.stand_height
     com = Configuration(robot, stand.qpos).center_of_mass()
@@ -271,7 +278,9 @@ def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
 
 
 def make_nudge_velocities(robot: Robot, stand: Stand) -> Array:
-    """Make the base velocities of the twelve nudges, shape (12, nv) [m/s, rad/s].
+    """Create the velocities of the twelve nudges of the base, shape (12, nv) [m/s, rad/s].
+
+    Rows are in the order of qvel; joint velocities are zero.
 
     Args:
         robot: The robot.
@@ -324,9 +333,10 @@ class _FailureConditions:
         self.growth_rate = 0.0
 
     def bound_motion(self, speed: float, remaining: float) -> float:
-        """Return a bound of the motion in the remaining time [s] of coordinates with a speed.
+        """Return a bound of the motion [m, rad] in the ``remaining`` time [s].
 
-        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r with the largest growth rate r.
+        ``speed`` is the largest speed v of a coordinate [m/s, rad/s]. The bound is
+        ``_SPEED_FACTOR`` v (exp(r T) - 1) / r with the largest growth rate r [1/s].
         """
         growth = self.growth_rate * remaining
         if growth > _MAX_GROWTH_EXPONENT:
@@ -336,7 +346,7 @@ class _FailureConditions:
         )
 
     def sample(self, state: Array) -> tuple[monitor.ContactSample, Array, Array]:
-        """Return the contacts, the joint positions and the motor torques at a state."""
+        """Return ground contacts, joint positions (nu,) [rad, m] and torques (nu,) at a state."""
         sample = self.sampler.sample(state, self.held.ctrl)
         data, convention = self.sampler.data, self.robot.mj_convention
         return (
@@ -346,7 +356,7 @@ class _FailureConditions:
         )
 
     def find_touching(self, sample: monitor.ContactSample) -> list[str]:
-        """Return the bodies and the feet in contact that must not touch the ground."""
+        """Return the sorted names of bodies and swing feet that touch the ground in a sample."""
         return sorted(sample.bodies | (set(sample.forces) - self.carrying))
 
 
@@ -372,7 +382,7 @@ class _NudgedRun:
         self._slips: dict[str, float] = {}
 
     def advance(self, states: Array, stride: int, remaining: float) -> None:
-        """Evaluate the next states.
+        """Evaluate the next states of this simulation: store failures, and whether it is decided.
 
         Args:
             states: States after each step of an interval, shape (n, size).
@@ -400,8 +410,8 @@ class _NudgedRun:
     def _find_failure(self, state: Array) -> _Event | None:
         """Return the failure at a state; None without a failure.
 
-        A motor may saturate for a moment after the nudge if the robot is not saturated at the end.
-        A light foot may lift for a moment if it is back at the end.
+        Saturated motors and lifted feet with little load are no failure yet; `advance` reports them
+        at the end of the simulation.
         """
         conditions = self._conditions
         robot, stand, normals = conditions.robot, conditions.stand, conditions.normals
@@ -448,17 +458,17 @@ class _NudgedRun:
     def will_hold(
         self, states: Array, interval: float, slips: dict[str, float], remaining: float
     ) -> bool:
-        """Return True if the robot rests, so that no failure follows in the remaining time.
+        """Return True if the robot rests, so that no failure is expected in the remaining time.
 
-        The remaining motion of each coordinate is bounded from the largest speed of the last
-        interval and the largest growth rate of the spectrum at the last state, with and without
-        dry friction (`_FailureConditions.bound_motion`). The conditions of a failure are evaluated
-        with this motion.
+        The remaining motion of each coordinate is estimated from the largest speed of the last
+        interval and the largest growth rate of the modes in the spectra so far
+        (`_FailureConditions.bound_motion`). The conditions of a failure are evaluated with this
+        motion.
 
         Args:
             states: States of the last interval, shape (n, size).
             interval: Duration of the interval [s].
-            slips: {contact point: slip at the end of the interval before [m]}.
+            slips: {contact point: slip at the end of the previous interval [m]}.
             remaining: Remaining time [s].
         """
         conditions, drive = self._conditions, self._conditions.held.drive
@@ -498,7 +508,7 @@ class _NudgedRun:
         )
 
     def _reaches_ground(self, distance: float) -> bool:
-        """Return True if another part touches the ground with the base lowered by a distance [m].
+        """Return True if a body or swing foot touches the ground with the base lowered [m].
 
         The base is lowered along the normal of each stance foot.
         """

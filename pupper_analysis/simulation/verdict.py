@@ -124,8 +124,8 @@ class Creep(Result):
     rate: float = field(metadata={"unit": "rad/s"})
 
     @property
-    def matters(self) -> bool:
-        """Whether the creep exceeds ``NOTABLE_CREEP_SPEED`` or ``NOTABLE_CREEP_RATE``."""
+    def is_notable(self) -> bool:
+        """Whether this creep exceeds ``NOTABLE_CREEP_SPEED`` or ``NOTABLE_CREEP_RATE``."""
         return self.speed > NOTABLE_CREEP_SPEED or self.rate > NOTABLE_CREEP_RATE
 
 
@@ -201,7 +201,7 @@ def judge_stance(
     masses_unknown: bool = False,
     remarks: tuple[Diagnostic, ...] = (),
 ) -> Verdict:
-    """Form the verdict on the simulations of a stance, posture, payload, path or push.
+    """Create the verdict on the simulations of a stance, posture, payload, path or push.
 
     Args:
         fed: Simulation with feed-forward.
@@ -216,7 +216,7 @@ def judge_stance(
             is then ``LIMITS_UNKNOWN``.
         masses_unknown: Whether moving links have masses that no file states; a passing verdict is
             then ``MASSES_UNKNOWN``.
-        remarks: Other assumptions; a remark with severity error prevents that the stance passes.
+        remarks: Other assumptions. With a remark of severity error, the verdict does not pass.
     """
     code = _find_worst_code(fed, alone, servos, overloaded_motors, keyframe_run, published, remarks)
     if masses_unknown and code in PASSING_CODES:
@@ -247,7 +247,10 @@ def judge_stance(
 
 
 def _min_doubling_time(stability: Stability | None) -> float:
-    """Return the smallest doubling time of the modes that leave a resting state [s]."""
+    """Return the smallest doubling time of the modes that grow within ``HOLD_DURATION`` [s].
+
+    Infinite without such a mode, or if the state is not at rest.
+    """
     leaving = (
         stability.modes_growing_within() if stability is not None and stability.at_rest else ()
     )
@@ -257,7 +260,7 @@ def _min_doubling_time(stability: Stability | None) -> float:
 def predict_verdict(
     statics: GravityCompensation, servos: ServosUsed, stability: Stability | None = None
 ) -> Verdict:
-    """Form the verdict on a balanced stance before the simulation; the verdict never passes.
+    """Create the verdict on a balanced stance before the simulation; ``passed`` is False.
 
     Args:
         statics: Statics of the stance.
@@ -281,7 +284,7 @@ def predict_verdict(
 
 
 def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
-    """Return the motors with a utilisation above 1."""
+    """Return the names of the motors whose utilisation (torque / effort limit) is above 1."""
     utilisations = zip(statics.joint_names, statics.motor_utilisation, strict=True)
     return tuple(name for name, utilisation in utilisations if utilisation > 1)
 
@@ -304,7 +307,7 @@ def _find_worst_code(
     published: Published | None,
     remarks: tuple[Diagnostic, ...],
 ) -> VerdictCode:
-    """Return the worst verdict that applies; unknown torque limits are not considered."""
+    """Return the worst verdict that applies; unknown torque limits and masses do not count."""
     if not fed.passed:
         return VerdictCode.DISAGREES if fed.stays and not overloaded_motors else VerdictCode.FAILS
     user_gains = servos.source is ServoSource.GIVEN  # the servos of the file are not used then

@@ -60,11 +60,11 @@ Array = NDArray[np.float64]
 
 
 def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
-    """Return the largest element of MuJoCo's balance residual in a stand [N, N m].
+    """Return the largest element of MuJoCo's force balance residual in a stand [N, N m].
 
-    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g less the passive forces, the
+    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g minus the passive forces, the
     contact Jacobian J of the MJCF, and the predicted contact forces f, weld forces and motor
-    torques tau. The load of closed loops is subtracted.
+    torques tau. The load that closed loops transfer between joints is subtracted.
     """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
@@ -112,8 +112,8 @@ MAX_BALANCE_RESIDUAL = 1e-3
 which both files describe the same robot. Rounded files leave 1e-6. Chosen, not tuned."""
 
 TORQUE_SCALE_LEVER = 1e-3
-"""Lever [m] on which the weight gives the smallest torque by which torque deviations are divided:
-joints about vertical axes hold no torque. Chosen, not tuned."""
+"""Lever arm [m]: torque deviations are divided by at least robot weight times this lever arm
+(`torque_scale`), since all predicted torques may be zero. Chosen, not tuned."""
 
 SETTLED_DRIFT = 5e-4
 """Largest height rate of the base in the last second of a settled stand [m/s]. Chosen, not
@@ -202,6 +202,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
     motion: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
 
     def _columns(self) -> dict[str, Array]:
+        """Return {column: values} of a table over time: time [s], height of the base [m]."""
         return {"time": self.time, "height": self.height}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -229,7 +230,7 @@ def verify_stand(
 ) -> StandVerification:
     """Simulate a stand on a free base, and compare the simulation with Pinocchio's prediction.
 
-    A posture of a robot with a fixed base is verified likewise (``held_stand``).
+    A posture of a robot with a fixed base (``held_stand``) is verified in the same way.
 
     The prediction is ``gravity_compensation`` with minimum tangential forces, the equilibrium that
     MuJoCo's creeping friction sustains. MuJoCo's ground is soft: if the feet carry unequal loads, a
@@ -247,8 +248,8 @@ def verify_stand(
         kd: Servo damping [N m s/rad]; the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
         duration: Simulated time [s], 2 to 600.
-        nudged: Part of the duration after the nudge [s], at most the duration less 1 s; 7/12 of the
-            duration by default. With 0 there is no nudge, and settled values are measured at the
+        nudged: Part of the duration after the nudge [s], at most ``duration`` minus 1 s. Default:
+            7/12 of ``duration``. With 0 there is no nudge, and settled values are measured at the
             end.
         settled: Predicted equilibrium without feed-forward. If ``feedforward`` is False and the
             equilibrium has no failures, the settled state of a robot with a fixed base and no
@@ -330,9 +331,15 @@ CREEP_TIME = 10.0
 
 
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
-    """Measure the mean speeds of base, feet and joints over the last ``CREEP_TIME`` of states.
+    """Measure the creep of a stand: mean speeds of base, feet and joints in the last 10 s.
 
-    Shorter rollouts are measured from the first state.
+    The duration is ``CREEP_TIME``; shorter rollouts are measured from the first state.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        model: MuJoCo model that was simulated.
+        states: States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
     """
     steps = min(round(CREEP_TIME / float(model.opt.timestep)), len(states) - 1)
     first, last = states[-1 - steps], states[-1]
@@ -402,9 +409,9 @@ def settle_and_nudge(
     nudge_duration: float,
     has_failed: Callable[[Array], bool],
 ) -> SettlingRun:
-    """Simulate a state under a constant command until it settles, then nudge all coordinates.
+    """Simulate a state under a constant command for a time, then nudge all coordinates.
 
-    There is no nudge if ``nudge_duration`` is 0 or the simulation diverges.
+    There is no nudge if ``nudge_duration`` is 0 or the simulation diverges before.
 
     Args:
         drive: Servos and MuJoCo model.
@@ -449,8 +456,8 @@ def _compare_with_prediction(
 ) -> StandVerification:
     """Compare a simulation with the prediction, without a judgement (``passed`` is True).
 
-    The error of a foot's force is relative to the prediction, or to ``force_scale`` [N] if that is
-    larger.
+    The error of a foot's force is relative to the predicted force, or to ``force_scale`` [N] if
+    this scale is larger.
     """
     timestep = float(drive.model.opt.timestep)
     states, settled, drops = run.states, run.last, record.foot_drops(stand)
@@ -556,7 +563,7 @@ def _find_standing_failures(
 
 
 def torque_scale(robot: Robot, torques: Array) -> float:
-    """Return the torque [N m] by which torque deviations are divided.
+    """Return the torque [N m] by which deviations of joint torques are divided.
 
     The largest magnitude of ``torques``, and at least the weight times `TORQUE_SCALE_LEVER`.
 
@@ -568,10 +575,10 @@ def torque_scale(robot: Robot, torques: Array) -> float:
 
 
 def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
-    """Return friction loss [N m, N] and friction / kp [rad, m] of each joint, shape (nu,) each.
+    """Return dry friction [N m, N] and servo deadband [rad, m] of each joint, shape (nu,) each.
 
-    The second is the position deviation at which dry friction balances the servo; 0 without
-    stiffness.
+    The deadband is friction / kp: the position deviation at which dry friction balances the servo;
+    0 for a joint with kp = 0.
     """
     friction = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
     return friction, np.divide(friction, kp, out=np.zeros(robot.nu), where=kp > 0)
@@ -600,7 +607,7 @@ def describe_deviations(
     friction_share: float = 0.0,
     details: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[Diagnostic]:
-    """Report deviations of joints [rad] or torques (relative) from the prediction.
+    """Report joint and torque deviations from the prediction that exceed the tolerances.
 
     Args:
         joint: Largest joint deviation [rad].
