@@ -79,10 +79,10 @@ def command(
 ) -> None:
     """Convert a URDF to an MJCF that is ready for simulation, or an MJCF to a URDF.
 
-    All numbers of a URDF are kept. A floor, a free joint, feet, servos, a keyframe of the stand
-    and an IMU are added. The output lists the additions, and values that the new format cannot
-    express. The new file is then cross-checked with its source, and its robot is simulated for
-    12 s.
+    All numbers of a URDF that an MJCF can express are kept. A floor, a free joint, feet, servos, a
+    keyframe of the stand and an IMU are added. The output lists the additions, and values that the
+    new format cannot express. The new file is then cross-checked with its source, and its robot is
+    simulated for 12 s.
 
     \b
     Examples:

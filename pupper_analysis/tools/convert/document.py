@@ -1,4 +1,8 @@
-"""Document of a conversion: additions, losses, and the verification of the new file."""
+"""Document of a conversion: additions, losses, and the verification of the new file.
+
+Input is a ``Conversion``. The document contains the verdict, the deviation from the source, the
+simulated stand, the response to a small velocity disturbance, and what was not converted.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +29,14 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         blocks.append(doc.Lines(left, "warn", text("not-converted")))
     return doc.Document(
         text("conversion"),
-        text("old-and-new", old=_name(conversion.source), new=_name(conversion.output)),
+        text(
+            "old-and-new",
+            old=_format_file_name(conversion.source),
+            new=_format_file_name(conversion.output),
+        ),
         tuple(blocks),
         passed=conversion.passed,
-        verdict=text(_verdict(conversion)),
+        verdict=text(_get_verdict_key(conversion)),
         failures=tuple(map(doc.diagnostic_text, conversion.failures)),
         findings=tuple(_describe_checks(conversion)),
         details=tuple(_describe_recovery(conversion)),
@@ -39,9 +47,10 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
 
 
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
-    """Return the command that shows the cause, or that simulates the new file.
+    """Return the command to run next.
 
-    Without a simulated stand, the base of the new file is fixed.
+    If the conversion failed, the command shows the differences from the source or audits the new
+    file. Otherwise it simulates the new file: ``hold`` for a fixed base, ``stand`` for a free base.
     """
     if not conversion.agree:
         return doc.NextStep("crosscheck", (conversion.source, conversion.output), robot_typed=False)
@@ -51,13 +60,15 @@ def _select_next_step(conversion: Conversion) -> doc.NextStep:
     return doc.NextStep(command, (conversion.output,), robot_typed=False)
 
 
-def _verdict(conversion: Conversion) -> str:
+def _get_verdict_key(conversion: Conversion) -> str:
+    """Return the catalogue key of the verdict: "agree", "disagree" or "FAILED"."""
     if not conversion.agree:
         return "disagree"
     return "agree" if conversion.passed else "FAILED"
 
 
-def _name(path: str) -> doc.Name:
+def _format_file_name(path: str) -> doc.Name:
+    """Return the file name of a path, without folders."""
     return doc.Name(Path(path).name)
 
 
@@ -88,16 +99,17 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
 
 
 MAX_REST_FRACTION = 0.01
-"""Speed at the end of a simulation, relative to the nudge, up to which the robot is at rest,
-whatever its slowest mode: dry friction stops it. Chosen, not tuned."""
+"""Speed at the end of a simulation, relative to the speed of the disturbance (nudge) at its start,
+up to which the robot counts as at rest even if a slow mode remains in theory: dry friction stops
+it. Chosen, not tuned."""
 
 
 def _describe_recovery(conversion: Conversion) -> Iterable[doc.Words]:
-    """Describe the keyframe run, if the converted robot stands and the nudge decays.
+    """Describe the recovery of a new MJCF from a velocity disturbance (nudge) at its keyframe.
 
-    If more than `MAX_REST_FRACTION` of the nudge is left, a robot recovers only if each mode decays
-    to 1/e within the simulated time t: with damping ratio z and frequency f, 2 pi f z t >= 1.
-    Slower modes are described with the time of that decay.
+    Nothing is yielded if the robot does not stand. If more than `MAX_REST_FRACTION` of the nudge is
+    left after the simulated time t, the least damped mode must decay to 1/e within t: with damping
+    ratio z and frequency f, 2 pi f z t >= 1. Otherwise its decay time [s] is stated as a warning.
     """
     kept, run = conversion.kept, conversion.verification
     if kept is None or kept.failures or run is None or not run.passed:

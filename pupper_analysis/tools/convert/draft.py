@@ -1,7 +1,7 @@
 """Text of converted model files, before writing.
 
-`mjcf_draft` converts a URDF to an MJCF, and adds a floor, feet, servos and a keyframe in which the
-robot stands. `urdf_draft` converts an MJCF to a URDF. Both list the quantities that the new format
+`draft_mjcf` converts a URDF to an MJCF, and adds a floor, feet, servos and a keyframe in which the
+robot stands. `draft_urdf` converts an MJCF to a URDF. Both list the quantities that the new format
 cannot express.
 """
 
@@ -91,16 +91,16 @@ class NewMjcf(MjcfXml):
 
     @property
     def joints(self) -> list[etree._Element]:
-        """All hinge and slide joints."""
+        """Elements of all hinge and slide joints of the new MJCF."""
         return list(self.section("worldbody").iter("joint"))
 
     @property
     def touches(self) -> bool:
-        """Whether the robot has collision shapes."""
+        """True if the new MJCF has collision geoms."""
         return any(geom.get("class") == COLLISION_CLASS for geom in self.geoms)
 
     def remove_empty_sections(self) -> None:
-        """Remove sections without content, except ``<worldbody>``."""
+        """Remove the top-level elements without children and attributes, except ``<worldbody>``."""
         for node in list(self.root):
             if node.tag != "worldbody" and not len(node) and not node.attrib:
                 self.root.remove(node)
@@ -114,7 +114,7 @@ class NewMjcf(MjcfXml):
         option.attrib.update({name: format_number(value) for name, value in values.items()})
 
     def add_floor(self) -> None:
-        """Add a light, and a floor with a material."""
+        """Add a light, and a horizontal floor at height 0 with a checkered material."""
         asset, world = self.section("asset"), self.section("worldbody")
         add_element(
             asset, "texture", name=FLOOR_NAME, type="2d", builtin="checker", width="256",
@@ -134,7 +134,10 @@ class NewMjcf(MjcfXml):
         world.insert(1, etree.Element("geom", floor))
 
     def add_imu(self, body: str, site: str) -> None:
-        """Add the sensors of an IMU at a site. A missing site is added at the body's origin."""
+        """Add gyro, accelerometer and orientation sensor of an IMU at a site.
+
+        A missing site is added at the origin of the body.
+        """
         if all(node.get("name") != site for node in self.root.iter("site")):
             add_element(self.body(body), "site", name=site)
         sensors = self.section("sensor")
@@ -168,7 +171,7 @@ class NewMjcf(MjcfXml):
         )
 
     def exclude_contact(self, one: str, two: str) -> None:
-        """Exclude contact between two bodies."""
+        """Exclude contacts between two bodies, by their names."""
         add_element(self.section("contact"), "exclude", body1=one, body2=two)
 
     def turn_off_contact(self, geoms: Sequence[str]) -> None:
@@ -207,7 +210,7 @@ class NewMjcf(MjcfXml):
 
     @property
     def home(self) -> list[float] | None:
-        """``qpos`` of the keyframe; None without a keyframe."""
+        """``qpos`` of the new MJCF's keyframe, in MuJoCo's order; None without a keyframe."""
         key = self.root.find("keyframe/key")
         return None if key is None else [float(word) for word in str(key.get("qpos")).split()]
 
@@ -225,13 +228,16 @@ class NewMjcf(MjcfXml):
             key.set("ctrl", write_numbers(ctrl))
 
 
-def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
-    """Convert a URDF to an MJCF.
+def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
+    """Convert a URDF to the text of an MJCF, without writing a file.
 
     Args:
         urdf: Source file.
         output: Path of the MJCF, to which mesh paths are relative.
         options: Properties that a URDF cannot state.
+
+    Returns:
+        Text, mesh files, additions, losses and repairs.
 
     Raises:
         ModelError: If MuJoCo cannot represent the robot, or feet are named with which the robot
@@ -329,7 +335,7 @@ def _add_stand(
 
 
 def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
-    """Find the joints of bodies whose shapes were replaced by balls."""
+    """Return the names of the joints of bodies whose shapes were replaced by balls."""
     model = robot.mj_model
     balls = [addition for addition in robot.description.added if isinstance(addition, Ball)]
     bodies = {int(model.body_weldid[model.body(ball.body).id]) for ball in balls}
@@ -339,10 +345,10 @@ def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
 
 
 def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Robot) -> Addition:
-    """Express a start pose in the coordinates of the new file; return other additions unchanged.
+    """Return the addition of a start pose with qpos in the coordinates of the new file.
 
-    The frame of the base in the new file may be below the feet, where `load_robot` moves the base
-    frame.
+    `load_robot` may move the frame of a base whose origin is below the feet; the new file keeps the
+    original frame. Other additions are returned unchanged.
     """
     if not isinstance(addition, StartKeyframe):
         return addition
@@ -385,7 +391,7 @@ def _free_legged_robot(bare: ConvertedMjcf, options: MjcfOptions) -> Robot | Non
 
 
 def _list_unstated_numbers(mjcf: NewMjcf) -> list[Diagnostic]:
-    """Count joints without armature and joints without damping."""
+    """Return notes with the numbers of joints without armature and without damping."""
     joints = mjcf.joints
     missing = {
         attribute: sum(joint.get(attribute) is None for joint in joints)
@@ -421,8 +427,8 @@ def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:
 def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None:
     """Raise the base so that no collision shape is below the ground at zero joint positions.
 
-    A simulation that starts without the keyframe would otherwise throw the robot upward. The base
-    is at least as high as in the keyframe.
+    A simulation that starts without the keyframe would otherwise throw the robot upward. The height
+    of the base is rounded to a micrometre, and at least the height in the keyframe.
 
     Args:
         mjcf: New MJCF, with a keyframe if present.
@@ -454,10 +460,10 @@ _DEFAULT_ATTRIBUTES = {
 
 
 def put_defaults(root: etree._Element) -> None:
-    """Move common attribute values into the top default class.
+    """Move common attribute values of an MJCF into its top default class; ``root`` is changed.
 
-    A value is moved if all elements of the type have the attribute, and more than half of these
-    elements have this value.
+    A value is moved if a type has at least two elements, all of which have the attribute, and more
+    than half of them have this value.
     """
     top = root.find("default")
     assert top is not None
@@ -487,12 +493,15 @@ def _find_common_values(
     return common
 
 
-def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
-    """Convert an MJCF to a URDF.
+def draft_urdf(file: MjcfFile, output: Path) -> ConversionDraft:
+    """Convert an MJCF to the text of a URDF, without writing a file.
 
     Args:
         file: Source file.
         output: Path of the URDF, to which mesh paths are relative.
+
+    Returns:
+        Text, assumptions and losses.
 
     Raises:
         ModelError: If a URDF cannot represent the robot.

@@ -47,7 +47,7 @@ from pupper_analysis.simulation.stability import (
 )
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-from pupper_analysis.tools.convert.draft import ConversionDraft, mjcf_draft, urdf_draft
+from pupper_analysis.tools.convert.draft import ConversionDraft, draft_mjcf, draft_urdf
 
 
 @check_arguments
@@ -67,9 +67,10 @@ def convert_model(
 ) -> Conversion:
     """Convert a URDF to an MJCF, or an MJCF to a URDF, and verify the new file.
 
-    A new MJCF keeps all numbers of the URDF: masses, products of inertia, frames, limits, damping,
-    friction, effort limits (as force ranges), mimic joints (as equalities), collision and visual
-    shapes, mesh scales. Additions for simulation: a floor, a free joint, feet, position servos,
+    A new MJCF keeps the numbers of the URDF that it can express: masses, products of inertia,
+    frames, position limits, damping, friction, effort limits (as force ranges), mimic joints (as
+    equalities), collision and visual shapes, mesh scales; not, for example, velocity limits.
+    Additions for simulation: a floor, a free joint, feet, position servos,
     contact exclusions of bodies that overlap in the stand, a keyframe ``home`` with the commands
     that hold this configuration, an IMU. A new URDF contains the numbers that MuJoCo compiles from
     the MJCF. Quantities that the new format cannot express are listed in ``not_converted``.
@@ -115,12 +116,12 @@ def convert_model(
         raise OutputError(output, made)
     options = MjcfOptions(feet, fixed_base, armature, repair_inertia, copy_meshes)
     if isinstance(file, UrdfFile):
-        check_joints(file, dict(armature or {}))
-        draft = mjcf_draft(file, output, options)
+        check_armatures(file, dict(armature or {}))
+        draft = draft_mjcf(file, output, options)
         urdf, mjcf = source, output
     else:
         _refuse_mjcf_options(options, source)
-        draft = urdf_draft(file, output)
+        draft = draft_urdf(file, output)
         urdf, mjcf = output, source
         if draft.failure is None:
             check_simulable(file)  # before anything is written
@@ -143,7 +144,7 @@ def convert_model(
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
         failures += verification.failures
         if mjcf == output:
-            kept = keyframe_run(mjcf)
+            kept = run_from_keyframe(mjcf)
             why = [] if kept is None else kept.failures
             failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
     return Conversion(
@@ -236,10 +237,11 @@ class KeyframeRun(Result):
     failures: tuple[Diagnostic, ...]
 
 
-def keyframe_run(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | None:
-    """Simulate an unmodified MJCF from the first keyframe, after a velocity nudge.
+def run_from_keyframe(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | None:
+    """Simulate an unmodified MJCF from the first keyframe, after a small velocity disturbance.
 
-    The actuator commands are taken from the keyframe.
+    The actuator commands are taken from the keyframe. The disturbance (nudge) tests whether the
+    robot returns to rest.
 
     Args:
         path: MJCF.
@@ -261,19 +263,19 @@ def keyframe_run(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | N
     return KeyframeRun(model.key(0).name, stability, nudge, failures)
 
 
-def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
-    """Check armatures: the joints exist in the URDF, and the values are finite and not negative.
+def check_armatures(urdf: UrdfFile, armatures: dict[str, float]) -> None:
+    """Check requested armatures: their joints exist in the URDF, the values are finite and >= 0.
 
     Args:
         urdf: URDF.
-        names: {joint: armature [kg m^2]}.
+        armatures: {joint: armature [kg m^2]}.
 
     Raises:
         ConfigurationError: If an armature is negative, infinite or NaN.
         UnknownNameError: If the URDF has no such joint; the message lists the joints.
     """
     known = list(urdf.tree.joints)
-    for name, value in names.items():
+    for name, value in armatures.items():
         if name not in known:
             raise UnknownNameError(urdf.path, "joint", name, known)
         if not 0 <= value < float("inf"):

@@ -68,53 +68,68 @@ Links = Mapping[str, tuple[ComparedLink, ...]]
 
 
 def list_urdf_links(robot: Robot) -> Links:
-    """Return the links of each body of the URDF, in the body frames of the URDF's tree."""
+    """Return the inertials of the links of each body of the URDF, in the frame of the body.
+
+    Returns:
+        {base or joint: links with mass that move with this joint}: mass [kg], CoM [m], inertia
+        [kg m^2] and axes.
+    """
     model = robot.pin_model
-    links_by_mover: dict[str, list[ComparedLink]] = {}
+    links_by_joint: dict[str, list[ComparedLink]] = {}
     for name, link in UrdfTree.of(robot.description.urdf).links.items():
         inertia = link.inertia
         if inertia is None or not inertia.mass or not model.existFrame(name, pin.FrameType.BODY):
             continue
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         body = TreeBody.of(inertia).transform(frame.placement)
-        mover = _find_mover(robot, model, int(frame.parentJoint))
-        links_by_mover.setdefault(mover, []).append(
+        moving_joint = _get_moving_joint(robot, model, int(frame.parentJoint))
+        links_by_joint.setdefault(moving_joint, []).append(
             ComparedLink(name, body, np.array(frame.placement.rotation))
         )
-    return {mover: tuple(links) for mover, links in links_by_mover.items()}
+    return {moving_joint: tuple(links) for moving_joint, links in links_by_joint.items()}
 
 
 def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Links:
-    """Return the links of each body of the MJCF, in the body frames of the aligned tree.
+    """Return the inertials of the links of each body of the MJCF, in the URDF's body frames.
 
     Args:
         robot: Robot.
         raw: Tree of the MJCF, in the body frames of the MJCF.
-        aligned: The same tree in other body frames.
+        aligned: The same tree, in the body frames of the URDF.
+
+    Returns:
+        {base or joint: links with mass that move with this joint}: mass [kg], CoM [m], inertia
+        [kg m^2] and axes.
     """
     model, mujoco_model = pinocchio_from_mujoco(robot.mj_model), robot.mj_model
     raw_poses, aligned_poses = compute_poses_at_zero(raw), compute_poses_at_zero(aligned)
-    links_by_mover: dict[str, list[ComparedLink]] = {}
+    links_by_joint: dict[str, list[ComparedLink]] = {}
     for index in np.flatnonzero(mujoco_model.body_mass > 0):
         name = str(mujoco_model.body(index).name)
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-        mover = _find_mover(robot, model, int(frame.parentJoint))
-        pose = aligned_poses[mover].actInv(raw_poses[mover]) * frame.placement
+        moving_joint = _get_moving_joint(robot, model, int(frame.parentJoint))
+        pose = aligned_poses[moving_joint].actInv(raw_poses[moving_joint]) * frame.placement
         link_body = TreeBody.of(inertia_of_body(mujoco_model, index)).transform(pose)
-        links_by_mover.setdefault(mover, []).append(
+        links_by_joint.setdefault(moving_joint, []).append(
             ComparedLink(name, link_body, np.array(pose.rotation))
         )
-    return {mover: tuple(links) for mover, links in links_by_mover.items()}
+    return {moving_joint: tuple(links) for moving_joint, links in links_by_joint.items()}
 
 
-def _find_mover(robot: Robot, model: pin.Model, joint: int) -> str:
-    """Return the joint of the robot that moves a body in Pinocchio; the base for other joints."""
+def _get_moving_joint(robot: Robot, model: pin.Model, joint: int) -> str:
+    """Return the name of a joint of a Pinocchio model, or of the base if the joint has no motor.
+
+    ``joint`` is the index of the parent joint of a link; the result names the body with the link.
+    """
     name = str(model.names[joint])
     return name if name in robot.joint_names else robot.base
 
 
-def fold_bodies(*bodies: TreeBody) -> TreeBody:
-    """Sum mass, CoM and inertia of bodies expressed in a common frame, as one rigid body."""
+def combine_bodies(*bodies: TreeBody) -> TreeBody:
+    """Combine bodies to one rigid body: mass [kg], CoM [m] and inertia about the CoM [kg m^2].
+
+    The bodies and the result are expressed in a common frame.
+    """
     return body_from_moments(sum((compute_moments(body) for body in bodies), start=np.zeros(10)))
 
 
@@ -134,9 +149,12 @@ def compute_moments(body: TreeBody) -> Array:
 
 
 def body_from_moments(values: Array) -> TreeBody:
-    """Compute the body with given moments; inverse of `compute_moments`.
+    """Compute mass, CoM and inertia about the CoM of a body from its moments about the origin.
 
-    The CoM of a body without mass is set to zero.
+    Inverse of `compute_moments`. The CoM of a body without mass is set to zero.
+
+    Args:
+        values: Moments, shape (10,) [kg, kg m, kg m^2], as from `compute_moments`.
     """
     mass = float(values[0])
     com = values[1:4] / mass if mass else np.zeros(3)
@@ -179,7 +197,7 @@ class PatternCase:
 
     @property
     def unexplained(self) -> list[Key]:
-        """Differences that no previous cause explains."""
+        """(kind, element) of each difference that no cause found so far explains."""
         return [key for key in self.keys if key not in self.explained]
 
     def find_remaining(
@@ -193,7 +211,7 @@ class PatternCase:
                 base.
 
         Returns:
-            Kinds and elements. All differences of the case if the trees cannot be aligned.
+            (kind, element) pairs; all differences of this case if the trees cannot be aligned.
         """
         first = self.first if only is None else self.first.select_joints(only)
         try:
@@ -209,8 +227,8 @@ class PatternCase:
         """Return the differences that disappear with a modified tree of the MJCF.
 
         Returns:
-            Kinds and elements. Empty if the modified tree adds a difference, or if fewer than two
-            differences disappear.
+            (kind, element) pairs. Empty if the modified tree adds a difference, or if fewer than
+            two differences disappear.
         """
         remaining = self.find_remaining(second)
         vanished = set(self.keys) - remaining
@@ -241,7 +259,7 @@ _EULER_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
 def find_angle_settings(case: PatternCase) -> PatternFindings:
-    """Find another eulerseq, or another angle unit, of the MJCF with which differences disappear.
+    """Find another ``eulerseq`` or ``angle`` unit of the MJCF with which differences disappear.
 
     A finding requires that at least 60 % of the differences in rotations and axes disappear. If no
     rotation or axis differs, at least 60 % of the differences in joint limits must disappear.
@@ -303,8 +321,8 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 def find_exchanged(case: PatternCase) -> PatternFindings:
     """Find pairs of limbs whose names are exchanged in either file.
 
-    A pair is a finding if most differences of the pair disappear when the joint names are
-    exchanged.
+    A pair is a finding if at most `_MAX_REMAINING_FRACTION` of its differences remain when the
+    joint names are exchanged.
     """
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.list_descendants(top)] for top in tops}
@@ -402,7 +420,10 @@ _INERTIA_UNITS = {
 
 
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
-    """Find limits, masses, lengths or inertias that all differ by a common factor."""
+    """Find joint limits, masses, lengths or inertias that all differ by a common factor.
+
+    The message names the wrong unit, such as degrees, g or mm, if one explains the factor.
+    """
     first, raw = case.first, case.raw
     bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
     masses = _find_common_factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
@@ -464,7 +485,7 @@ def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagno
 
 
 def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
-    """Find URDF efforts that equal the MJCF's efforts after multiplication by the gear."""
+    """Find URDF efforts [N m] that equal the MJCF's only after multiplication by the gear ratio."""
     model = case.robot.mj_model
     joints_by_gear: dict[tuple[float, float], list[str]] = defaultdict(list)
     for kind, name in case.unexplained:
@@ -490,10 +511,10 @@ def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
 
 
 def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
-    """Test whether a file has no products of inertia.
+    """Find inertias that differ only because one file has no products of inertia.
 
     The products are removed in the other file, in the axes of each link or in the axes of the
-    combined body, and the inertias are compared again.
+    combined body, and the inertias are compared again. At least two differences must disappear.
 
     Args:
         case: The two trees.
@@ -513,13 +534,14 @@ def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
         name: tuple(_drop_products(link) for link in links) for name, links in other_links.items()
     }
     of_links = {
-        name: fold_bodies(*(link.body for link in in_links.get(name, ()))) for name in tree.bodies
+        name: combine_bodies(*(link.body for link in in_links.get(name, ())))
+        for name in tree.bodies
     }
-    of_folds = {
+    of_bodies = {
         name: replace(body, inertia=_keep_diagonal(body.inertia))
         for name, body in tree.bodies.items()
     }
-    for bodies in (of_links, of_folds):
+    for bodies in (of_links, of_bodies):
         remaining = {
             (change.kind, name)
             for name, body in bodies.items()
@@ -547,15 +569,18 @@ def _get_own_inertia(link: ComparedLink) -> Array:
 
 
 def _drop_products(link: ComparedLink) -> ComparedLink:
+    """Return a link without products of inertia in the axes of the link."""
     bare = link.axes @ _keep_diagonal(_get_own_inertia(link)) @ link.axes.T
     return replace(link, body=replace(link.body, inertia=bare))
 
 
 def _keep_diagonal(inertia: Array) -> Array:
+    """Return a tensor, shape (3, 3), with zeros off the diagonal."""
     return np.diag(np.diag(inertia))
 
 
 def _is_diagonal(inertia: Array) -> bool:
+    """Return True if the products of a tensor are at most 1e-9 of its largest entry."""
     off = inertia - _keep_diagonal(inertia)
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
@@ -573,7 +598,7 @@ class _TensorPair:
     All tensors are about the CoM and in the axes of the body.
 
     Attributes:
-        mover: Joint that moves the body, or the base.
+        moving_joint: Joint that moves the body, or the base.
         urdf: Link of the URDF.
         mjcf: Body of the MJCF.
         urdf_offset: CoM relative to the origin of the link in the URDF, shape (3,) [m].
@@ -581,7 +606,7 @@ class _TensorPair:
         turn: Rotation of ``<inertial><origin>`` in the URDF, in the axes of the body, shape (3, 3).
     """
 
-    mover: str
+    moving_joint: str
     urdf: ComparedLink
     mjcf: ComparedLink
     urdf_offset: Array
@@ -589,7 +614,13 @@ class _TensorPair:
     turn: Array
 
     def equals(self, urdf: Array, mjcf: Array, tolerances: Tolerances) -> bool:
-        """Return True if two corrected tensors, shape (3, 3) [kg m^2], agree."""
+        """Return True if two inertia tensors, shape (3, 3) [kg m^2], agree within the tolerance.
+
+        Args:
+            urdf: Tensor of the URDF, from which a tested mistake may have been removed.
+            mjcf: Tensor of the MJCF, from which a tested mistake may have been removed.
+            tolerances: Tolerances; ``inertia`` is relative to the largest entry.
+        """
         scale = max(float(np.abs(urdf).max()), float(np.abs(mjcf).max()))
         return float(np.abs(urdf - mjcf).max()) <= tolerances.inertia * scale
 
@@ -615,7 +646,10 @@ def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
 
 
 def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
-    """Compute m (c.c E - c c^T) [kg m^2]: tensor about the origin minus tensor about the CoM."""
+    """Compute m (c.c E - c c^T) [kg m^2]: tensor about the link's origin minus that about the CoM.
+
+    ``offset`` is the CoM c relative to the origin of the link, shape (3,) [m], in the body axes.
+    """
     tensor: Array = link.body.mass * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
     return tensor
 
@@ -638,15 +672,17 @@ def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
 
 
 _MIN_TURN = 1e-3
-"""Angle of ``<inertial><origin rpy>`` [rad] from which a rotation can be lost. Chosen."""
+"""Angle of ``<inertial><origin rpy>`` [rad] above which the loss of this rotation in the MJCF is
+tested as a cause. Chosen, not tuned."""
 
 
-def find_tensor_slips(case: PatternCase) -> PatternFindings:
-    """Find tensors about the origin of the link, lost rotations, and conjugate axes.
+def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
+    """Find mistakes that explain different inertia tensors of bodies with equal mass and CoM.
 
-    Each hypothesis is tested on the bodies with equal mass and CoM, and different tensors. The
-    hypothesis that most bodies fulfil is reported first. A single body is a finding, except with
-    conjugate axes: six equal numbers are no coincidence, an order of axes may be.
+    Tested mistakes: a file states tensors about the origin of the link instead of the CoM; the MJCF
+    lacks the rotation of ``<inertial><origin>``; one file has the inverse rotation of the principal
+    axes. The mistake that explains most bodies is reported first. One body is sufficient, except
+    for inverse axes: six equal numbers are no coincidence, an order of axes may be.
     """
     pairs = list(_list_tensor_pairs(case))
     total, tolerances = len(pairs), case.tolerances
@@ -670,14 +706,14 @@ def find_tensor_slips(case: PatternCase) -> PatternFindings:
     candidates.append(("inertia axes", "", conjugate if len(conjugate) > 1 else []))
     explained: set[str] = set()
     for kind, file, found in sorted(candidates, key=lambda candidate: -len(candidate[2])):
-        new = [pair for pair in found if pair.mover not in explained]
+        new = [pair for pair in found if pair.moving_joint not in explained]
         if new:
-            explained |= {pair.mover for pair in new}
-            message = _describe_tensor_slip(kind, file, new, total)
-            yield PatternFinding(kind, message, {("inertia", pair.mover) for pair in new})
+            explained |= {pair.moving_joint for pair in new}
+            message = _describe_tensor_mistake(kind, file, new, total)
+            yield PatternFinding(kind, message, {("inertia", pair.moving_joint) for pair in new})
 
 
-def _describe_tensor_slip(
+def _describe_tensor_mistake(
     kind: str, file: str, pairs: Sequence[_TensorPair], total: int
 ) -> Diagnostic:
     """Describe a mistake in the tensors of some bodies, of ``total`` bodies with other tensors."""
@@ -694,7 +730,10 @@ def _describe_tensor_slip(
 
 
 def find_lost_mimics(case: PatternCase) -> PatternFindings:
-    """Combine the lost mimics of the URDF with the efforts of joints without motor in the MJCF."""
+    """Find joints that mimic another joint in the URDF, without a coupling in the MJCF.
+
+    The cause also explains the different efforts of these joints if they have no motor in the MJCF.
+    """
     lost = [name for kind, name in case.unexplained if kind == "mimic"]
     if lost:
         message = diagnose("mimics-lost", joints=lost)
@@ -725,24 +764,24 @@ _INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
 
 
 def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
-    """Explain inertial differences by bodies whose mass MuJoCo computes from geoms.
+    """Find inertial differences of bodies whose mass MuJoCo computes from geoms.
 
     Such bodies have no ``<inertial>`` in the MJCF, or ``inertiafromgeom`` overrules it.
     """
     geom_links = {
-        mover: [link.name for link in links if link.name in case.from_geoms]
-        for mover, links in case.mjcf.items()
+        moving_joint: [link.name for link in links if link.name in case.from_geoms]
+        for moving_joint, links in case.mjcf.items()
     }
     found = {key for key in case.unexplained if key[0] in INERTIAL_KINDS and geom_links.get(key[1])}
-    movers = list(
+    moving_joints = list(
         dict.fromkeys(name for _, name in case.unexplained if name in {n for _, n in found})
     )
     if found:
         urdf, mjcf = (
-            Quantity(sum(tree.bodies[name].mass for name in movers), "kg")
+            Quantity(sum(tree.bodies[name].mass for name in moving_joints), "kg")
             for tree in (case.first, case.second)
         )
-        bodies = [body for name in movers for body in geom_links[name]]
+        bodies = [body for name in moving_joints for body in geom_links[name]]
         is_overruled = (
             case.robot.description.mjcf.compiler.inertiafromgeom == _INERTIA_ALWAYS_FROM_GEOM
         )
@@ -753,7 +792,7 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
 
 
 def find_closed_loops(case: PatternCase) -> PatternFindings:
-    """Combine all differences in equality constraints that only the MJCF has."""
+    """Find two or more equality constraints that only the MJCF has, as a single cause."""
     found = [name for kind, name in case.unexplained if kind == "equality"]
     if len(found) > 1:
         message = diagnose("equalities-of-the-mjcf-alone", names=found)
@@ -761,11 +800,11 @@ def find_closed_loops(case: PatternCase) -> PatternFindings:
 
 
 @dataclass(frozen=True, eq=False)
-class _LinkSlip:
+class _LinkMistake:
     """Mistake in the inertials of some links of a body.
 
     Attributes:
-        mover: Joint that moves the body, or the base.
+        moving_joint: Joint that moves the body, or the base.
         links: Links concerned.
         lacks: File without these links, ``URDF`` or ``MJCF``; empty if the masses have another
             factor.
@@ -773,29 +812,31 @@ class _LinkSlip:
         inertia: Whether the inertia has the same factor.
     """
 
-    mover: str
+    moving_joint: str
     links: tuple[ComparedLink, ...]
     lacks: str
     factor: float = 0.0
     inertia: bool = False
 
 
-def find_link_slips(case: PatternCase) -> PatternFindings:
-    """Explain inertial differences of bodies by single links.
+def find_link_mistakes(case: PatternCase) -> PatternFindings:
+    """Find inertial differences of bodies that single links explain.
 
-    A link is missing in a file, or the mass differs by a factor.
+    A file lacks some links of the body, or the mass of one link differs by a factor.
     """
     bodies = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
     if not bodies:
         return
-    slips = [slip for name in bodies if (slip := _find_slip(case, name)) is not None]
-    groups: dict[tuple[str, float, bool], list[_LinkSlip]] = defaultdict(list)
-    for slip in slips:
-        groups[slip.lacks, float(f"{slip.factor:.3g}"), slip.inertia].append(slip)
+    mistakes = [
+        mistake for name in bodies if (mistake := _find_link_mistake(case, name)) is not None
+    ]
+    groups: dict[tuple[str, float, bool], list[_LinkMistake]] = defaultdict(list)
+    for mistake in mistakes:
+        groups[mistake.lacks, float(f"{mistake.factor:.3g}"), mistake.inertia].append(mistake)
     for (lacks, *_), group in groups.items():
-        movers = {slip.mover for slip in group}
+        moving_joints = {mistake.moving_joint for mistake in group}
         explained = {
-            key for key in case.unexplained if key[0] in INERTIAL_KINDS and key[1] in movers
+            key for key in case.unexplained if key[0] in INERTIAL_KINDS and key[1] in moving_joints
         }
         if lacks:
             yield PatternFinding("links", _describe_lacking_links(group), explained)
@@ -803,7 +844,7 @@ def find_link_slips(case: PatternCase) -> PatternFindings:
             yield PatternFinding("scaled links", _describe_scaled_links(group), explained)
 
 
-def _find_slip(case: PatternCase, name: str) -> _LinkSlip | None:
+def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
     """Return the mistake that explains the difference of a body; None if there is none."""
     first, second = case.first.bodies[name], case.second.bodies[name]
     difference = compute_moments(first) - compute_moments(second)
@@ -822,7 +863,7 @@ def _find_slip(case: PatternCase, name: str) -> _LinkSlip | None:
             if _explains_difference(
                 case, name, reduced, second if lacks == "MJCF" else first, removed, difference
             ):
-                return _LinkSlip(name, subset, lacks)
+                return _LinkMistake(name, subset, lacks)
     kinds = {kind for kind, element in case.unexplained if element == name}
     is_single_link = len(case.urdf.get(name, ())) == len(case.mjcf.get(name, ())) == 1
     if (
@@ -851,7 +892,7 @@ def _find_slip(case: PatternCase, name: str) -> _LinkSlip | None:
             removed,
             difference,
         ):
-            return _LinkSlip(name, (link,), "", factor, inertia)
+            return _LinkMistake(name, (link,), "", factor, inertia)
     return None
 
 
@@ -877,9 +918,18 @@ def _explains_difference(
     removed: Array,
     difference: Array,
 ) -> bool:
-    """Return True if two bodies agree and the removed moments equal the difference.
+    """Return True if a tested mistake explains the inertial difference of a body.
 
-    Kinds of differences that another cause explains are ignored.
+    Without the mistake, mass, CoM and inertia of both bodies must agree, except for kinds of
+    differences that another cause explains, and at most `_MAX_RESIDUAL` of the difference remains.
+
+    Args:
+        case: Both trees.
+        name: Joint that moves the body, or the base.
+        first: Body of one file, without the mistake.
+        second: Body of the other file.
+        removed: Moments that the mistake adds, shape (10,), as from `compute_moments`.
+        difference: Moments of the URDF's body minus those of the MJCF's body, shape (10,).
     """
     explained_kinds = {kind for kind, element in case.explained if element == name}
     changes = {change.kind for change in body_changes(name, first, second, case.tolerances)}
@@ -907,10 +957,10 @@ def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
     return np.array([1.0, *(length,) * 3, *(length**2,) * 6])
 
 
-def _describe_lacking_links(slips: Sequence[_LinkSlip]) -> Diagnostic:
+def _describe_lacking_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
     """Describe the links that a file lacks, grouped by name pattern."""
-    links = {link.name: link.body.mass for slip in slips for link in slip.links}
-    other = "URDF" if slips[0].lacks == "MJCF" else "MJCF"
+    links = {link.name: link.body.mass for mistake in mistakes for link in mistake.links}
+    other = "URDF" if mistakes[0].lacks == "MJCF" else "MJCF"
     groups = sorted(
         group_by_pattern(list(links)).items(),
         key=lambda group: -sum(links[name] for name in group[1]),
@@ -929,23 +979,23 @@ def _describe_lacking_links(slips: Sequence[_LinkSlip]) -> Diagnostic:
             )
         )
     mass = Quantity(sum(links.values()), "kg")
-    return diagnose("links-lacking", lacks=slips[0].lacks, has=other, mass=mass, links=messages)
+    return diagnose("links-lacking", lacks=mistakes[0].lacks, has=other, mass=mass, links=messages)
 
 
-def _describe_scaled_links(slips: Sequence[_LinkSlip]) -> Diagnostic:
+def _describe_scaled_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
     """Describe the links whose mass in the MJCF differs by a factor."""
-    factor = float(f"{slips[0].factor:.6g}")
+    factor = float(f"{mistakes[0].factor:.6g}")
     links = [
         diagnose(
             "mass-of-a-link",
             subject=("link", link.name),
             urdf=Quantity(link.body.mass, "kg"),
-            mjcf=Quantity(slip.factor * link.body.mass, "kg"),
+            mjcf=Quantity(mistake.factor * link.body.mass, "kg"),
         )
-        for slip in slips
-        for link in slip.links
+        for mistake in mistakes
+        for link in mistake.links
     ]
-    return diagnose("links-scaled", links=links, factor=factor, inertia=slips[0].inertia)
+    return diagnose("links-scaled", links=links, factor=factor, inertia=mistakes[0].inertia)
 
 
 def _is_power_of_ten(factor: float) -> bool:
@@ -957,7 +1007,9 @@ def _is_power_of_ten(factor: float) -> bool:
 
 
 def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
-    """Group names by a common prefix or suffix, the largest group first.
+    """Group names by a common prefix or suffix that ends or begins with a separator.
+
+    The largest group is first. Names without a common part form a group each.
 
     Returns:
         {``*_rotor``, ``sensor_*``, or the complete name: names}.
@@ -980,11 +1032,15 @@ def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 _MIN_FOREIGN_MASS_CHANGE = 0.1
-"""Smallest relative change of a mass that indicates the inertial of another body. Chosen."""
+"""Relative change of a mass from which, with a different CoM and inertia, the inertial is taken for
+that of another body. Chosen, not tuned."""
 
 
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:
-    """Find bodies of which mass, CoM and inertia all differ, the mass by at least 10 %."""
+    """Find bodies with the inertial of another body: mass, CoM and inertia all differ.
+
+    The mass must differ by at least 10 %, and no other cause may explain the differences.
+    """
     kinds = ("mass", "com", "inertia")
     foreign = []
     for name, first in case.first.bodies.items():
@@ -1016,10 +1072,10 @@ another robot, and each test takes as long as a comparison."""
 
 
 def find_moved_axes(case: PatternCase) -> PatternFindings:
-    """Find joints of which only the axis is displaced.
+    """Find joints whose axis is displaced or turned, while all bodies are at the same places.
 
-    Bodies are expressed in the frame of the joint. If only the joint is moved, CoM, children and
-    frames seem displaced too, although neither has moved in the robot.
+    Bodies are expressed in the frame of the joint. If only the axis is displaced, CoM, children and
+    frames differ too, although they are at the same places of the robot at zero angles.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():
@@ -1041,7 +1097,7 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
 
 
 def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
-    """Replace the axis of a joint by the axis in another tree; no body moves at zero angles.
+    """Return a tree in which a joint has the axis of another tree; no body moves at zero angles.
 
     Args:
         values: Tree to be modified.
@@ -1128,8 +1184,8 @@ _SEARCHES = (
     find_masses_of_geoms,
     find_closed_loops,
     find_lost_mimics,
-    find_tensor_slips,
-    find_link_slips,
+    find_tensor_mistakes,
+    find_link_mistakes,
     find_foreign_inertials,
     find_moved_axes,
 )

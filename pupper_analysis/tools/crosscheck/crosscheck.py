@@ -77,8 +77,8 @@ from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
 ENGINE_RTOL = 1e-8
-"""Deviation of two engines on the same model, relative to the scale of the quantity, above which it
-is reported as a deviation of the engines. Chosen, not tuned."""
+"""Deviation of Pinocchio from MuJoCo (or yourdfpy) on the same model, relative to the scale of the
+quantity, above which it is reported as a deviation of the engines. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,10 +170,15 @@ def compare_models(
 def list_mass_shares(
     difference: Difference, urdf: Sources, mjcf: Sources
 ) -> tuple[Diagnostic, ...]:
-    """List the mass [kg] of a different inertial in each file, and the members, heaviest first.
+    """Return a message per file with the mass [kg] of a body whose inertials differ.
 
-    The members are the links or bodies that are fixed to each other. The list is empty unless one
-    of the files has several members with mass.
+    The message lists the mass of each link that is fixed to the body, heaviest first. There is no
+    message for other kinds of differences, or if neither file has several links with mass.
+
+    Args:
+        difference: Difference.
+        urdf: Lines and members of the URDF.
+        mjcf: Lines and members of the MJCF.
     """
     if difference.kind not in INERTIAL_KINDS:
         return ()
@@ -205,7 +210,8 @@ def list_mass_shares(
 def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
     """List the deviations of two engines on the same model above `ENGINE_RTOL`.
 
-    Edges with the MJCF are skipped if the differences do not explain the deviation of the models.
+    Deviations on the MJCF are skipped if the listed differences do not explain the deviation of the
+    two models, since both engines may then have different models.
     """
     return tuple(
         diagnose(
@@ -286,7 +292,17 @@ def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
 def collect_evaluation(
     robot: Robot, at_rest: Mapping[str, ArrayLike], of_states: Sequence[Mapping[str, ArrayLike]]
 ) -> Evaluation:
-    """Combine values of the model with values at each state, as arrays with a row per label."""
+    """Combine the values of an evaluation to arrays with a row per label (`list_row_labels`).
+
+    Args:
+        robot: Robot.
+        at_rest: {quantity: values} that do not depend on the state.
+        of_states: {quantity: values} at each state; at least one state.
+
+    Returns:
+        {quantity: values}, shape (rows, k) for values at rest, (states, rows, k) for values of
+        states.
+    """
     evaluation: Evaluation = {
         name: np.array(values, dtype=float).reshape(len(list_row_labels(robot, name)), -1)
         for name, values in at_rest.items()
@@ -298,7 +314,15 @@ def collect_evaluation(
 
 
 def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
-    """Evaluate the Pinocchio model of a robot at states."""
+    """Evaluate all compared quantities of a robot's Pinocchio model.
+
+    Args:
+        robot: Robot.
+        states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
+
+    Returns:
+        {quantity: values}, in the units of `QUANTITIES`.
+    """
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
     placements = joint_placements(model, convention.q(rest.qpos))
@@ -345,6 +369,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
 
 
 def _collect_body_values(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
+    """Return masses, CoMs and inertias of bodies, as quantities of an evaluation."""
     return {
         "body masses": [body.mass for body in bodies],
         "body coms": [np.array(body.lever) for body in bodies],
@@ -359,14 +384,17 @@ def evaluate_in_mujoco(
     frames: Mapping[str, str],
     states: States,
 ) -> Evaluation:
-    """Evaluate a MuJoCo model of a robot at states.
+    """Evaluate all compared quantities of a MuJoCo model of a robot.
 
     Args:
         robot: Robot that defines joints and feet.
         model: Compiled URDF or MJCF.
         base: Name of the base body in ``model``.
         frames: {foot or frame: name in ``model``}.
-        states: Configurations, velocities and torques.
+        states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
+
+    Returns:
+        {quantity: values}, in the units of `QUANTITIES`.
     """
     data = mujoco.MjData(model)
     convention = MujocoConvention.of(model, robot.joint_names)
@@ -423,8 +451,8 @@ def _evaluate_at_rest(
 ) -> dict[str, ArrayLike]:
     """Evaluate the quantities that do not depend on the state; ``data`` must be at zero angles."""
     joints = [model.joint(name).id for name in robot.joint_names]
-    carriers = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
-    bodies = _lump_fixed_bodies(model, data, carriers)
+    moving_bodies = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
+    bodies = _lump_fixed_bodies(model, data, moving_bodies)
     limited = model.jnt_limited[joints].astype(bool)
     return {
         **_collect_body_values(bodies),
@@ -439,30 +467,38 @@ def _evaluate_at_rest(
 
 
 def _lump_fixed_bodies(
-    model: mujoco.MjModel, data: mujoco.MjData, carriers: Sequence[int]
+    model: mujoco.MjModel, data: mujoco.MjData, moving_bodies: Sequence[int]
 ) -> list[pin.Inertia]:
-    """Return the inertia of each carrier with all fixed bodies, in world axes.
+    """Return the inertia of the base and of each body with a joint, with all bodies fixed to it.
 
-    If the first carrier is fixed to the world, all bodies fixed to the world belong to it, as in
-    Pinocchio.
+    If the base is fixed to the world, all bodies fixed to the world belong to it, as in Pinocchio.
+
+    Args:
+        model: Model.
+        data: Evaluated kinematics.
+        moving_bodies: Ids of the base and of the bodies with joints.
+
+    Returns:
+        Mass [kg], CoM [m] and inertia [kg m^2] in the world frame, in the order of
+        ``moving_bodies``.
     """
-    total = {carrier: pin.Inertia.Zero() for carrier in carriers}
-    fixed = model.body_weldid[carriers[0]] == 0
+    total = {moving_body: pin.Inertia.Zero() for moving_body in moving_bodies}
+    fixed = model.body_weldid[moving_bodies[0]] == 0
     for body in range(1, model.nbody):
-        carrier = body
-        while carrier not in total and carrier != 0:
-            carrier = int(model.body_parentid[carrier])
-        if carrier == 0:
+        moving_body = body
+        while moving_body not in total and moving_body != 0:
+            moving_body = int(model.body_parentid[moving_body])
+        if moving_body == 0:
             if not fixed:
                 continue
-            carrier = carriers[0]
+            moving_body = moving_bodies[0]
         axes = data.ximat[body].reshape(3, 3)
-        total[carrier] += pin.Inertia(
+        total[moving_body] += pin.Inertia(
             float(model.body_mass[body]),
             np.array(data.xipos[body]),
             axes @ np.diag(model.body_inertia[body]) @ axes.T,
         )
-    return [total[carrier] for carrier in carriers]
+    return [total[moving_body] for moving_body in moving_bodies]
 
 
 def _find_imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
@@ -481,7 +517,15 @@ def _find_imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int
 
 
 def evaluate_in_yourdfpy(robot: Robot, states: States) -> Evaluation:
-    """Compute the foot positions by yourdfpy's forward kinematics of the URDF."""
+    """Compute the foot positions by yourdfpy's forward kinematics of the URDF.
+
+    Args:
+        robot: Robot.
+        states: Configurations, of which there are n.
+
+    Returns:
+        Positions of the feet and common frames in the world, shape (n, feet, 3) [m].
+    """
     import yourdfpy  # slow to import
 
     file = io.BytesIO(_normalise_axes(robot.description.urdf))
@@ -540,14 +584,15 @@ MJCF_MUJOCO = "MJCF in MuJoCo"
 """Name of the evaluation with MuJoCo of those parts of the MJCF that a URDF can express."""
 
 MJCF_AS_IT_IS = "MJCF as it is"
-"""Name of the evaluation of the MJCF with MuJoCo, with all terms that a URDF cannot express."""
+"""Name of the evaluation of the MJCF with MuJoCo, including the terms that a URDF cannot express,
+without couplings that the URDF has too."""
 
 URDF_YOURDFPY = "URDF in yourdfpy"
 """Name of the evaluation of the URDF with yourdfpy (forward kinematics only)."""
 
 EXTRAS_EDGE = "extras (MJCF)"
-"""Edge that shows the effect of springs, tendons, fluid and other terms that a URDF cannot express.
-"""
+"""Name of the pair of evaluations (edge) of the MJCF in MuJoCo without and with springs, tendons,
+fluid and other terms that a URDF cannot express."""
 
 EDGE_NAMES = {
     (URDF_PINOCCHIO, MJCF_PINOCCHIO): "models (Pinocchio)",
@@ -557,13 +602,13 @@ EDGE_NAMES = {
     (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy (URDF)",
     (MJCF_MUJOCO, MJCF_AS_IT_IS): EXTRAS_EDGE,
 }
-"""{(evaluation, evaluation): name of the edge}."""
+"""{pair of evaluations that are compared (edge): name of this pair}."""
 
 ENGINE_EDGES = ("engines (URDF)", "engines (MJCF)", "yourdfpy (URDF)")
-"""Edges between two engines with the same model."""
+"""Names of the pairs of evaluations (edges) of the same model in two engines."""
 
 MJCF_ENGINE_EDGES = ("engines (MJCF)",)
-"""Engine edges on which the MuJoCo model is the MJCF."""
+"""Names of the pairs of evaluations (edges) of the MJCF in two engines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -642,7 +687,12 @@ def validate_state_request(count: int, seed: int) -> None:
 
 
 def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
-    """Yield a note if a large robot is evaluated without Pinocchio and at fewer states."""
+    """Yield a note for a large robot, which is evaluated in MuJoCo only and at fewer states.
+
+    Args:
+        robot: Robot.
+        count: Requested number of states.
+    """
     if is_large(robot):
         states = affordable_states(robot, count)
         yield diagnose("large-without-pinocchio", dofs=robot.nv, states=states, count=count)
@@ -720,16 +770,16 @@ def cross_check(
 def _evaluate_all(
     robot: Robot,
     states: States,
-    square: mujoco.MjModel,
-    whole: mujoco.MjModel,
+    reduced: mujoco.MjModel,
+    full: mujoco.MjModel,
 ) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
     """Evaluate both models in all engines.
 
     Args:
         robot: Robot.
         states: Random states.
-        square: MuJoCo model of the MJCF without terms that a URDF cannot express.
-        whole: MuJoCo model of the MJCF without couplings that the URDF has too.
+        reduced: MuJoCo model of the MJCF without terms that a URDF cannot express.
+        full: MuJoCo model of the MJCF with these terms, without couplings that the URDF has too.
 
     Returns:
         {evaluation name: values}, messages about evaluations that were left out, and the robot with
@@ -767,8 +817,8 @@ def _evaluate_all(
             MJCF_PINOCCHIO: evaluate_in_pinocchio(mjcf_robot, states),
         }
     evaluations |= {
-        MJCF_MUJOCO: evaluate_in_mujoco(robot, square, base, mjcf_frames, states),
-        MJCF_AS_IT_IS: evaluate_in_mujoco(robot, whole, base, mjcf_frames, states),
+        MJCF_MUJOCO: evaluate_in_mujoco(robot, reduced, base, mjcf_frames, states),
+        MJCF_AS_IT_IS: evaluate_in_mujoco(robot, full, base, mjcf_frames, states),
     }
     if urdf_in_mujoco is not None:
         urdf_in_mujoco = make_passive_model(urdf_in_mujoco)
@@ -841,7 +891,15 @@ def _compare_quantity(
     labels: Sequence[str],
     tolerance: float,
 ) -> QuantityCheck:
-    """Compare a quantity along all edges; ``first`` determines the smallest scale."""
+    """Compare a quantity between the evaluations of each pair in `EDGE_NAMES`.
+
+    Args:
+        name: Quantity.
+        evaluations: {evaluation name: values}.
+        first: Evaluation from which the lower bound of the scale is computed.
+        labels: Labels of the quantity's rows.
+        tolerance: Largest accepted relative deviation.
+    """
     edges: dict[str, float] = {}
     least = _find_min_scale(name, first)
     worst: tuple[float, float, float, tuple[str, str], str] | None = None

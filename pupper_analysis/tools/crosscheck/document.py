@@ -1,4 +1,9 @@
-"""Document and annotations of a comparison: the differences, with the lines of both files."""
+"""Document and annotations of a comparison: the differences, with the lines of both files.
+
+Input is a ``Comparison`` of a URDF with an MJCF. Causes and differences are shown in the order of
+their effects; differences with the same values form a group. The table of quantities has a column
+per edge: a pair of evaluations, of two models in one engine or of one model in two engines.
+"""
 
 from __future__ import annotations
 
@@ -57,12 +62,17 @@ def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
 
 
 _MAX_PRINTED_SHARE = 1.005
-"""Largest share of an effect that a message states, printed as 100 %. A larger share is omitted.
-Chosen, not tuned."""
+"""Largest ratio between the effect of a difference alone and the effect of all differences together
+that a message states; it is printed as 100 %. Larger ratios, which occur if differences cancel, are
+omitted. Chosen, not tuned."""
 
 
 def describe_effects(difference: Difference) -> Diagnostic:
-    """Describe the effects of a difference."""
+    """Create the message with the effects of a difference on the dynamics, the largest first.
+
+    An effect is the deviation of a quantity that the difference causes alone, relative to the scale
+    of the quantity and to the deviation that all differences cause together.
+    """
     if not difference.effects:
         return diagnose("no-effect")
     effects = [
@@ -81,7 +91,11 @@ def describe_effects(difference: Difference) -> Diagnostic:
 
 
 def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
-    """Make an annotation for each part, cause, difference, unmatched joint and objection."""
+    """Create annotations for CI services from the comparison of a URDF with an MJCF.
+
+    There is an annotation for each part of the robot that only one file has, cause, difference,
+    unmatched joint and other reason against agreement, and a warning for guessed joints.
+    """
     urdf, mjcf = comparison.urdf, comparison.mjcf
     annotations = [_make_annotation("part", "part", part, urdf) for part in comparison.parts]
     for cause in comparison.causes:
@@ -127,6 +141,7 @@ def _list_unmatched_joints(comparison: Comparison) -> Iterable[tuple[str, Diagno
 
 
 def _describe_guesses(comparison: Comparison) -> Diagnostic:
+    """Create the message with the joints that were matched by structure, not by name."""
     pairs = [f"{urdf_joint}={mjcf_joint}" for urdf_joint, mjcf_joint in comparison.guessed.items()]
     return diagnose("joints-matched-otherwise", pairs=pairs)
 
@@ -134,6 +149,7 @@ def _describe_guesses(comparison: Comparison) -> Diagnostic:
 def _make_annotation(
     kind: str, title: str, finding: Diagnostic, place: str | None, other: str | None = None
 ) -> Annotation:
+    """Create an annotation; the second place is appended to the message."""
     message = str(finding) if other is None else f"{finding} [{other}]"
     rule = f"crosscheck/{kind}"
     about = about_kind(kind)
@@ -149,10 +165,11 @@ _ONE_FILE_EDGES = {
     EDGE_NAMES[MJCF_PINOCCHIO, MJCF_MUJOCO],
     EDGE_NAMES[URDF_PINOCCHIO, URDF_YOURDFPY],
 }
-"""Edges between two engines or readers on the same file."""
+"""Names of the pairs of evaluations (edges) of one file in two engines or by two readers."""
 
 MAX_NAMED_ELEMENTS = 4
-"""Largest number of further elements of a group that are named. The table lists all."""
+"""Largest number of further elements with the same difference that a note names. The table lists
+all. Chosen, not tuned."""
 
 
 @build_document.register(Comparison)
@@ -211,6 +228,7 @@ def _describe_extent(comparison: Comparison) -> doc.Text:
 
 
 def _format_file_name(path: str) -> doc.Name:
+    """Return the file name of a path, without folders."""
     return doc.Name(Path(path).name)
 
 
@@ -263,6 +281,7 @@ def _list_similar_elements(group: list[Difference]) -> Iterable[doc.Words]:
 def _compare_lines(
     comparison: Comparison, difference: Difference, title: doc.Words, *notes: doc.Words
 ) -> doc.FileFinding:
+    """Create the block of a difference, with the quoted lines of both files and the effects."""
     paths = (comparison.urdf, comparison.mjcf)
     columns = []
     for place, value in (
@@ -278,10 +297,12 @@ def _compare_lines(
 
 
 def _format_effects(difference: Difference) -> doc.Text:
+    """Return the text of the effects of a difference, with little emphasis if there are none."""
     return doc.diagnostic_text(describe_effects(difference), "" if difference.effects else "quiet")
 
 
 def _tabulate_differences(comparison: Comparison) -> doc.Table:
+    """Create the table of all differences: values, largest relative effect [%] and lines."""
     rows: list[tuple[doc.Cell, ...]] = []
     for order, difference in enumerate(comparison.differences, start=1):
         effect = difference.weight[1]
@@ -324,6 +345,7 @@ def _shorten_place(place: str | None) -> str:
 
 
 def _make_value_cell(value: object) -> doc.Cell:
+    """Create a cell with a value of a difference; a dash for None."""
     if isinstance(value, float | int):
         return doc.number_cell(float(value), ".6g")
     return doc.Name("-" if value is None else shorten(value))
@@ -352,7 +374,10 @@ def _make_deviation_cell(relative: float | None, tolerance: float) -> doc.Number
 
 @draw_result.register(Comparison)
 def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw the largest relative deviation of each quantity between models and between engines."""
+    """Draw the largest relative deviation of each quantity between models and between engines.
+
+    The deviations are on a logarithmic axis, with the tolerance; zeros are left out.
+    """
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
     sides = [
@@ -376,6 +401,7 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
 
 
 def _tabulate_quantities(comparison: Comparison) -> doc.Table:
+    """Create the table of the relative deviations of each quantity, a column per edge."""
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
     sides = [side for side in every if any(side in q.edge_deviations for q in check.quantities)]

@@ -86,7 +86,7 @@ class ModelChange(Result):
 
     @property
     def message(self) -> str:
-        """Change in a sentence."""
+        """Description of the change in one English sentence, with old and new value."""
         return str(self.diagnostic)
 
 
@@ -222,7 +222,10 @@ class _Comparison:
         return one, two
 
     def result(self) -> ModelDiff:
-        """Compare trees and other elements, and sort the changes."""
+        """Compare joints, bodies and other elements of both versions, and return the changes.
+
+        The changes are sorted by effect, the largest first.
+        """
         first, second, tolerances = self.first, self.second, self.tolerances
         # Compare in the same convention; a different convention is a change of its own.
         meant = find_conventions(first, second, tolerances, fixed=not first.floating)
@@ -320,6 +323,7 @@ class _Comparison:
 
 
 def _sum_mass(values: MultibodyTree) -> float:
+    """Return the total mass of a tree [kg]."""
     return float(sum(body.mass for body in values.bodies.values()))
 
 
@@ -356,6 +360,7 @@ def _describe_value(value: Any, other: Any) -> Diagnostic | Term | str:
 
 
 def _format_value(value: Any) -> str:
+    """Format a value with six digits; a list in brackets."""
     if isinstance(value, list):
         return "(" + ", ".join(map(_format_value, value)) + ")"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -383,7 +388,8 @@ class RandomStates:
         """Random configurations with a fixed seed, shape (n, nq).
 
         A floating base has a position within 1 m of the origin along each axis, and a random
-        orientation. Joint positions are within the limits, or within pi without a limit.
+        orientation. Joint positions are within the limits; a missing limit is replaced by pi or -pi
+        [rad or m].
         """
         rng = np.random.default_rng(0)
         joints = self.values.joints.values()
@@ -397,16 +403,20 @@ class RandomStates:
 
     @cached_property
     def qvel(self) -> Array:
-        """Velocities, shape (n, nv) [m/s, rad/s]."""
+        """Random velocities with a fixed seed, shape (n, nv) [m/s, rad/s], standard deviation 1."""
         size = len(self.values.joints) + 6 * self.values.floating
         return np.random.default_rng(1).normal(size=(_NUM_STATES, size))
 
     @cached_property
     def _mujoco_tree(self) -> MujocoTree:
+        """MuJoCo model of the tree that defines the limits, into which other trees are loaded."""
         return MujocoTree(self.values)
 
     def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
-        """Return the MuJoCo model of a tree, and the indices of the states in qpos and qvel."""
+        """Return the MuJoCo model of a tree, with indices into its coordinates.
+
+        The indices map the columns of this object's ``qpos`` and ``qvel`` to the model's.
+        """
         tree = (
             self._mujoco_tree if self._mujoco_tree.has_structure_of(values) else MujocoTree(values)
         )
@@ -417,10 +427,12 @@ class RandomStates:
         return tree.model, places, [*range(6 * base), *tree.model.jnt_dofadr[ids].tolist()]
 
     def evaluate_tree(self, values: MultibodyTree) -> dict[str, Array]:
-        """Evaluate a tree with the same joints at all states.
+        """Evaluate the dynamics of a tree with the same joints at all states, in MuJoCo.
 
         Returns:
-            {quantity: shape (n, ...)}. Bias forces include passive forces such as damping.
+            {quantity: values, shape (n, ...)}: mass matrix, gravity [N m], bias forces minus
+            passive forces such as damping [N m], CoM, positions of joints and feet in the world
+            [m].
         """
         model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -447,10 +459,12 @@ class RandomStates:
         return {name: np.array(found) for name, found in rows.items()}
 
     def compute_holding_torques(self, values: MultibodyTree) -> dict[str, float]:
-        """Compute the largest gravity torque [N m] or force [N] of each joint over all states.
+        """Compute the largest torque [N m] or force [N] per joint that holds the links in the air.
 
-        A floating base is level and held. The torque is that of a motor that holds the links in the
-        air.
+        The maximum is over all states. A floating base is level and held.
+
+        Returns:
+            {joint: largest absolute torque or force}.
         """
         model, places, dofs = self._load_tree(values)
         data, count = mujoco.MjData(model), len(self.values.joints)

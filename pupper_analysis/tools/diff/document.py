@@ -1,4 +1,8 @@
-"""Document of a diff: changes between two versions of a model."""
+"""Document of a diff: changes between two versions of a model.
+
+Input is a ``ModelDiff``. The document contains each change with the quoted lines of both versions
+and its effect, the change of mass, and the gravity torques that have changed.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +20,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
 _MIN_RELATIVE_CHANGE = 1e-3
-"""Smallest relative change of a torque that is shown. Smaller changes do not alter the printed
-digits."""
+"""Relative change of a gravity torque above which the table of torques contains the joint. Smaller
+changes hardly alter the four printed digits. Chosen, not tuned."""
 
 
 @build_document.register(ModelDiff)
@@ -43,6 +47,7 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
+    """Yield the old and new total mass [kg]; nothing if the versions are the same."""
     if not diff.same:
         old, new = diff.mass
         mass = text("mass-old-kg-now-new", old=f"{old:.6g}", new=f"{new:.6g}")
@@ -52,6 +57,7 @@ def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
 
 
 def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
+    """Yield the changes with their lines, the combined effects and the table of torques."""
     for change in diff.changes:
         yield doc.FileFinding(
             doc.diagnostic_text(change.diagnostic),
@@ -81,12 +87,14 @@ def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
 
 
 def _make_file_place(file: str, place: str, value: object, unit: str) -> doc.FilePlace:
+    """Create the place of a value in a file, with the quoted line or else the value."""
     line = quote_line(place, file) or f"{shorten(value)} {unit}".rstrip()
     named = doc.Name(Path(place).name) if place else text("not-in-the-file")
     return doc.FilePlace(named, doc.Name("-" if value is None else line), place)
 
 
 def _describe_effects(change: ModelChange) -> doc.Text:
+    """Return a sentence with the effects of a change alone on the dynamics, the largest first."""
     if not change.effects:
         return text("no-effect-on-the-dynamics").with_mark("quiet")
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
@@ -102,6 +110,7 @@ def _describe_effects(change: ModelChange) -> doc.Text:
 
 
 def _format_percent(old: float, new: float) -> str:
+    """Format a relative change in percent, or a large one as a factor; empty if there is none."""
     if not old or old == new:
         return ""
     return f"{100 * (new / old - 1):+.3g} %" if new / old <= MIN_FACTOR else f"x {new / old:.3g}"

@@ -77,9 +77,10 @@ default ground has 3."""
 
 
 def list_elements(file: MjcfFile) -> dict[Key, Element]:
-    """List geoms, pairs, excludes, options, flags, keyframes, and values of joints and actuators.
+    """Return the elements of an MJCF whose values are compared: {(tag, name): element}.
 
-    Values of tendons and equalities are included.
+    These are geoms, contact pairs and exclusions, options, flags, keyframes, joints, actuators,
+    tendons and equalities.
 
     Args:
         file: File that MuJoCo compiles.
@@ -146,13 +147,14 @@ def _list_tree_elements(file: MjcfFile) -> dict[Key, Element]:
 
 
 def _find_element_place(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Place:
+    """Return the place of an attribute (``word``) of an element, or of the element."""
     if name.startswith("#"):
         return file.place_by_number(kind, row)
     return file.find_attribute(kind, name, (word,)) or file.place(kind, name)
 
 
 def join_names(ends: Iterable[str]) -> str:
-    """Return the name of a pair or an exclude: both names in alphabetical order."""
+    """Return the name of a contact pair or exclusion: ``a and b``, in alphabetical order."""
     return " and ".join(sorted(ends))
 
 
@@ -162,7 +164,10 @@ def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile)
 
 
 def list_geom_names(model: mujoco.MjModel) -> list[str]:
-    """List the names of geoms; a geom without name gets the name of the body and a number."""
+    """Return a name for each geom of a model, in the model's order.
+
+    A geom without name gets the name of the body and its number in the body: ``calf #2``.
+    """
     names, seen = [], dict[int, int]()
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
@@ -173,7 +178,7 @@ def list_geom_names(model: mujoco.MjModel) -> list[str]:
 
 
 def list_collisions(model: UrdfModel) -> dict[Key, Element]:
-    """List the collision shapes of a URDF: {("collision", link or "link #2"): element}."""
+    """Return the collision shapes of a URDF: {("collision", link or "link #2"): element}."""
     found: dict[Key, Element] = {}
     for link in model.links.values():
         touching = [shape for shape in link.shapes if shape.collides]
@@ -197,6 +202,7 @@ def _make_attribute_finder(file: MjcfFile, tag: str, otherwise: Place) -> Callab
 
 
 def _make_constant_finder(place: Place) -> Callable[[str], Place]:
+    """Return a function that returns the same place for every attribute."""
     return lambda _: place
 
 
@@ -216,12 +222,12 @@ ENABLE_BITS: Final = tuple(
 
 
 def get_flag_name(bit: Any) -> str:
-    """Return the attribute of ``<flag>`` for a bit."""
+    """Return the name of the attribute of ``<flag>`` for a MuJoCo bit (``mjtDisableBit`` ...)."""
     return str(bit.name).split("_", 1)[1].lower()
 
 
 def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
-    """Return True if the feature of a bit is enabled."""
+    """Return True if a feature is enabled in a model, given its MuJoCo disable or enable bit."""
     if isinstance(bit, mujoco.mjtDisableBit):
         return not model.opt.disableflags & bit.value
     return bool(model.opt.enableflags & bit.value)
@@ -235,8 +241,8 @@ from which the change is reported as having an effect. A stand is settled to 1e-
 tuned."""
 
 SIMULATION_SECONDS = 2.0
-"""Duration of a simulation [s], enough for a fall and for servos of some hertz to settle. Chosen.
-"""
+"""Duration of a simulation of both versions [s], enough for a fall and for servos of some hertz to
+settle. Chosen, not tuned."""
 
 _MAX_STEPS = 4000
 """Largest number of time steps of a simulation; with a small time step the simulated time is
@@ -259,7 +265,7 @@ SURFACE_ATOL = 1e-6
 Chosen, not tuned."""
 
 SHAPE_WORD: Final = "shape"
-"""Name of the shape, in place of an attribute."""
+"""Value that stands for the shape of a geom where messages and comparisons name an attribute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,10 +282,11 @@ class ElementDifference(Difference):
 
 
 def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
-    """Compute the largest distance between the surfaces of two shapes' hulls [m].
+    """Compute the largest distance [m] between the convex hulls of two shapes, along directions.
 
-    Shapes without extent (planes, missing meshes) are compared by pose and size: 0 if equal,
-    otherwise infinity.
+    The directions are `COMPARISON_DIRECTIONS`. If one of the shapes has no extent (planes, missing
+    meshes), the distance is 0 for equal kind, pose and size within `SURFACE_ATOL`, otherwise
+    infinite.
     """
     first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (first_shape, second_shape))
     if first is not None and second is not None:
@@ -307,7 +314,7 @@ def match_elements(
     bodies: Mapping[str, str],
     joints: Mapping[str, str],
 ) -> dict[Key, Element]:
-    """Rename new elements to the names of the old elements that they correspond to.
+    """Return the new elements under the names of the old elements to which they correspond.
 
     Geoms with equal names correspond. Other geoms of a body are matched if they agree in all
     values, then in shape, then in order, so that a different order in the file is no change. New
@@ -415,7 +422,11 @@ def find_changed_elements(
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
 ) -> Iterator[ElementDifference]:
-    """Yield the changes. Elements with an equal change form one difference."""
+    """Yield the changes of elements between two versions, for elements with equal names.
+
+    Elements with an equal change form one difference. Geoms that cannot collide are skipped, and
+    added or removed joints, actuators, tendons and equalities, which other functions report.
+    """
     alike: dict[tuple[Any, ...], list[Key]] = {}
     for key in dict.fromkeys((*old, *new)):
         old_element, new_element = old.get(key), new.get(key)
@@ -465,7 +476,7 @@ _COMPILER_ATTRIBUTES: Final = {
 
 
 def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
-    """Yield changed settings of the compiler, which change numbers on other lines."""
+    """Yield the changed attributes of ``<compiler>``, which change the meaning of other lines."""
     for name, word in _COMPILER_ATTRIBUTES.items():
         old_setting, new_setting = (
             _format_setting(name, getattr(file.spec.compiler, name)) for file in (old, new)
@@ -498,6 +509,7 @@ def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[Ele
 
 
 def _format_setting(name: str, value: Any) -> str:
+    """Format a compiler setting as in an MJCF."""
     if name == "degree":
         return "degree" if value else "radian"
     if isinstance(value, bool | np.bool_):
@@ -522,6 +534,7 @@ def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
 
 
 def _numbers_agree(first: Value, second: Value) -> bool:
+    """Return True if two lists of numbers are equal within `NUMBER_RTOL`."""
     return len(first) == len(second) and np.allclose(first, second, rtol=NUMBER_RTOL, atol=1e-12)
 
 
@@ -532,6 +545,15 @@ def _make_difference(
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
 ) -> ElementDifference:
+    """Create the difference of elements with an equal change of an attribute.
+
+    Args:
+        kind: Tag of the elements.
+        word: Attribute; "" for added or removed elements.
+        keys: Elements, the first of which gives values and places.
+        old: Elements of the old version.
+        new: Elements of the new version.
+    """
     names = tuple(name for _, name in keys)
     old_element, new_element = old.get(keys[0]), new.get(keys[0])
     before, after = (_format_value(element, word) for element in (old_element, new_element))
@@ -588,6 +610,7 @@ _TRANSLATED_WORDS: Final = (SHAPE_WORD, "friction")
 
 
 def _format_value(element: Element | None, word: str) -> object:
+    """Return the value of an attribute for a message; "" as attribute stands for the element."""
     if element is None:
         return Term("none")
     if not word:
@@ -643,13 +666,14 @@ to rounding. Chosen, not tuned."""
 
 
 def _serialise_model(model: mujoco.MjModel) -> bytes:
+    """Return the binary form (MJB) of a model."""
     image = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, image)
     return image.tobytes()
 
 
 MOTION_QUANTITY: Final = "simulated motion"
-"""Name of the quantity for simulated effects."""
+"""Name of the quantity to which the effects of a simulation belong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -668,9 +692,10 @@ class SimulatedPair:
 
     @staticmethod
     def from_files(old: MjcfFile, new: MjcfFile) -> SimulatedPair:
-        """Compile two files.
+        """Compile two MJCFs for simulation.
 
-        A ground is added if both robots float and neither file has static geoms.
+        The same ground is added to both models if both robots have a free base, and neither file
+        has a geom that is fixed to the world and can collide.
         """
         models = old.model, new.model
         stand = all(
@@ -692,11 +717,15 @@ class SimulatedPair:
     def compute_effects(
         self, *, explained: bool
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Compute the difference of both simulations, and the visible effects.
+        """Simulate both models, and return the effects and their messages.
 
         Args:
-            explained: Whether a change was found. Otherwise, effects that rounding can cause are
-                dropped.
+            explained: True if a change between the files is known. Otherwise, effects that rounding
+                can cause are dropped.
+
+        Returns:
+            {quantity: largest difference of a joint coordinate [m, rad]}, and messages. Both are
+            empty if the models have no common joint, or no change is known and none is visible.
         """
         old, new = self.old, self.new
         if not self._common_joints or (
@@ -716,20 +745,21 @@ class SimulatedPair:
 
     @cached_property
     def _common_joints(self) -> list[str]:
-        """Joints of both models."""
+        """Names of the joints that both models have."""
         names = [
             [joint_name(model, n) for n in range(model.njnt)] for model in (self.old, self.new)
         ]
         return [name for name in names[0] if name in names[1]]
 
     def _simulate_joints(self, model: mujoco.MjModel, nudge: float = 0.0) -> _SimulatedRun:
+        """Simulate a model, and record the common joints (`_simulate_model`)."""
         number = {joint_name(model, n): n for n in range(model.njnt)}
         return _simulate_model(model, [number[name] for name in self._common_joints], nudge)
 
     def _compare_pair(
         self, before: _SimulatedRun, after: _SimulatedRun
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Compare two simulations, with the context for messages."""
+        """Compare two simulations; the messages state duration, keyframe and an added ground."""
         seconds = Quantity(min(before.seconds, after.seconds), "s")
         start = self.old.key(0).name if self.old.nkey else ""
         return _compare_runs(
@@ -746,11 +776,11 @@ def _find_static_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def _find_ground_height(model: mujoco.MjModel) -> float:
-    """Return the height of an added ground [m].
+    """Return the height at which a ground is added [m].
 
-    The height is 0, as in scenes. If the robot begins deeper in this ground than a quarter of the
-    CoM height above the lowest point, it is the height of the lowest point. Published home poses
-    may have feet some centimetres in the ground.
+    The height is 0, as in scenes, since published start poses may have feet some centimetres in the
+    ground. If the depth of the lowest geom below 0 exceeds a quarter of the CoM height above this
+    geom, the ground is added at the lowest geom instead.
     """
     data = make_start_data(model)
     middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
@@ -809,6 +839,7 @@ def _simulate_model(
 
 
 def _find_min_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
+    """Return the smallest friction coefficient of the contacts with the world; None without any."""
     found = [
         float(contact.friction[0]) if contact.dim > 1 else 0.0
         for contact in data.contact
@@ -820,6 +851,12 @@ def _find_min_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | No
 def _compare_runs(
     before: _SimulatedRun, after: _SimulatedRun, where: Mapping[str, Any]
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+    """Compare the recorded motions of two simulations.
+
+    Returns:
+        {`MOTION_QUANTITY`: largest difference of a coordinate [m, rad]} if it is above
+        `MIN_FELT_MOTION`, and messages.
+    """
     if before.qpos.shape != after.qpos.shape:
         return {}, ()
     same_end = np.isnan(before.qpos) & np.isnan(after.qpos)

@@ -1,4 +1,9 @@
-"""Content of a model file for comparison with another version, and access to versions in git."""
+"""Content of a model file for comparison with another version, and access to versions in git.
+
+`read_version` converts a URDF or MJCF to a tree of joints and bodies, values outside the tree and
+further elements. `open_version` and `open_revision` extract files of a git revision to a temporary
+folder, without running filters or hooks of the repository.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +80,7 @@ class Version:
 
 
 def read_version(file: UrdfFile | MjcfFile) -> Version:
-    """Read the content of a file for comparison.
+    """Return the joints, bodies and elements of a file, for comparison with another version.
 
     Raises:
         ModelError: If the file is not a robot with joints.
@@ -84,6 +89,7 @@ def read_version(file: UrdfFile | MjcfFile) -> Version:
 
 
 def _read_urdf_version(file: UrdfFile) -> Version:
+    """Return the content of a URDF; mimic joints are independent in its tree."""
     root = without_shapes(file.root)
     mimics = urdf_mimics(root)
     tree = UrdfTree(root)
@@ -105,6 +111,7 @@ def _read_urdf_version(file: UrdfFile) -> Version:
 
 
 def _read_mjcf_version(file: MjcfFile) -> Version:
+    """Return the content of an MJCF, without objects that do not belong to the robot."""
     published = file
     if file.spec.compiler.fusestatic:
         file = _disable_fusestatic(file)
@@ -184,6 +191,7 @@ def _list_motors(scene: NamedModel) -> dict[tuple[str, str], Any]:
 
 
 def _describe_target(scene: NamedModel, motor: int) -> str:
+    """Return type and name of the element on which an actuator acts, such as ``joint knee``."""
     what, (target, _) = list_actuator_targets(scene.model, motor)
     kind = what.name.removeprefix("mjOBJ_").lower()
     return f"{kind} {scene.joint_name(target) if kind == 'joint' else scene.name(kind, target)}"
@@ -231,11 +239,14 @@ class VersionedFile:
     root: Path | None = None
 
     def label(self, place: Place) -> str:
-        """Return a place with the path replaced by the user's name."""
+        """Return ``file:line`` of a place as the user named the file: ``REVISION:PATH:line``."""
         return self._replace_paths(place.path)
 
     def read(self, read: Callable[[Path], _T]) -> _T:
-        """Read the file. Errors refer to the user's name of the file."""
+        """Call ``read`` with the path of the file, and return its result.
+
+        A ModelError of ``read`` is raised with the name of the file that the user passed.
+        """
         try:
             return read(self.path)
         except ModelError as error:
@@ -245,6 +256,7 @@ class VersionedFile:
             raise ModelError(self._replace_paths(error.source), cause) from error
 
     def _replace_paths(self, text: str) -> str:
+        """Replace the temporary folder in a text by the name of the revision."""
         if self.root is None:
             return text
         top = f"{self.revision}:"
@@ -375,6 +387,7 @@ def write_revision(
 
 
 def _is_outside(path: str) -> bool:
+    """Return True if a path in a git tree would leave the folder: absolute, or with ``..``."""
     return path.startswith("/") or ".." in path.split("/")
 
 
@@ -413,7 +426,11 @@ def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> byte
 
 
 def _git_command(given: str, *arguments: str) -> list[str]:
-    """Return a command line of git that starts no program of the repository."""
+    """Return a command line of git, with options against programs that a repository configures.
+
+    Raises:
+        ModelError: If git is not installed.
+    """
     git = shutil.which("git")
     if git is None:
         raise ModelError(given, diagnose("no-file-and-no-git"))

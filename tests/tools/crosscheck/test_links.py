@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 from pupper_analysis.models.multibody import TreeBody
-from pupper_analysis.tools.crosscheck.causes import compute_moments, fold_bodies, group_by_pattern
+from pupper_analysis.tools.crosscheck.causes import (
+    combine_bodies,
+    compute_moments,
+    group_by_pattern,
+)
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
     Part,
@@ -181,7 +185,7 @@ def test_folded_body_of_two_boxes_equals_mujocos_body() -> None:
         x, y, z = np.square(half)
         return TreeBody(mass, np.array(place), np.diag([y + z, x + z, x + y]) * mass / 3)
 
-    both = fold_bodies(
+    both = combine_bodies(
         box(2.0, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0)), box(3.0, (0.05, 0.1, 0.02), (0.4, -0.1, 0.2))
     )
     assert both.mass == pytest.approx(model.body_mass[1])
