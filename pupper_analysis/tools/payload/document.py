@@ -91,7 +91,7 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
-    """State the largest mass and its position.
+    """Return the text of the largest payload [kg] and its position [mm].
 
     If torque limits of motors that carry the load are unknown, state these motors instead.
     """
@@ -107,13 +107,16 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
 
 
 def _describe_limit(limit: PayloadLimit) -> Iterable[doc.Words]:
-    """State the failure above the largest mass; nothing if torque limits are unknown."""
+    """Yield the text of the failure above the largest mass; nothing with unknown torque limits."""
     if not (limit.unknown_limits and limit.upper_bound > 0):
         yield text("payload-limited", failure=_describe_failure(limit.failure, limit.failing_parts))
 
 
 def _unknown_text(limit: PayloadLimit) -> doc.Text:
-    """State the upper bound of the mass, and the largest torque of a motor without limit there."""
+    """Return the text of the upper bound of the mass if torque limits are unknown.
+
+    It contains the largest torque, with this mass, of a motor without a stated limit.
+    """
     torques = limit.torque_of
     hardest = max(limit.unknown_limits, key=lambda joint: abs(float(torques[joint])))
     return text(
@@ -168,14 +171,14 @@ _BOUND_KEYS = {
 
 
 def _describe_bound_failure(bound: Bound) -> doc.Words:
-    """Describe the failure above a bound; a dash if the bound is infinite."""
+    """Return the text of the failure above a bound; a dash if the bound is infinite."""
     if math.isinf(bound.mass):
         return doc.Name("-")
     return _describe_failure(bound.failure, bound.failing_parts)
 
 
 def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
-    """Describe a failure with the motors, joints, feet or bodies."""
+    """Return the text of a failure with the names ``where`` of motors, joints, feet or bodies."""
     failure_text, names = word(failure.value), ", ".join(where)
     if not names:
         return failure_text

@@ -73,16 +73,17 @@ def simulate_payload(
     duration: float = HOLD_DURATION,
     until_failure: bool = False,
 ) -> PayloadTrial:
-    """Simulate a stance with a payload, nudged as in ``simulate_nudges``.
+    """Simulate a stance with a payload, with random velocity nudges (``simulate_nudges``).
 
     The simulation starts in the stand that ``stand --payload`` judges (``solve_loaded_stand``),
     with feed-forward torques for the load.
 
     Args:
         robot: The robot.
-        stance: The stance; of a stand, the task.
+        stance: Stand task, or a stand, of which only the task is used.
         mass: Mass of the payload [kg].
-        point: Place of the payload, as in ``with_payload``.
+        point: Position of the payload [m] in the frame of the base or of a named link, as in
+            ``with_payload``.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
         duration: Time after each nudge for which the outcome is decided [s], at least 2.
@@ -109,21 +110,22 @@ def simulate_payload(
 Array = NDArray[np.float64]
 
 UNLIMITED_MASS_RATIO = 1e4
-"""Payload relative to the robot's mass at which the search ends: no bound up to there means no
-limit. Chosen, not tuned."""
+"""Ratio of payload to the robot's mass at which the search ends: a bound that has not failed by
+then is infinite. Chosen, not tuned."""
 
 MAX_BOUND_RATIO = 10.0
-"""Largest searched mass, relative to the first mass that fails or the robot's mass, if larger:
-larger bounds are reported as infinite. Chosen, not tuned."""
+"""Ratio of the largest searched payload to the first payload that fails (or to the robot's mass, if
+that is larger). After a first failure, larger bounds are reported as infinite. Chosen, not
+tuned."""
 
 VERIFIED_FRACTION = 0.97
 """Fraction of the limit with which the loaded stance is judged, and simulated with nudges. Chosen,
 not tuned."""
 
 SIMULATION_RTOL = 0.02
-"""Relative tolerance of a mass that is bisected by simulations: the bound of the simulation, and
-the bound of the servos if a simulation contradicts the spectrum. For the bound of the simulation,
-the squared value relative to the smallest static bound is the absolute tolerance. Chosen, not
+"""Relative tolerance of a payload that is bisected by simulations: the bound of the simulation, and
+the bound of the servos if a simulation contradicts the spectrum. The bound of the simulation also
+has an absolute tolerance: the square of this value times the smallest static bound. Chosen, not
 tuned."""
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
@@ -132,9 +134,9 @@ the smallest bound, except if the servos set this bound. The second tolerance is
 first mass that fails. Each bound is the lower end of the bracket. Chosen, not tuned."""
 
 _FIRST_DISTANCE_RATIO = 0.98
-"""First mass below the static limit that is simulated: its distance from the limit, relative to
-``SIMULATION_RTOL`` of the limit. Below 1 / (1 + ``SIMULATION_RTOL``), so that the interval above
-this mass needs no bisection."""
+"""Position of the first simulated mass below the static limit: (limit - mass) /
+(``SIMULATION_RTOL`` * limit). Below 1 / (1 + ``SIMULATION_RTOL``), so that the interval between
+mass and limit is within the tolerance and needs no bisection."""
 
 _FIRST_MASS_RATIO = 0.25
 """First evaluated mass, relative to the robot's mass. Chosen, not tuned."""
@@ -235,12 +237,12 @@ class PayloadLimit(Result):
 
     @property
     def torque_of(self) -> dict[str, float]:
-        """{joint: motor torque [N m] in the loaded stand, ``stand``}."""
+        """{joint: static motor torque [N m] in the stand with the largest payload}."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
 
     @property
     def bounds(self) -> dict[str, Bound]:
-        """Bounds of the payload, {name: bound}, sorted by mass, the smallest first.
+        """Bounds of the payload, {name: bound with mass in kg}, the smallest mass first.
 
         The names are ``stance``, ``motors``, ``servos`` and ``simulation``.
         """
@@ -260,10 +262,7 @@ class PayloadLimit(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the payload is known and positive, and the simulations hold.
-
-        False if the mass is unknown (NaN).
-        """
+        """Whether the largest payload is known (not NaN) and positive, and the simulations hold."""
         return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.survived)
 
 
@@ -287,8 +286,9 @@ def payload_limit(
 
     Args:
         robot: The robot.
-        stance: The stance; of a stand, the task. The nominal stand by default.
-        point: Place of the mass, as in ``with_payload``.
+        stance: Stand task, or a stand, of which only the task is used. Default: the nominal stand.
+        point: Position of the mass [m] in the frame of the base or of a named link, as in
+            ``with_payload``.
         kp: Servo stiffness [N m/rad], a scalar or (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], a scalar or (nu,); the model's own by default.
 
@@ -319,16 +319,16 @@ def payload_limit(
 
     @cache
     def judge_payload(mass: float) -> Verdict:
-        """Judge the stance with a mass [kg]."""
+        """Return the verdict of the stance with a payload [kg], as ``stand`` judges it."""
         loaded = with_payload(robot, mass, place)
         trial = simulate_nudged(mass) if mass else None
         verdict = judge_stand(loaded, solve_stand(loaded, task), trial=trial, kp=kp, kd=kd)
         return replace(verdict, question=Question.CARRIES)
 
     def judge_with_feedforward(mass: float) -> Verdict:
-        """Judge the stance with a mass [kg], without the simulation of position commands alone.
+        """Return the verdict of the stance with a payload [kg], simulated with feed-forward only.
 
-        That simulation does not decide whether a verdict passes.
+        A simulation with position commands alone does not decide whether a verdict passes.
         """
         loaded = with_payload(robot, mass, place)
         stand = solve_stand(loaded, task)
@@ -345,7 +345,7 @@ def payload_limit(
 
     @cache
     def simulate_nudged(mass: float) -> PayloadTrial:
-        """Simulate the stance with a mass [kg], until the first failure is known."""
+        """Simulate the stance with a payload [kg] and nudges, until the first failure is known."""
         return simulate_payload(robot, task, mass, place, kp=kp, kd=kd, until_failure=True)
 
     simulation = Bound(math.inf, Failure.NOTHING, ())
@@ -414,9 +414,9 @@ def _bisect_simulation_bound(
     Static bounds apply to an undisturbed stand. Only a simulation shows a foot that lifts, a sole
     that pivots or a motor that saturates after a nudge, and errors of the files.
 
-    The bound is usually just below the static limit. The distance below this limit therefore grows
-    from ``SIMULATION_RTOL``, doubled after each failure, until a mass holds; then the interval is
-    bisected.
+    The bound is usually just below the static limit. The relative distance below this limit
+    therefore starts at about ``SIMULATION_RTOL``, and is doubled after each failure until a mass
+    holds; then the interval is bisected.
 
     Args:
         static_limit: Smallest static bound [kg].
@@ -427,7 +427,7 @@ def _bisect_simulation_bound(
     """
 
     def find_cause(mass: float) -> FailureCause:
-        """Return the failure with ``VERIFIED_FRACTION`` of a mass [kg]."""
+        """Return the failure in simulation with ``VERIFIED_FRACTION`` of a mass [kg], or None."""
         judge = judge_payload if mass == static_limit else judge_with_feedforward
         trial = simulate_nudged(VERIFIED_FRACTION * mass)
         if trial.failure is not None:
@@ -506,7 +506,7 @@ class _LoadedStand:
 
     @cached_property
     def statics(self) -> GravityCompensation | None:
-        """Static equilibrium of the stand; None without a stand."""
+        """Static torques and forces of the loaded stand; None without a stand."""
         return None if self.stand is None else stand_statics(self.robot, self.stand)
 
 
@@ -530,10 +530,11 @@ class _PayloadSearch:
         self._last_stand = 0.0, self._solve_stand(0.0)
 
     def find_bounds(self) -> dict[str, Bound]:
-        """Return the bounds {name: bound} of stance, motors and servos.
+        """Find the bounds of the payload mass by stance, motors and servos: {name: bound}.
 
-        The mass grows until each bound has failed, the stance has failed, or the mass exceeds the
-        ceiling; then each bound that has failed is bisected.
+        The mass grows until all three kinds have failed, the stance has failed, or the mass exceeds
+        the ceiling (`UNLIMITED_MASS_RATIO`, `MAX_BOUND_RATIO`); then the bound of each kind that
+        has failed is bisected. The bound of the servos is checked by simulations.
         """
         find_causes = {
             "stance": self.find_stance_failure,
@@ -581,7 +582,7 @@ class _PayloadSearch:
         return bounds
 
     def get_loaded_stand(self, mass: float) -> _LoadedStand:
-        """Return the loaded stand with a mass [kg].
+        """Return the stand of the robot with a payload [kg].
 
         Only the last stand is cached: the model of each loaded robot contains the robot's meshes.
         """
@@ -607,9 +608,10 @@ class _PayloadSearch:
             return _LoadedStand(self._robot, None, (Failure.TIPPING, ()))
 
     def find_stance_failure(self, mass: float) -> FailureCause:
-        """Return the reason why a loaded stand fails without considering the motors.
+        """Return the reason why a stance with a payload [kg] fails, apart from the motors.
 
-        There is no stand, or a part other than a foot touches the ground.
+        Either there is no stand, or a part other than a foot touches the ground. None without a
+        failure.
         """
         loaded = self.get_loaded_stand(mass)
         if loaded.stand is None or loaded.statics is None:
@@ -623,7 +625,10 @@ class _PayloadSearch:
         return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
     def find_motor_failure(self, mass: float) -> FailureCause:
-        """Return the motors above the torque limit; None without such a motor or a stand."""
+        """Return the motors above their torque limit with a payload [kg].
+
+        None without such a motor or without a stand.
+        """
         statics = self.get_loaded_stand(mass).statics
         overloaded = () if statics is None else find_overloaded_motors(statics)
         return (Failure.MOTOR, overloaded) if overloaded else None
@@ -655,7 +660,7 @@ class _PayloadSearch:
         return _bisect_mass(find_cause, low, high, cause, SIMULATION_RTOL * low)
 
     def find_spectrum_failure(self, mass: float) -> FailureCause:
-        """Return the servo failure according to the spectrum only; see ``find_servo_failure``.
+        """Return the servo failure with a payload [kg] by the spectrum (``find_servo_failure``).
 
         Two kinds of modes are omitted, since only a simulation decides on them: modes that dry
         friction hides, and modes that depend on the finite-difference step.
@@ -663,10 +668,11 @@ class _PayloadSearch:
         return self.find_servo_failure(mass, is_simulated=False)
 
     def find_servo_failure(self, mass: float, *, is_simulated: bool = True) -> FailureCause:
-        """Return the reason why servos do not hold a stand; None without a failure or a stand.
+        """Return the reason why servos do not hold a stand with a payload [kg].
 
-        A command is out of range, or a mode leaves the stand. The motor torques are unlimited:
-        torque limits belong to the bound of the motors.
+        Either a command is out of range, or a mode of the linearised step grows away from the
+        stand. The motor torques are unlimited: torque limits belong to the bound of the motors.
+        None without a failure or without a stand.
 
         Args:
             mass: Mass of the payload [kg].

@@ -57,8 +57,8 @@ the push. Measured on v3-long-leg: with half of the interval, slow phases of a f
 rest, and the limits must be searched again."""
 
 _SLOW_DURATION = 0.1
-"""Time in which all velocities must be small before the spectrum is evaluated [s]. Chosen, not
-tuned."""
+"""Time [s] at the end of an interval in which all velocities must be below `_MAX_SLOW_SPEED` before
+the spectrum is evaluated. Chosen, not tuned."""
 
 _MAX_SLOW_SPEED = 0.02
 """Largest velocity of a coordinate in ``_SLOW_DURATION`` [m/s, rad/s]. A robot that almost tips may
@@ -69,8 +69,8 @@ _SAMPLE_TIME = 0.004
 tuned."""
 
 _NUM_SAMPLES_NEAR_GROUND = 25
-"""Number of samples whose contacts are searched without a new bound of the distance, after a state
-in which a part may touch the ground. Chosen, not tuned."""
+"""Number of successive samples whose contacts are searched after a sample in which a part may touch
+the ground, before the distance of the parts from the ground is bounded again. Chosen, not tuned."""
 
 MAX_DURATION_RATIO = 10.0
 """Largest simulated time of a push whose outcome is not decided at the end of the requested time,
@@ -78,9 +78,9 @@ relative to the requested time: 60 s by default. A robot that still moves then h
 Chosen, not tuned."""
 
 _MAX_REMAINING_RATIO = 0.1
-"""Largest bound of the base's motion in the remaining time for a robot that rests, relative to the
-height of the CoM. Measured on v3-long-leg: the robot returns from 0.03, and falls slowly from 0.07.
-"""
+"""Upper bound of the predicted motion of the base in the remaining time, relative to the height of
+the CoM, with which a robot counts as at rest. Measured on v3-long-leg: the robot returns from
+0.03, and falls slowly from 0.07. """
 
 _SPEED_FACTOR = 1.5
 """Safety factor of the predicted motion of the base after a push (speed * time). If the motion is
@@ -88,8 +88,8 @@ too large, the robot is not at rest. The measured speed of an oscillation may be
 Chosen, not tuned."""
 
 _STILL_RATIO = 0.01
-"""Motion in the remaining time relative to its bound, below which the speed is rounding or creep.
-Chosen, not tuned."""
+"""Ratio of the predicted motion of the base to its bound (`_MAX_REMAINING_RATIO`), up to which the
+motion counts as rounding or creep. Chosen, not tuned."""
 
 _MAX_BATCH_VALUES = 2**25
 """Largest number of 8-byte values (states and controls) of one batch of pushes, unless one push has
@@ -150,17 +150,20 @@ class PushBench:
 
     @cached_property
     def creep(self) -> float:
-        """Largest final speed of the base without a push [m/s]: feet creep on MuJoCo's friction."""
+        """Largest speed of the base at the end of a simulation without a push [m/s].
+
+        Feet creep on MuJoCo's regularised friction.
+        """
         (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._measure_final_speed(states)
 
     def simulate_fully(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes for ``duration``, and return the failure of each; None after a recovery.
+        """Simulate pushes for the whole duration, and return the failure of each or None.
 
-        A simulation ends earlier only if the push has failed. It goes on if the robot is not at
-        rest at the end, as in ``simulate_until_decided``.
+        None means that the robot recovers. A simulation ends earlier only if the push has failed.
+        It goes on if the robot is not at rest at the end, as in ``simulate_until_decided``.
 
         Args:
             directions: Indices of the axes, shape (n,).
@@ -171,11 +174,12 @@ class PushBench:
     def simulate_until_decided(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes until each outcome is decided; see ``simulate_fully``.
+        """Simulate pushes until each outcome is decided, and return the failure of each or None.
 
-        A simulation ends early if it diverges, if a body other than a foot touches the ground, or
-        if the robot is at rest and no mode of the spectrum leaves that state. If the robot is not
-        at rest after ``duration``, the simulation goes on until the robot rests or falls, up to
+        The arguments and the result are those of ``simulate_fully``, but a simulation ends early
+        if it diverges, if a body other than a foot touches the ground, or if the robot is at rest
+        and no mode of the spectrum leaves that state. If the robot is not at rest after
+        ``duration``, the simulation goes on until the robot rests or falls, up to
         ``MAX_DURATION_RATIO`` of the duration. A slow fall is no rest, see ``_will_rest``.
         """
         return self._simulate_intervals(directions, impulses, may_rest=True)
@@ -221,7 +225,7 @@ class PushBench:
         return failures
 
     def simulate_pushes(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
-        """Simulate pushes to the end, and yield the states of each push, shape (steps, size).
+        """Simulate pushes for the duration, and yield the full states of each, shape (steps, size).
 
         Args:
             directions: Indices of the axes, shape (n,).
@@ -259,7 +263,13 @@ class PushBench:
             yield from roll_out(model, workers, first, control, control_spec=FORCED_CONTROL_SPEC)
 
     def find_failure(self, states: Array) -> Diagnostic | None:
-        """Return the failure of a complete simulation; None if the robot recovers."""
+        """Return the failure of a push from the states of its complete simulation.
+
+        None if the robot recovers.
+
+        Args:
+            states: Full physics states of MuJoCo, shape (n, size).
+        """
         early_failure = self._find_early_failure(states)
         if early_failure is not None and monitor.has_diverged(states, self.timestep):
             return early_failure
@@ -267,12 +277,15 @@ class PushBench:
         return _combine_failures(failures + self._find_end_failures(states))
 
     def extend_until_rest(self, states: Array) -> Array:
-        """Return the states of a complete simulation, continued while only the base moves.
+        """Continue a complete simulation while the only failure is a base in motion.
 
-        The simulation is continued up to ``MAX_DURATION_RATIO`` of the duration.
+        The simulation is continued up to ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
             states: States of a simulation of ``duration``, shape (n, size).
+
+        Returns:
+            These states with the states of the continuation, shape (m, size).
         """
         interval = max(self._num_rest_states, 1)
         longest = round(MAX_DURATION_RATIO * self.steps)
@@ -423,7 +436,7 @@ class PushBench:
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
     def settings(self) -> dict[str, Any]:
-        """Return the fields of ``PushSettings``."""
+        """Return the settings of the simulations and pushes: {field of ``PushSettings``: value}."""
         return {
             "feedforward": self.feedforward,
             "integrator": self.drive.integrator,
@@ -460,7 +473,7 @@ def make_push_bench(
     integrator: str | None,
     verification: StandVerification | None = None,
 ) -> PushBench:
-    """Create the simulations of a stand with pushes; see ``push_recovery``.
+    """Create the simulations of a stand with pushes in given directions; see ``push_recovery``.
 
     Args:
         robot: The robot.

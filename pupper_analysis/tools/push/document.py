@@ -52,14 +52,14 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
 
 
 def _select_next_step(pushed: PushedStance) -> NextStep:
-    """Return the command that shows the cause, or a stance with a larger distance to tipping."""
+    """Return the next command: it shows a failure's cause, or finds a stance that tips later."""
     if pushed.peak_torques is not None:
         return NextStep("audit")
     return NextStep("best", ("margin",)) if pushed.passed else NextStep("stand")
 
 
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
-    """State the weakest direction, the impulse and the failure.
+    """Yield the text of the weakest direction, its impulse and its failure.
 
     Of a robot that falls without a push, only the mass is stated. If torque limits are unknown, the
     largest torque of a motor without limit is stated in place of the failure.

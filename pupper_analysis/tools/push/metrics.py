@@ -9,7 +9,7 @@ from pupper_analysis.tools.push.recovery import push_recovery, unknown_push_limi
 
 
 def _measure_weakest_push(design: Any) -> float:
-    """Compute the smallest push of a design [N s]; not a number if a torque limit is unknown."""
+    """Compute a design's largest push in its weakest direction [N s]; NaN for unknown limits."""
     if unknown_push_limits(design.robot):
         return math.nan
     return push_recovery(design.robot, design.held).weakest_impulse

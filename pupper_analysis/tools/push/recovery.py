@@ -73,7 +73,7 @@ class PushedStance(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the stance holds without a push."""
+        """Whether the pushed robot stands without a push (the pushes themselves are not judged)."""
         return self.verdict.passed
 
 
@@ -285,8 +285,8 @@ def push_recovery(
             computed by default.
 
     Returns:
-        The limits. All are 0 if the robot does not stand without a push; ``unpushed`` has the
-        reasons.
+        The limits [N s]. All are 0 if the robot does not stand without a push;
+        ``failures_without_push`` then has the reasons.
 
     Raises:
         ConfigurationError: If an argument is out of its range, the stand belongs to another robot
@@ -341,7 +341,7 @@ def push_recovery(
 def tipping_impulses(
     config: Configuration, point: Array, axes: Array, feet: Iterable[str] | None = None
 ) -> Array:
-    """Compute the impulses that would tip over the robot if it were a rigid body [N s].
+    """Compute the horizontal impulses [N s] that would tip over the robot as a rigid body.
 
     The robot rolls over an edge of the support polygon on two feet, spheres of radius r. With the
     inertia I about the edge on the ground and the lever s of the push, an impulse p gives the
@@ -448,7 +448,10 @@ class _LimitSearch:
     failures: dict[int, Diagnostic]
 
     def confirm_limits(self, initial: Array, resolution: float) -> None:
-        """Simulate the survived pushes to the end; search again below a push that fails."""
+        """Simulate the survived pushes to the end; search again below a push that fails.
+
+        ``initial`` are the first impulses, shape (n,) [N s], ``resolution`` the tolerance [N s].
+        """
         unconfirmed = np.flatnonzero(self.survived > 0)
         while unconfirmed.size:
             outcomes = self.bench.simulate_fully(unconfirmed, self.survived[unconfirmed])
@@ -460,7 +463,10 @@ class _LimitSearch:
             unconfirmed = unconfirmed[self.survived[unconfirmed] > 0]
 
     def bisect_limits(self, initial: Array, resolution: float) -> None:
-        """Double impulses from ``initial`` (n,) until the robot falls, then bisect."""
+        """Double impulses from ``initial``, shape (n,) [N s], until the robot falls, then bisect.
+
+        The brackets `survived` and `failed` end within ``resolution`` [N s] of each other.
+        """
         rounds = 0
         while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:
             low, high = self.survived[wide], self.failed[wide]

@@ -178,7 +178,10 @@ def _select_next_step(stance: Stance) -> NextStep:
 
 
 def _stiffen_servos(run: StandVerification) -> NextStep:
-    """Return the command with the stiffer servos on which the file stands, if all are equal."""
+    """Return `stand` with kp and kd times `STIFFNESS_FACTOR`, with which the file's robot stands.
+
+    If the gains of the joints differ, the command computes the minimum stiffness instead.
+    """
     if np.ptp(run.kp) or np.ptp(run.kd):
         return NextStep("stand", ("--minimum-stiffness",))
     kp, kd = (f"{STIFFNESS_FACTOR * values[0]:g}" for values in (run.kp, run.kd))
@@ -234,7 +237,11 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
-    """Return True if the predicted equilibrium is no warning, or repeats that of the verdict."""
+    """Return True if the predicted equilibrium is listed as a detail, not as a warning.
+
+    It is a detail if it has no failures and enough margin to the release of a foot, or if the
+    verdict already states the failure.
+    """
     lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
     return lasting or _is_failure_without_feedforward_stated(stance)
 

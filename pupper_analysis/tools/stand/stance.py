@@ -82,6 +82,7 @@ class Stance(Tabular):
     minimum_stiffness: float | None = field(metadata={"unit": "N m/rad"})
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return the columns of the result's table, a row per joint."""
         return {
             "joint": self.statics.joint_names,
             "position": self.joint_positions,
@@ -115,7 +116,7 @@ class Stance(Tabular):
 
     @property
     def passed(self) -> bool:
-        """Whether the verdict passes."""
+        """Whether the verdict on the stance passes."""
         return self.verdict.passed
 
 
@@ -132,7 +133,7 @@ def study_stance(
     kd: ArrayLike | None = None,
     stiffness: bool = False,
 ) -> Stance:
-    """Solve a stance, evaluate its statics, and verify the stance by simulation.
+    """Solve a stance, compute its torques and contact forces, and verify it by simulation.
 
     Args:
         robot: The robot.
@@ -198,7 +199,7 @@ class LargestPress(Result):
 
 
 def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
-    """Compute the largest normal force of each hand in a stand, by a cone program.
+    """Compute the largest normal force [N] of each hand in a stand, by a cone program.
 
     All contact forces are variables, within friction cones, balance and effort limits; a hand force
     that the task states is ignored. A hand is omitted if the program is infeasible or unbounded.

@@ -178,7 +178,7 @@ class Variants(ScalableVariant):
     whole: bool = False
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Build the variant with the given scale factors.
+        """Build the robot of the variant with the given scale factors.
 
         Raises:
             VariantError: If a scale is not a finite positive number, or the scaled variant is not
@@ -456,12 +456,12 @@ STAND_FAILURES = (
     NotStandingError,
     NotSettlingError,
 )
-"""Errors that mean that the robot cannot stand in this way. A metric then has its ``fallen`` value;
-after other errors the value is unknown."""
+"""Errors that mean that the robot of a design cannot stand in the stance. A metric then has its
+``fallen`` value; after other errors its value is unknown."""
 
 
 def classify_failure(error: BaseException) -> str:
-    """Return the failure kind of an error, for the column ``failure`` of the table."""
+    """Return the kind of failure of an error, a text for the column ``failure`` of the table."""
     kinds = {
         StanceUnreachableError: "unreachable",
         NoEquilibriumError: "no equilibrium",
@@ -526,7 +526,10 @@ def make_failure_columns(kind: str, reason: Diagnostic) -> Row:
 
 
 def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
-    """Return {column: value} of the metrics of a design, without metrics that raise an error."""
+    """Evaluate the metrics of a design, and return {column: value in the unit of the metric}.
+
+    Metrics that raise an error of this package are left out.
+    """
     row: dict[str, float] = {}
     for metric in metrics:
         with suppress(PupperAnalysisError):

@@ -349,6 +349,6 @@ def progress_bar() -> Iterator[Callable[[StudyProgress], None]]:
 
 
 def format_failures(failures: Mapping[str, int]) -> str:
-    """Format the number of failures of each kind, the most frequent first."""
+    """Return {failure kind: number} as text, the most frequent kind first."""
     ordered = sorted(failures.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{count} {kind}" for kind, count in ordered)

@@ -54,7 +54,7 @@ class Stretch:
     factor: float
 
     def matrix(self, rotation: Array) -> Array:
-        """Return the matrix A, shape (3, 3), of the stretch in the axes of a frame.
+        """Return the matrix A, shape (3, 3), of a stretch p' = A p + b in the axes of a frame.
 
         Args:
             rotation: Rotation from the frame to the world, shape (3, 3).
@@ -128,7 +128,7 @@ def _link_pose(config: Configuration, link: str) -> pin.SE3:
 
 
 def _normalise(vector: Array) -> Array:
-    """Return the vector divided by the norm."""
+    """Return a vector divided by its norm."""
     normalised: Array = np.array(vector) / np.linalg.norm(vector)
     return normalised
 
@@ -136,7 +136,9 @@ def _normalise(vector: Array) -> Array:
 def stretch_links(
     robot: Robot, trees: tuple[UrdfTree, SpecTree], factors: Mapping[str, float]
 ) -> float:
-    """Stretch links in both files, in place; keyframes keep the clearance above the ground.
+    """Stretch links in the URDF and the MJCF, in place.
+
+    The base height of keyframes changes so that the clearance above the ground is kept.
 
     Args:
         robot: Robot of the files.
@@ -144,8 +146,9 @@ def stretch_links(
         factors: {joint: factor on the length of the link that the joint moves}.
 
     Returns:
-        Base height of the nominal stand [m], for the same joint positions as the keyframe. If the
-        nominal stand is another, the height is scaled by the ratio of the keyframe's heights.
+        New base height of the nominal stand [m]: the old height, scaled by the ratio of new to old
+        base height in the home posture (heights above the largest foot radius). Unchanged for a
+        fixed base or a robot without feet.
 
     Raises:
         ConfigurationError: If a link has no length.
@@ -189,7 +192,7 @@ def stretch_inertia(
     """Return the inertia of a link after the stretch p' = A p + b with constant density.
 
     Args:
-        inertia: Inertia before the stretch.
+        inertia: Inertia before the stretch, in the frame of p.
         matrix: A, shape (3, 3).
         shift: b, shape (3,) [m].
         factor: Factor s on the mass.
@@ -203,7 +206,7 @@ def stretch_inertia(
 
 
 def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
-    """Return the factors (3,) along the axes of a shape; None if A is not diagonal there."""
+    """Return the factors (3,) along the axes of a shape; None if A is not diagonal in them."""
     local = rotation.T @ matrix @ rotation
     factors = np.diag(local)
     return factors if np.abs(local - np.diag(factors)).max() < 1e-9 else None
@@ -235,7 +238,7 @@ def _move_origin(element: etree._Element, matrix: Array, shift: Array) -> None:
 
 
 def _stretch_form(form: etree._Element, factors: Array | None, link: str) -> None:
-    """Scale the size of a shape of the URDF; spheres keep the size."""
+    """Scale the size of a shape of the URDF; spheres keep their size."""
     attributes: dict[object, tuple[str, Callable[[Array], Array]]] = {
         "box": ("size", lambda factors: factors),
         "mesh": ("scale", lambda factors: factors),

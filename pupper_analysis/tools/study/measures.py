@@ -59,7 +59,7 @@ class Design:
 
     @cached_property
     def gains(self) -> dict[str, Any]:
-        """Servo gains as arguments ``kp`` and ``kd``; empty with the gains of the file.
+        """Servo gains of a design as arguments ``kp`` and ``kd``; empty with the gains of the file.
 
         Each has the shape (nu,) [N m/rad and N m s/rad].
         """
@@ -70,7 +70,7 @@ class Design:
 
     @cached_property
     def statics(self) -> GravityCompensation:
-        """Motor torques and contact forces of the stand, with minimum tangential forces."""
+        """Motor torques and contact forces of the design's stand, minimum tangential forces."""
         return stand_statics(self.robot, self.stand)
 
     @cached_property
@@ -86,7 +86,7 @@ class Design:
 
     @property
     def equilibrium(self) -> SteadyState:
-        """Equilibrium of the servos without feed-forward, stable or not.
+        """Predicted equilibrium of the stand on its servos without feed-forward, stable or not.
 
         Raises:
             PupperAnalysisError: As `steady_state`.
@@ -97,7 +97,7 @@ class Design:
 
     @property
     def rest(self) -> SteadyState:
-        """Equilibrium of the servos without feed-forward, in which the robot stays up.
+        """Predicted equilibrium on the servos without feed-forward, in which the robot stays up.
 
         Raises:
             NotStandingError: If the equilibrium has failures.
@@ -123,7 +123,7 @@ class Design:
 
     @cached_property
     def held(self) -> Stand:
-        """Stand that is simulated: on MuJoCo's soft ground."""
+        """Stand on MuJoCo's soft ground, the initial state of simulations."""
         return solve_stand_as_simulated(self.robot, self.stand)
 
     @cached_property
@@ -132,12 +132,16 @@ class Design:
         return judge_stand(self.robot, self.stand, **self.gains)
 
     def per_joint(self, values: Iterable[float]) -> dict[str, float]:
-        """Return {joint: value}; the values are in actuator order."""
+        """Return {joint: value} for values in actuator order."""
         pairs = zip(self.robot.joint_names, values, strict=True)
         return {name: float(value) for name, value in pairs}
 
     def span(self, direction: str) -> float:
-        """Return the length of the base workspace in a direction [m or rad]."""
+        """Return the length of the reachable range of the base in a direction [m or rad].
+
+        Args:
+            direction: ``height``, ``roll``, ``pitch``, ``yaw``, ``x`` or ``y``.
+        """
         interval = self.workspace.intervals[direction]
         return interval.high - interval.low
 
@@ -174,15 +178,15 @@ class Metric:
 
 
 def text_key(metric: str) -> str:
-    """Return the catalogue key of the meaning of a metric. Other packages may omit the entry."""
+    """Return the catalogue key of the text that explains a metric; the entry may be missing."""
     return f"metric-{metric.replace('_', '-')}"
 
 
 def _check_stand(design: Design) -> bool:
     """Return True if the robot stays up without feed-forward and no deviation grows within 12 s.
 
-    With the gains of the file, the simulation of the published file from the keyframe must not fail
-    either.
+    If the design has the gains of the file, the simulation of the unmodified MJCF from its keyframe
+    must not fail either.
 
     Raises:
         NotStandingError: If the robot falls or a deviation grows; the error contains the reasons.
@@ -208,10 +212,12 @@ def _find_peak(values: NDArray[np.float64]) -> float:
 
 
 def _max_friction_utilisation(design: Design) -> float:
+    """Return the largest tangential / (friction coefficient x normal) force of the feet."""
     return max(design.statics.friction_utilisation.values())
 
 
 def _compute_minimum_stiffness(design: Design) -> float:
+    """Return the smallest kp [N m/rad], equal at all joints, with which the robot stands."""
     return minimum_stiffness(design.robot, design.stand)
 
 
@@ -321,11 +327,14 @@ class UserFunction:
 
     @property
     def place(self) -> str:
-        """Return ``module:function``."""
+        """Import path of the user's function, as ``module:function``."""
         return f"{self.function.__module__}:{getattr(self.function, '__qualname__', '')}"
 
     def fingerprint(self) -> str:
-        """Return the name of the function and a hash of the source text, to detect changes."""
+        """Return the import path of the user's function and a hash of its source text.
+
+        The text changes if the function changes, so that old results are not reused.
+        """
         try:
             text = inspect.getsource(self.function)
         except (OSError, TypeError):

@@ -209,10 +209,11 @@ def compute_main_effects(
 ) -> dict[str, float]:
     """Compute the fraction of a metric's variance due to each variable alone.
 
-    On the full product of lists this is eta squared: the variance of the means per value, divided
-    by the total variance. The remainder to 1 is due to several variables together. For samples it
-    is epsilon squared, which corrects eta squared for the number of designs, over cells of values.
-    Designs without a value are left out.
+    On the full product of lists this is eta squared: the variance of the metric's means for each
+    value of the variable, divided by the total variance. The remainder to 1 is due to several
+    variables together. For samples, the values of a variable are grouped into intervals of equal
+    width, and the fraction is epsilon squared, which corrects eta squared for the number of
+    designs. Designs without a value of the metric are left out.
 
     Source: Kelley, "An unbiased correlation ratio measure", 1935.
 
@@ -223,8 +224,8 @@ def compute_main_effects(
         sampled: True if the designs are samples, False for the full product of lists.
 
     Returns:
-        {variable: fraction}. Zero if the metric or the variable has a single value; NaN if each
-        sample has a separate cell.
+        {variable: fraction}. Zero if the metric or the variable has a single value; NaN if the
+        samples have as many groups as designs.
     """
     measured_rows = table[np.isfinite(table[metric].to_numpy(float))]
     values = measured_rows[metric].to_numpy(float)
@@ -322,8 +323,8 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
         Rows of the front, sorted by the first objective, the best first.
 
     Raises:
-        ConfigurationError: If a column does not exist, a sense is neither, or there are no
-            objectives.
+        ConfigurationError: If a column does not exist, an objective is neither ``"min"`` nor
+            ``"max"``, or there are no objectives.
     """
     if not hasattr(table, "columns"):
         raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
@@ -378,7 +379,11 @@ ROUNDING_RTOL = 1e-9
 
 
 def _assign_cells(values: Array) -> Array:
-    """Return the cell of each value: the value itself, or an index of cells of equal width."""
+    """Return the group of each value: the value itself, or the index of an interval.
+
+    Up to `MAX_VALUE_CELLS` different values are groups; more are grouped into intervals of equal
+    width.
+    """
     levels = np.unique(values)
     if len(levels) <= MAX_VALUE_CELLS:
         return values
@@ -417,7 +422,7 @@ def measure_span(low: float, high: float) -> float:
 
 
 def list_metric_columns(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Return the columns of metrics with values."""
+    """Return the metric columns of a table that have at least one finite value."""
     other_columns = (*variables, "design", *FAILURE_COLUMNS)
     return [
         str(name)

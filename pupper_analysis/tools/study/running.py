@@ -148,7 +148,7 @@ _thread_cache = _ThreadCache()
 
 
 def measure_designs(chunk: Chunk) -> ChunkOutcome:
-    """Evaluate the designs of a chunk.
+    """Evaluate the designs of a chunk in a worker, and return a table row per design.
 
     Raises:
         StudyError: If package versions differ from the machine that started the run.
@@ -215,7 +215,7 @@ def confirm_ready() -> bool:
 def split_chunks(
     work: bytes, names: Sequence[str], numbers: Sequence[tuple[float, ...]], size: int
 ) -> Iterator[Chunk]:
-    """Yield designs in chunks of the given size."""
+    """Yield designs (hashes and variable values) in chunks of at most ``size`` designs."""
     for start in range(0, len(names), size):
         part = slice(start, start + size)
         yield Chunk(work, tuple(names[part]), tuple(numbers[part]))
@@ -230,11 +230,13 @@ MAX_CHUNK_DESIGNS = 256
 not tuned."""
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
-"""Number of rows, and time [s] since the last shard, after which a shard is written."""
+"""Number of rows, and largest time [s] since the last shard (Parquet file), after which the results
+are written to a shard. Chosen, not tuned."""
 
 FIRST_SHARD_SECONDS = 0.5
-"""Time [s] until the first shard, so that a run that ends early loses little. Later shards follow
-after a fifth of the elapsed time, at most `SHARD_SECONDS`, so that a long run has few shards."""
+"""Smallest time [s] between two written shards (Parquet files of results), also until the first
+shard, so that a run that ends early loses little. Later the time is a fifth of the elapsed time, at
+most `SHARD_SECONDS`, so that a long run has few shards. Chosen, not tuned."""
 
 MAX_CRASHES = 2
 """Number of crashes of a worker with a single design, after which the design is recorded as
@@ -282,7 +284,7 @@ class Progress:
 
     @property
     def left(self) -> float:
-        """Estimated remaining time [s]: 0 if no design remains, else infinite if `rate` is 0."""
+        """Estimated remaining time of a run [s]: 0 if no design remains, infinite if no rate."""
         rest = self.total - self.there - self.done
         return rest / self.rate if self.rate else (float("inf") if rest else 0.0)
 
@@ -304,7 +306,7 @@ class WorkerPool:
 
     @property
     def renewable(self) -> bool:
-        """True if the pool can replace processes: no executor was given."""
+        """Whether the pool owns its processes and can replace them: no executor was given."""
         return self._given_executor is None
 
     @property
@@ -318,7 +320,7 @@ class WorkerPool:
         self.check()  # wait for the start, so that it does not count for the next design
 
     def submit(self, chunk: Chunk) -> Future[ChunkOutcome]:
-        """Submit a chunk."""
+        """Submit the evaluation of a chunk of designs to a worker; return its future result."""
         self._num_submitted += len(chunk.names)
         with self._block_interrupts():
             return self._get_executor().submit(measure_designs, chunk)
@@ -554,9 +556,14 @@ class StudyRun:
         pool.renew()
 
     def _retry_alone(self, pool: WorkerPool, chunk: Chunk, seconds: float) -> None:
-        """Evaluate the designs of a chunk whose worker ended again, separately.
+        """Evaluate the designs of a chunk whose worker ended unexpectedly one by one.
 
         A single design is recorded as failed after `MAX_CRASHES` crashes or after the time limit.
+
+        Args:
+            pool: Workers.
+            chunk: Designs.
+            seconds: Time since the chunk was submitted [s].
         """
         (name, *other_names) = chunk.names
         is_alone = not other_names and not self._in_flight

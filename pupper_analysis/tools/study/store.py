@@ -61,7 +61,9 @@ class Store:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock the folder for a run. The operating system releases the lock if the process ends.
+        """Lock the folder of a study for a run, within a ``with`` block.
+
+        The operating system releases the lock if the process ends.
 
         Raises:
             StudyError: If another run has locked the folder.
@@ -115,7 +117,7 @@ class Store:
         return request
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write rows as a shard. The name of the shard is a hash of the designs.
+        """Write table rows as a shard (Parquet file), whose name is a hash of the designs.
 
         Raises:
             OutputError: If the shard cannot be written; the folder is then unchanged.
@@ -177,9 +179,9 @@ class Store:
 
 
 def make_design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
-    """Return the first 64 bits of the hashes of designs, shape (n,): 8 MB for a million designs.
+    """Return the first 64 bits of the hexadecimal hashes of n designs, shape (n,).
 
-    The probability of a collision among a million designs is 3e-8.
+    They need 8 MB for a million designs; the probability of a collision among these is 3e-8.
     """
     key_bytes = bytes.fromhex("".join(design[:16] for design in designs))
     return np.frombuffer(key_bytes, ">u8").astype(np.uint64)

@@ -189,7 +189,7 @@ class Study:
 
     @cached_property
     def base(self) -> Robot:
-        """Robot without changes."""
+        """Robot of the study without changes by variables."""
         return self.source.robot({})
 
     @cached_property
@@ -320,8 +320,8 @@ class Study:
             folder: Folder of the results. An interrupted or changed study resumes there.
             executor: Any `concurrent.futures.Executor`, such as Dask's ``client.get_executor()``;
                 by default processes on this machine.
-            workers: Number of processes; by default the number of cores. For an executor that does
-                not report a number of workers: this number.
+            workers: Number of processes; by default the number of cores. With ``executor``, its
+                number of workers, if it does not report one.
             progress: Function that is called with the progress.
 
         Returns:
@@ -344,9 +344,12 @@ class Study:
         workers: int | None = None,
         progress: Callable[[Progress], None] | None = None,
     ) -> Progress:
-        """Evaluate all missing designs, as `run`, but do not load the table.
+        """Evaluate all designs that are not stored yet, as `run`, but do not load the table.
 
         Memory use does not grow with the number of designs, except 8 bytes per design.
+
+        Returns:
+            Number of evaluated designs, failures and elapsed time.
         """
         check_type("folder", folder, str | Path)
         check_type("executor", executor, Executor | None)

@@ -55,7 +55,7 @@ class Variable:
 
     @property
     def levels(self) -> tuple[float, ...] | None:
-        """Values of a list or of ``linspace``; None for a distribution."""
+        """Values of a study variable with a list or ``linspace``; None for a distribution."""
         if self.kind == "linspace":
             low, high, count = self.numbers
             return tuple(np.linspace(low, high, int(count)).tolist())
@@ -63,14 +63,18 @@ class Variable:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Smallest and largest value; infinite for a normal distribution."""
+        """Smallest and largest value of a study variable; infinite for a normal distribution."""
         if self.kind == "normal":
             return -math.inf, math.inf
         listed = self.levels or self.numbers
         return min(listed), max(listed)
 
     def at(self, probabilities: Array) -> Array:
-        """Return the quantiles (n,) of probabilities (n,) between 0 and 1."""
+        """Return the values of a study variable at n probabilities (quantiles), shape (n,).
+
+        Args:
+            probabilities: Numbers between 0 and 1, shape (n,).
+        """
         if self.levels is None:
             return _QUANTILE_FUNCTIONS[self.kind](self.numbers[0], self.numbers[1], probabilities)
         index = np.minimum((probabilities * len(self.levels)).astype(int), len(self.levels) - 1)
@@ -78,7 +82,7 @@ class Variable:
         return quantiles
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the variable as in a study file: {kind: parameters}."""
+        """Return a study variable as in a study file: {kind: parameters}."""
         return {self.kind: list(self.numbers)}
 
 
@@ -269,14 +273,14 @@ class Sampling:
 
     @property
     def product(self) -> int:
-        """Number of designs in the product of all lists; 0 if a variable has a distribution."""
+        """Number of designs in the product of all value lists; 0 with a distribution."""
         return math.prod(len(variable.levels or ()) for variable in self.variables.values())
 
     def __len__(self) -> int:
         return self.product if self.samples is None else self.samples
 
     def blocks(self) -> Iterator[Array]:
-        """Yield the designs in blocks of shape (n, variables)."""
+        """Yield the variable values of the designs in blocks, shape (n, variables)."""
         columns = list(self.variables.values())
         if self.samples is None:
             levels = [np.array(column.levels or ()) for column in columns]

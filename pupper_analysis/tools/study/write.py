@@ -73,7 +73,7 @@ class WrittenDesign(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the written files have the metrics of the study."""
+        """Whether the written files of a design give the metrics that the study has measured."""
         return not self.failures
 
 

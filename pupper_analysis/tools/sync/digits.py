@@ -26,11 +26,11 @@ replaces a value. Few digits are rarely a coincidence; the tolerance is then lar
 
 
 def format_number(value: float, scale: float) -> str:
-    """Format a number with as few digits as possible.
+    """Return a number as text with as few digits as possible, within a tolerance.
 
     Args:
         value: Number.
-        scale: Magnitude that tolerances refer to.
+        scale: Magnitude that the relative tolerances (`_ROUNDING_STEPS`) refer to.
     """
     size = abs(value)
     if size <= NUMBER_RTOL * scale:
@@ -39,7 +39,7 @@ def format_number(value: float, scale: float) -> str:
 
 
 def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str | None:
-    """Format a vector; words that are still right are kept.
+    """Return a vector as text for an attribute; the file's words that are still right are kept.
 
     Args:
         old: Words in the file; may be fewer than the numbers, or none.

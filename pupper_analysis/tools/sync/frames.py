@@ -57,7 +57,7 @@ def list_single_part_changes(
 
 
 def is_physical(body: pin.Inertia) -> bool:
-    """Return True if an inertia is physical.
+    """Return True if mass and rotational inertia of a body are physically possible.
 
     The mass is positive; the inertia is positive definite and satisfies the triangle inequality.
     """
@@ -105,7 +105,7 @@ class MatchedRobots:
     bodies: Mapping[str, pin.SE3]
 
     def merge_values(self, side: str, taken: Collection[Key]) -> MultibodyTree:
-        """Return the tree of one file, with selected values of the other file.
+        """Return the multibody tree of a file, with selected values of the other file.
 
         Args:
             side: ``"urdf"`` or ``"mjcf"``: file to be changed.

@@ -42,14 +42,14 @@ class EditableMjcf:
         self._bodies = self._find_bodies(file.spec)
 
     def body(self, name: str) -> Element | None:
-        """Return the element of a body.
+        """Return the XML element of a body of the MJCF.
 
         None if the body is a copy of another element, such as by <replicate>.
         """
         return self._bodies.get(name)
 
     def joint(self, name: str, body: str) -> Element | None:
-        """Return the element of a joint; a joint without name is found by the name of the body."""
+        """Return the XML element of a joint; a joint without a name is found by its body's name."""
         element = self._bodies.get(body)
         if element is None:
             return None
@@ -61,7 +61,7 @@ class EditableMjcf:
         return (*same_name, *unnamed, None)[0]
 
     def find_actuators(self, joint: str) -> list[Element]:
-        """Return the actuator elements of a joint."""
+        """Return the XML elements of the actuators of a joint."""
         return [
             element
             for section in self._iterate_sections("actuator")
@@ -72,13 +72,13 @@ class EditableMjcf:
     def write(
         self, element: Element, attribute: str, value: str | ArrayLike, floor: float = 0.0
     ) -> None:
-        """Change an attribute of an element, unless the element states the value already.
+        """Set an attribute of an element; numbers that the file already states keep their text.
 
         Args:
             element: Element.
             attribute: Name of the attribute.
             value: Text, a number, or several numbers.
-            floor: Lower bound of the magnitude that tolerances refer to.
+            floor: Lower bound of the magnitude that the tolerances of numbers refer to.
         """
         if isinstance(value, str):
             text: str | None = value
@@ -98,7 +98,7 @@ class EditableMjcf:
         return False
 
     def _iterate_sections(self, tag: str) -> Iterator[Element]:
-        """Return the sections of the root with a tag."""
+        """Yield the sections of the MJCF with a tag, such as ``worldbody``."""
         return (section for section in self.root.children if section.tag == tag)
 
     def _find_bodies(self, spec: mujoco.MjSpec) -> dict[str, Element]:

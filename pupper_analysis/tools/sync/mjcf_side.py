@@ -47,7 +47,16 @@ _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
 
 
 def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
-    """Plan the changes that give a moving group of bodies, or the base, the target inertia."""
+    """Plan the changes of <inertial> that give a group of bodies its target inertia.
+
+    The group moves together. One of its bodies is changed, with as few changed attributes as
+    possible.
+
+    Args:
+        side: MJCF with the target values.
+        mover: Joint that moves the group, or the base.
+        keys: Differences (kind, element) of the group; they are recorded if nothing can be changed.
+    """
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
     target = side.sides.mjcf_frames[mover].actInv(side.target.bodies[mover].spatial_inertia)
@@ -81,7 +90,10 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
 
 
 def make_inertial_changes(element: Element, target: pin.Inertia) -> dict[str, str]:
-    """Return the changes of an <inertial> to the target inertia, in the present form."""
+    """Return {attribute: text} of an <inertial> for a target inertia in the frame of its body.
+
+    The present form (moments with axes, or full matrix) is kept.
+    """
     numbers = {"pos": target.lever, "mass": target.mass}
     if element.get("diaginertia") is None:
         numbers["fullinertia"] = inertia_entries(target.inertia)
@@ -144,7 +156,10 @@ class MjcfSide(Side):
         self.model: mujoco.MjModel = self.robot.mj_model
 
     def plan(self, taken: Collection[Key]) -> None:
-        """Plan all changes. Positions come first, because children move with the parent body."""
+        """Plan the changes of the MJCF for selected differences (kind, element).
+
+        Positions come first, because children move with the parent body.
+        """
         for key in taken:
             if key[0] == "position":
                 self._plan_position(key)
@@ -335,11 +350,13 @@ def _keep_trailing_parameters(element: Element, attribute: str, values: list[flo
 
 
 def plan_effort(side: MjcfSide, key: Key) -> None:
-    """Plan the torque limit of a joint.
+    """Plan the changes of the MJCF that give a joint its target torque limit.
 
     The limit is the smallest of ``actuatorfrcrange`` of the joint, ``forcerange`` of the actuator,
     and ``ctrlrange`` of a plain motor. Each stated bound that is the smallest, or below the target,
-    is changed. Without a stated bound, ``actuatorfrcrange`` is added.
+    is changed, as is a range from 0 to 0. Without a stated bound, ``actuatorfrcrange`` is added.
+    Nothing is planned, with a reason in ``side.unwritten``, if several actuators drive the joint or
+    an actuator is a copy of another element.
     """
     name, model = key[1], side.model
     target = side.target.joints[name].effort

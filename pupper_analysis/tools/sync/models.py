@@ -102,7 +102,9 @@ def sync_models(
 
     Only attributes with different numbers are written; all other bytes are unchanged. Changes are
     first verified on copies: a change that does not remove the difference is not written. Without
-    ``partial``, either all chosen changes are written, in both files, or none.
+    ``partial``, nothing is written if a chosen number cannot be written or its change does not
+    remove the difference. Chosen differences that are no numbers of both formats, or whose value
+    the chosen file does not state, remain in any case.
 
     Args:
         urdf: Path of the URDF.
@@ -174,8 +176,8 @@ def _make_verified_plan(
 ) -> tuple[Plan, FilesCompared]:
     """Return a plan whose changes remove the differences, and the comparison after these changes.
 
-    The plan is applied to copies, which are compared. Changes that mend nothing are removed; if an
-    engine refuses a copy, all changes are removed.
+    The plan is applied to copies, which are compared. Changes that do not remove their difference
+    are removed from the plan; if an engine refuses a copy, all changes are removed.
     """
     refused: dict[Key, Diagnostic] = {}
     while True:

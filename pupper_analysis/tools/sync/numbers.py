@@ -76,12 +76,14 @@ class WrittenNumbers:
     def make_writings(
         self, folder: Path, old_hashes: Mapping[str, str] | None = None, *, force: bool = False
     ) -> list[Writing]:
-        """Return the writings to a folder; files with the same content are left out.
+        """Return the file-writing requests that put the new files into a folder (for `write_all`).
+
+        Files that exist with the same content are left out.
 
         Args:
-            folder: Folder.
-            old_hashes: {path: hash} of an earlier result. A file is replaced if its content has
-                this hash.
+            folder: Output folder.
+            old_hashes: {path in the folder: hash} of an earlier result. An existing file is
+                replaced if its content has this hash.
             force: Replace any file that is not a file of the robot.
 
         Raises:
@@ -105,7 +107,7 @@ class WrittenNumbers:
         ]
 
     def hash_contents(self) -> dict[str, str]:
-        """Return {path: hash} of the contents, to recognise written files later."""
+        """Return {path in the folder: hash of the content}, to recognise written files later."""
         return {str(place): hash_content(content) for place, content in self.contents.items()}
 
 
@@ -428,7 +430,7 @@ class NumberChanges:
         }
 
     def tree(self, side: str) -> MultibodyTree:
-        """Return the multibody tree that a file shall have after the change.
+        """Return the multibody tree that a file shall have after the change of its numbers.
 
         Args:
             side: ``"urdf"`` or ``"mjcf"``.

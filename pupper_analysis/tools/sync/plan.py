@@ -127,7 +127,7 @@ class Plan:
     notes: dict[Key, Diagnostic] = field(default_factory=dict)
 
     def find_cause(self, key: Key) -> UnwrittenCause:
-        """Return the kind of reason why a difference is not written."""
+        """Return the kind of reason why the value of a difference is not written to a file."""
         return self.causes.get(key, UnwrittenCause.NOT_MENDED)
 
     def documents(self) -> Iterator[XmlDocument]:
@@ -251,7 +251,7 @@ def _describe_element(element: Element) -> str:
 
 
 def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
-    """Return True if the chosen file states no value.
+    """Return True if a chosen file (URDF or MJCF) states no value for a differing number.
 
     Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a
     link without <inertial> as 0. A URDF must state an effort; exporters write 0 if unknown.
@@ -285,8 +285,8 @@ def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: M
 
 
 _MJCF_FOLDER = "mjcf"
-"""Folder of the MJCF and the files that the MJCF needs, if neither model is within the top folder
-of the other."""
+"""Subfolder of the output folder for the MJCF and the files that it needs, if neither model is
+within the top folder of the other model."""
 
 
 @dataclass(frozen=True)
@@ -310,7 +310,7 @@ class FileLayout:
 
     @staticmethod
     def arrange(main: Path, needed: Iterable[Path], within: Iterable[Path] = ()) -> FileLayout:
-        """Create the layout of a model.
+        """Create the layout of a model's files for a copy of the model in an output folder.
 
         Args:
             main: Main file of the model.
@@ -323,13 +323,13 @@ class FileLayout:
 
     @cached_property
     def places(self) -> Mapping[Path, Path]:
-        """{file: path relative to the other folder}, including the main file."""
+        """{file of the model: path of its copy in the output folder}, including the main file."""
         return {
             file: self.aside / _normalise_path(file).relative_to(self.top) for file in self.files
         }
 
     def place(self) -> Path:
-        """Return the path of the main file."""
+        """Return the path of the main file's copy in the output folder."""
         return self.places[self.main]
 
 

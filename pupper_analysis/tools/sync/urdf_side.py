@@ -186,14 +186,17 @@ class UrdfSide(Side):
 
 
 def make_xyz_text(owner: Element | None, place: Array) -> str | None:
-    """Return the new text of ``xyz`` for a position; None if the <origin> states this position."""
+    """Return the text of ``xyz`` for a position (3,) [m]; None if <origin> states this position."""
     origin = None if owner is None else owner.find("origin")
     old_text = None if origin is None else origin.get("xyz")
     return format_numbers((old_text or "0 0 0").split(), place, 1.0)
 
 
 def make_inertial_changes(link: Element, target: pin.Inertia) -> Changes:
-    """Return the changes of a link's <inertial> to the target inertia, in the stated axes."""
+    """Return the changes of a link's <inertial> to a target inertia in the link's frame.
+
+    The stated axes of the inertia tensor are kept.
+    """
     inertial = link.find("inertial")
     mass_element, inertia_element = (inertial and inertial.find(tag) for tag in ("mass", "inertia"))
     changes: Changes = {}

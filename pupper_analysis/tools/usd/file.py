@@ -54,7 +54,7 @@ class UsdFile:
     notes: tuple[Diagnostic, ...] = ()
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Find a prim.
+        """Return the location (file and prim) of a joint or body of a USD stage.
 
         Args:
             kind: ``"joint"``, ``"actuator"`` or ``"equality"`` for a joint; otherwise a body.

@@ -393,11 +393,14 @@ class UsdModel(RobotModel):
 
     @cached_property
     def has_free_base(self) -> bool:
-        """Whether the base can move."""
+        """Whether the base of the robot is free to move."""
         return self.floating
 
     def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the kind of a joint's number, since names differ between schemas."""
+        """Return the name of a joint's number in messages, and None for its unit or default.
+
+        The name is the kind, such as ``damping``, since attribute names differ between schemas.
+        """
         return attribute.kind, None
 
     @property
@@ -810,10 +813,11 @@ def read_axis(prim: Any, name: str, default: str) -> str:
 
 
 def recover_decimals(value: Any) -> Array:
-    """Return numbers as written: for single-precision numbers the shortest decimal.
+    """Return numbers as they were probably typed, in an array of the same shape.
 
-    A written 0.18 is stored as 0.18000000715. No other decimal with as few digits has the same
-    nearest single-precision number.
+    A typed 0.18 is stored in single precision as 0.18000000715. A number in single precision is
+    replaced by the shortest decimal that has it as its nearest single-precision number; other
+    numbers are unchanged.
     """
     values = np.array(value, dtype=float)
     with np.errstate(over="ignore"):

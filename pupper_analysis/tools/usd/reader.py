@@ -401,14 +401,17 @@ schemas are in single precision (1e-7), and some writers use five digits. Chosen
 
 
 def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Find bodies whose mass comes from shapes without a stated density."""
+    """Yield a finding for each body whose mass follows from shapes without a stated density.
+
+    USD then assumes the density of water, hence the name of the rule.
+    """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.WATER:
             yield CheckFinding(robot.link_tag, name, diagnose("mass-of-water"))
 
 
 def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Find bodies without any statement of mass; a NOTE if the body is fixed to another body."""
+    """Yield a finding for each body without a mass; a NOTE if it is fixed to another body."""
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.UNKNOWN:
             is_separate = robot.links[name].moving or robot.links[name].parent is None
@@ -419,7 +422,10 @@ def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Find bodies whose mass, CoM or inertia follows from shapes; WARNING if only the CoM does."""
+    """Yield a finding for each body whose mass, CoM or inertia follows from shapes.
+
+    A WARNING if only the CoM does.
+    """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.SHAPES:
             message = diagnose(
@@ -430,7 +436,7 @@ def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def joint_numbers_contradict(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Find joints for which several schemas state different numbers."""
+    """Yield a finding for each joint for which several USD schemas state different numbers."""
     for name, edge in robot.edges.items():
         for kind, stated in edge.stated.items():
             values = np.array(list(stated.values()))

@@ -118,7 +118,7 @@ class Contract:
         return len(self.default)
 
     def term_size(self, term: Term) -> int:
-        """Return the number of elements of a term."""
+        """Return the number of elements of a term of the observation."""
         if term.name == "phase":
             return 2 * len(self.phase_offsets)
         return TERM_SIZES[term.name] or self.num_joints
@@ -129,10 +129,11 @@ class Contract:
         return sum(self.term_size(term) for term in self.terms)
 
     def reorder_joints(self, order: Sequence[int]) -> Contract:
-        """Return the contract of a policy whose joint i drives the joint that ``order[i]`` drove.
+        """Return a contract (definition of observation and action) with permuted robot joints.
 
-        Default positions, scales, limits and gains remain with the outputs of the policy, as on a
-        robot with exchanged cables.
+        Output i of the policy then drives the joint that output ``order[i]`` has driven. Default
+        positions, scales, limits and gains remain with the outputs of the policy, as on a robot
+        with exchanged cables.
         """
         return replace(self, joints=tuple(self.joints[index] for index in order))
 
@@ -146,12 +147,15 @@ _KEY_OF_QUANTITY = {
     "upper limit": "upper",
     "latency": "latency",
 }
-"""Contract key of each quantity in the statements of a source. The step of the policy gives
-``rate``."""
+"""{quantity that a policy's source file states: key of the contract}. ``rate`` is not listed: it is
+the reciprocal of the stated policy step."""
 
 
 def convert_source_statements(source: Source) -> dict[str, Any]:
-    """Return the statements of a policy file as contract keys, as in a TOML file."""
+    """Return the quantities that a policy's source file states as {contract key: value}.
+
+    The keys and values are those of a contract TOML file.
+    """
     values: dict[str, Any] = {}
     for statement in source.statements:
         value = (
@@ -173,12 +177,17 @@ def convert_source_statements(source: Source) -> dict[str, Any]:
 
 
 def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[str, Any]:
-    """Return the contract keys that Pupper's neural_controller implies for an RTNeural JSON.
+    """Return {contract key: value} that Pupper's neural_controller implies for an RTNeural JSON.
 
-    The frame is that of ``neural_controller.cpp``, with 36 elements, or 33 without a commanded
-    orientation: angular velocity, gravity, command, commanded vertical, joint positions, last
-    action. The newest frame is the first; elements are clipped at 100; an action every 20 ms.
-    Empty if the JSON has no ``observation_history``.
+    The observation of a time step (frame) is that of ``neural_controller.cpp``: angular velocity,
+    gravity, command, commanded vertical, joint positions, last action; 36 elements for twelve
+    joints, or 33 without the commanded vertical. The newest frame is the first; elements are
+    clipped at 100; an action every 20 ms.
+
+    Args:
+        values: Content of the JSON. The result is empty if it has no ``observation_history``.
+        inputs: Number of inputs of the network.
+        outputs: Number of outputs of the network.
     """
     if "observation_history" not in values:
         return {}
@@ -209,9 +218,13 @@ class _MergedValues:
     joints: int
 
     def vector(self, key: str, fallback: float | None, size: int | None = None) -> Array | None:
-        """Return a vector of `size` elements from a single number or `size` numbers.
+        """Return the vector of a contract key, shape (size,), from one number or `size` numbers.
 
-        None if the key is missing and has no default.
+        None if the key is missing and `fallback` is None.
+
+        Raises:
+            ModelError: If the value is no such number or list, or an element is not finite (limits
+                may be infinite).
         """
         value = self.values.get(key, fallback)
         if value is None:
@@ -227,9 +240,10 @@ class _MergedValues:
         return vector
 
     def number(self, key: str, fallback: float | None, low: float, high: float) -> float:
-        """Return a number within closed bounds.
+        """Return the number of a contract key, from `low` to `high`.
 
-        Raise ModelError if the key is missing and has no default, or the value is not valid.
+        Raises:
+            ModelError: If the key is missing and `fallback` is None, or the value is not valid.
         """
         value = self.values.get(key, fallback)
         if value is None:

@@ -443,7 +443,7 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
 
 
 def _describe_change(candidate: Candidate) -> doc.Words:
-    """Describe the difference of a reading from the stated contract."""
+    """Return the text of the difference of an interpretation from the stated contract."""
     if candidate.change == "stated":
         return text("walk-change-stated")
     if candidate.change == "sign":
@@ -454,11 +454,12 @@ def _describe_change(candidate: Candidate) -> doc.Words:
 
 
 _MAX_SHOWN_CANDIDATES = 12
-"""Maximum number of readings in the table, in addition to the stated reading."""
+"""Maximum number of interpretations of a policy in the table, in addition to the stated one.
+Chosen, not tuned."""
 
 
 def _make_candidate_table(result: Orders) -> doc.Table:
-    """Create the table of the best readings."""
+    """Create the table of the best interpretations of a policy."""
     places = sorted({*range(min(_MAX_SHOWN_CANDIDATES, len(result.candidates))), result.stated})
     rows = []
     for place in places:

@@ -51,8 +51,9 @@ TURN_ATOL = 0.1
 tuned."""
 
 MIN_FOLLOWED_FRACTION = 0.5
-"""Upper bound of the error, as 1 - fraction of a command that is not zero. Needed for slow
-commands: at 0.13 m/s the tolerance is most of the command. Chosen, not tuned."""
+"""Smallest fraction of a nonzero speed or turning command that a tracking robot reaches. Needed for
+slow commands: at 0.13 m/s the tolerances (`SPEED_RTOL`, `SPEED_ATOL`) are most of the command.
+Chosen, not tuned."""
 
 LIMIT_FRACTION = 0.99
 """Fraction of the torque limit from which a motor is counted as saturated. Chosen, not tuned."""
@@ -159,7 +160,7 @@ class Walk(Result):
 
     @property
     def passed(self) -> bool:
-        """True if all runs track the command, and the files state the masses of all links."""
+        """Whether all runs track the command, and the files state the masses of all links."""
         return all(gait.tracks for gait in self.gaits) and not has_unknown_masses(self.remarks)
 
 
@@ -265,9 +266,10 @@ def simulate_walk(
 
 
 def joint_torques(stage: Stage, run: Run) -> Array:
-    """Return the motor torques of a run at the start of each step, shape (n, nu) [N m].
+    """Compute the motor torques of a run at the start of each of n steps, shape (n, nu) [N m].
 
-    Computed with MuJoCo's actuator law: clip(gain ctrl + bias, force range) x gear.
+    MuJoCo's actuator law is evaluated: clip(gain u + bias, force range) x gear, with u the clipped
+    control, or the activation of an actuator with dynamics. 0 for joints without a motor.
     """
     model, convention = run.case.model, stage.robot.mj_convention
     driven = np.flatnonzero(convention.actuator_index >= 0)

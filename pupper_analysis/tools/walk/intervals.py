@@ -185,12 +185,15 @@ class TrackedInterval(Result):
 
     @property
     def common(self) -> tuple[float, float]:
-        """Interval of the varied quantity in which the robot tracks its command with every seed."""
+        """Interval of the varied quantity, in its unit, in which all seeds track the command."""
         return float(self.least.max()), float(self.most.min())
 
     @property
     def inside(self) -> bool | None:
-        """True if the measured interval is within ``common``; None without a measured interval."""
+        """Whether the measured interval is within the interval that all seeds track.
+
+        None without a measured interval.
+        """
         if self.measured is None:
             return None
         low, high = self.common
@@ -229,9 +232,10 @@ class TrackedIntervals(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the unchanged robot tracks with all seeds within all measured intervals.
+        """Whether the policy tracks the command on the robot, and within all measured intervals.
 
-        False if the files do not state the masses of all links.
+        The unchanged robot must track with all seeds, each measured interval must be within the
+        tracked interval, and the files must state the masses of all links.
         """
         tracked = len(self.seeds) == self.requested_seeds
         inside = all(interval.inside is not False for interval in self.intervals)
@@ -394,10 +398,12 @@ therefore not used."""
 def read_measured_intervals(
     path: str | Path, robot: Robot, latency: float = 0.0
 ) -> dict[str, tuple[float, float]]:
-    """Return the 95 % intervals of a real robot's quantities from the result of ``fit``.
+    """Return {quantity: (low, high)} of a real robot from the 95 % intervals of a ``fit`` result.
 
-    Mass and centre of mass refer to the base. Gains are factors on the stated value; of several
-    joints the union of the intervals is returned. A delay is reduced by the latency of the policy.
+    ``mass`` (factor) and ``com`` (forward displacement [m]) are those of the base. ``kp`` and
+    ``kd`` are factors on the stated gains, from the lowest to the highest end of the intervals of
+    all joints. ``delay`` [s] is reduced by the latency of the policy, to at least 0. Other
+    parameters of the fit are ignored.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.

@@ -26,8 +26,9 @@ MAX_WEIGHTS = 50_000_000
 have about 1e6."""
 
 MAX_VALUE_SIZE = 1_000_000
-"""Most elements of an operation's result, unless an input has as many (chosen, not tuned): refuses
-graphs whose values double from layer to layer. The widest layers of walking policies have 1024."""
+"""Maximum number of elements of an operation's result, unless an input has as many: refuses graphs
+whose values double from layer to layer. The widest layers of walking policies have 1024. Chosen,
+not tuned."""
 
 
 def sigmoid(value: Array) -> Array:
@@ -168,17 +169,19 @@ class Network:
 
     @property
     def num_parameters(self) -> int:
-        """Number of weights."""
+        """Number of weights of the network."""
         return sum(constant.size for constant in self.constants.values())
 
     def initial_memory(self, runs: int) -> tuple[Array, ...]:
-        """Return the recurrent states at the start of runs: zeros."""
+        """Return zeros for each recurrent state at the start of runs, shape (runs, 1, size)."""
         return tuple(np.zeros((runs, 1, size)) for _, _, size in self.memory)
 
     def forward(
         self, observations: Array, memory: Sequence[Array] = ()
     ) -> tuple[Array, tuple[Array, ...]]:
-        """Return the actions (runs, outputs) and the next recurrent states.
+        """Evaluate the network: return the actions, shape (runs, outputs), and the next memory.
+
+        The memory are the recurrent states.
 
         Args:
             observations: Observations, shape (runs, inputs).
@@ -213,7 +216,7 @@ def assemble_network(
         nodes: Operations in the order of evaluation.
         constants: {name: weights}.
         ends: Names of the observation and of the action.
-        memory: As ``Network.memory``.
+        memory: (name, name of the next value, number of elements) of each recurrent state.
         inputs: Number of elements of an observation.
 
     Raises:

@@ -38,8 +38,8 @@ DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
-"""Smallest ratio between the costs of the second and the first candidate at which the first is
-unique. Chosen: on v3 the ratio is 1.2 for Pupper's own policy."""
+"""Ratio of the costs of the second and the first candidate above which the first candidate counts
+as clearly better. Chosen: on v3 the ratio is 1.2 for Pupper's own policy."""
 
 SCALE_FACTORS = (0.5, 2.0)
 """Factors on the stated action scale that are tried. With smaller deviations a policy still
@@ -52,7 +52,7 @@ Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Result):
-    """Interpretation (reading) of a policy, with the result of simulated walking.
+    """Interpretation of a policy's inputs and outputs, with the result of simulated walking.
 
     Attributes:
         change: Difference from the stated contract: ``stated``, ``limbs``, ``by-kind``, ``sign``,
@@ -82,7 +82,7 @@ class Candidate(Result):
 
 @dataclass(frozen=True, eq=False)
 class Orders(Result):
-    """Ranked readings of a policy: orders and signs of joints, scales, histories.
+    """Ranked interpretations of a policy: orders and signs of joints, scales, histories.
 
     Offsets of joint zeros are not tried: a policy also walks with offsets of 0.3 rad.
 
@@ -90,8 +90,8 @@ class Orders(Result):
         name: Name of the robot.
         policy: File name of the policy.
         commands: Tried commands, shape (n, 3) (m/s, m/s, rad/s).
-        candidates: Readings, the best first: most tracked commands, then the smallest cost.
-        stated: Index of the stated reading in `candidates`.
+        candidates: Interpretations, the best first: most tracked commands, then the smallest cost.
+        stated: Index of the stated interpretation in `candidates`.
         lead: Cost of the second candidate / cost of the first, if both track as many commands; else
             None.
         seconds: Duration of each run.
@@ -159,7 +159,8 @@ def rank_orders(
       by limb, or by limb if currently grouped by kind.
     - The opposite sign of each joint, and of all joints of the same kind.
     - Half and twice the action scale.
-    - With a history of several steps: the reversed history, and the other layout of the history.
+    - With a history of several steps: the reversed history; and a history ordered by term instead
+      of by time step, or the reverse.
 
     Args:
         robot: Robot.
@@ -225,7 +226,7 @@ Change = tuple[str, str, tuple[str, ...]]
 
 
 def _list_readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
-    """Yield each change with the changed contract."""
+    """Yield each interpretation: change from the stated contract, and changed contract."""
     stated_joints = contract.joints
     limbs = group_limbs(robot, stated_joints)
     yield ("stated", "", ()), contract
@@ -305,7 +306,7 @@ def _evaluate_reading(
     change: Change,
     workers: int | None,
 ) -> Candidate:
-    """Simulate a reading with all commands."""
+    """Simulate an interpretation of a policy with all commands, and return its result."""
     stage = prepare_stage(robot, policy)
     cases = [stage.case(command) for command in commands]
     tracked = fallen = 0

@@ -68,7 +68,7 @@ class Policy:
 
     @classmethod
     def load(cls, path: str | Path, contract: str | Path | None = None) -> Policy:
-        """Read a policy.
+        """Read a walking policy (network and contract) from files.
 
         No code of the file is executed, except TorchScript, by torch's
         interpreter.
@@ -96,7 +96,7 @@ class Policy:
         return cls(path.name, network, merged)
 
     def with_contract(self, **changed: Any) -> Policy:
-        """Return the policy with changed contract fields."""
+        """Return the policy with changed fields of its contract (observation and action)."""
         return replace(self, contract=replace(self.contract, **changed))
 
 

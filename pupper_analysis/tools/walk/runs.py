@@ -46,8 +46,8 @@ PUSH_TIME = 2.0
 """Start of the push of a run [s]. Chosen so that the robot walks by then."""
 
 _CHECKED_FALL_FRACTION = 0.9
-"""Fraction of the tilt and height loss of a fall, above which the exact fall criterion is
-evaluated. Chosen, not tuned."""
+"""Fraction of the tilt and height loss of a fall above which the exact fall criterion, which is
+slower, is evaluated. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
