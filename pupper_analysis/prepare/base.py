@@ -41,16 +41,19 @@ frame is not raised: about 45 deg. Chosen, not tuned."""
 def free_base(
     urdf: UrdfFile, spec: mujoco.MjSpec, source: Path
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Return a spec with a free base if the robot has two limbs or more, and notes.
+    """Add a free joint to the base of a robot with two or more limbs, if it has none; return notes.
 
     Args:
         urdf: URDF.
         spec: Spec of the MJCF; modified in place.
         source: File of the MJCF.
 
+    Returns:
+        The spec, and notes about the change; no notes without a change.
+
     Raises:
-        ModelError: If the robot has limbs but no base body: MuJoCo fuses the root link of a URDF
-            with the world, and the mass of this link is lost.
+        ModelError: If two or more limbs are fixed to the world without a base body: MuJoCo fuses
+            the root link of a URDF with the world, and the mass of this link is lost.
     """
     stated = set(urdf.tree.joints)
     if has_free_joint(spec):
@@ -81,7 +84,10 @@ def _yield_limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
 
 
 def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Remove the dry friction of free joints, in place: friction would hold a falling robot."""
+    """Set the dry friction of free joints to 0 in a spec, in place; return a note per joint.
+
+    This friction would hold a falling robot.
+    """
     notes = []
     for joint in spec.joints:
         if joint.type == JointKind.FREE and joint.frictionloss:
@@ -99,21 +105,20 @@ def place_base_frame(
 ) -> list[Diagnostic]:
     """Raise the frame of a free base to the height of its CoM if no limb ends below the frame.
 
-    The frame is kept if tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs
-    do not hang below the CoM. Roll, pitch and height of a stand refer to the base frame with z up.
-    A note is added instead if the frame is tilted by more than 45 deg in the keyframe `home` (or
-    the first keyframe, or without keyframes in the initial state). The frame of the URDF is matched
-    later, like other differences of frames.
+    Roll, pitch and height of a stand refer to the base frame with z up. The frame is kept if it is
+    tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM.
+    If the frame is tilted by more than 45 deg in the keyframe `home` (or the first keyframe, or
+    without keyframes in the initial state), a note is returned.
 
     Args:
         spec: Spec of the MJCF, in which all bodies have names; modified in place.
-        file: Compiled model of the file; the same, unless the base has been freed.
-        source: File.
+        file: Compiled model of the published file, before the base was freed.
+        source: File name for errors.
         insert_visuals: Function that puts deferred visual meshes into a spec; None if no mesh is
             deferred. It is called if the collision geoms do not decide.
 
     Returns:
-        Notes.
+        Notes about the change, or about the tilt; mostly empty.
 
     Raises:
         ModelError: If MuJoCo refuses the spec.

@@ -1,6 +1,9 @@
-"""Candidate causes of a difference between a published model and the prediction.
+"""Candidate causes of a different behaviour of a published model and its prepared robot.
 
-Each candidate is an element of the file that can be switched off in a copy of the model.
+Input is the published model, the file as MuJoCo compiles it, and the prepared robot, whose stands
+are predicted. Output is a list of elements of the file, such as a servo bias, a limit or a contact
+exclusion. Each element can be switched off in a copy of the model; if the difference then
+disappears in a simulation, the element is its cause (`prepare.self_check`).
 """
 
 from __future__ import annotations
@@ -32,8 +35,8 @@ Array = NDArray[np.float64]
 _OBJECT_TYPE = mujoco.mjtObj
 
 _MAX_FINE_TIMESTEP = 2e-3
-"""Upper bound of the time step [s] with which servos and contacts are integrated accurately.
-Chosen."""
+"""Upper bound of the time step [s] of the test whether a long time step causes a difference. Chosen,
+not tuned: MuJoCo's default."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
 """Lower bound of the iterations and upper bound of the tolerance of an accurate constraint solver.
@@ -60,8 +63,13 @@ class CauseCandidate:
     elements: tuple[str, ...]
     switch_off: Callable[[mujoco.MjModel], None]
 
-    def to_cause(self, remaining: float) -> Cause:
-        """Return the candidate as a cause, with the deviation that remains without it."""
+    def make_cause(self, remaining: float) -> Cause:
+        """Create the `Cause` of this candidate.
+
+        Args:
+            remaining: Deviation that remains if the candidate is switched off [unit of the
+                compared quantity].
+        """
         return Cause(self.code, self.elements, None, remaining)
 
 
@@ -88,14 +96,21 @@ _XML_SECTIONS = {
 
 
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
-    """Return a cause with the line of the first element; unchanged without section or element."""
+    """Add the line number of the first element in the MJCF to a cause.
+
+    The cause is returned unchanged if it has no elements, or no section in `_XML_SECTIONS`.
+    """
     if cause.code not in _XML_SECTIONS or not cause.elements:
         return cause
     return replace(cause, line=mjcf.place(_XML_SECTIONS[cause.code], cause.elements[0]).line)
 
 
-def list_candidate_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
-    """Return elements of an MJCF that may cause a difference, except physical causes."""
+def list_difference_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
+    """Return the elements of an MJCF that the preparation changes, ignores or overrides.
+
+    Such an element may be the reason why the published model behaves differently from the prepared
+    robot: solver settings, contact exclusions, limits, servo laws, equalities and shapes.
+    """
     model = published.model
     return [
         *_list_numerics(model),
@@ -110,8 +125,12 @@ def list_candidate_causes(published: PublishedModel, robot: Robot) -> list[Cause
     ]
 
 
-def list_physical_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
-    """Return the elements of an MJCF that may cause a failure of the prepared robot, too."""
+def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
+    """Return elements of an MJCF that also act in the prepared robot, and may make both fail.
+
+    These are actuators with a negative gear, springs, joint limits, fluid forces, gravity that is
+    not vertical, and slippery or soft contacts.
+    """
     return [
         *_list_sign_causes(published, robot),
         *_list_force_causes(published, robot),
@@ -144,7 +163,7 @@ NUMERICS_CODES = ("timestep", "iterations")
 """Codes of the causes in integration and constraint solver."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
-"""Codes of the causes that change the target of a command."""
+"""Codes of the causes that change the position that a servo command specifies."""
 
 
 def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
@@ -175,7 +194,7 @@ def _yield_if_any(
 
 
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield integration and constraint solver, if less accurate than the reference."""
+    """Yield the integration, and the constraint solver if less accurate than `_MIN_ITERATIONS`."""
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
     if not model.actuator_delay.any():  # a delay is stored as a number of samples
@@ -268,11 +287,12 @@ def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 STIFFNESS_FACTOR = 4.0
-"""Factor by which servos are made stiffer to test whether their stiffness is too low. Chosen."""
+"""Factor on stiffness and damping of servos in the test whether their stiffness is too low. Chosen,
+not tuned."""
 
 
 def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield the position servos as one candidate; damping grows with stiffness."""
+    """Yield the position servos as one candidate, which multiplies their gains by 4."""
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = model.actuator_biastype[motors] == mujoco.mjtBias.mjBIAS_AFFINE.value
     fixed = model.actuator_gaintype[motors] == mujoco.mjtGain.mjGAIN_FIXED.value
@@ -287,12 +307,12 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
 
 
 _MIN_FRICTION = 0.3
-"""Friction coefficient below which a contact may slip by a mistake of the file. Chosen: wet
-steel has more."""
+"""Sliding friction coefficient below which a contact is tested as the cause of a difference, since
+the value may be a mistake of the file. Chosen lower than that of usual materials."""
 
 _SOUND_FRICTION = 0.8
-"""Friction coefficient that replaces that of slippery contacts in a test simulation, to find
-if the friction causes a difference: rubber on a floor."""
+"""Sliding friction coefficient that replaces the coefficient of slippery contacts in a test
+simulation. Chosen as that of rubber on a floor."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
 """Time constant of a contact (``solref``) [s] above which the contact is tested as the cause of a
@@ -485,10 +505,10 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 
 
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Return the changes on loading that cannot be switched off in the file.
+    """Return the changes by the preparation that no change of the published model can undo.
 
-    These are bodies whose shapes were replaced by balls, and joints whose actuator has another
-    control law (`Drive.has_other_law`).
+    These are bodies whose shapes were replaced by balls, and joints whose actuator is no position
+    servo (`Drive.has_other_law`).
     """
     bodies = _list_ball_bodies(robot)
     named = zip(robot.joint_names, published.drives, strict=True)

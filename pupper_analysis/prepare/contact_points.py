@@ -23,40 +23,41 @@ from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import ground_geom
 
 BALL_RADIUS = 2e-3
-"""Radius of the balls at the corners of a sole [m]. A tilt of 1 mrad moves their contact by 2
-um."""
+"""Radius of the balls that replace the corners of a sole [m]. Chosen small: a tilt of 1 mrad moves
+their contact by 2 um."""
 
 TILT_DIRECTIONS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
-"""Directions in which a sole is tilted, to test whether its contact points change."""
+"""Directions in the plane of a sole towards which its normal is tilted, to test whether the contact
+points change; the first is no tilt."""
 
 TILT_ANGLE = 1e-4
-"""Tilt of a sole in the test with `_TILT_DIRECTIONS` [rad]. One end of a foot of 0.3 m is raised by
-30 um, less than the test penetration, so both ends still touch."""
+"""Tilt of a sole in the test with `TILT_DIRECTIONS` [rad]. Chosen: one end of a foot of 0.3 m is
+raised by 30 um, less than `_TEST_PENETRATION`, so both ends still touch."""
 
 _NUM_POSES = 3
-"""Number of random joint positions in `can_keep_sole_flat`: in a single sample, the leg may be
-straight."""
+"""Number of random joint positions that `can_keep_sole_flat` tests. Chosen: with a single sample,
+the leg may be straight."""
 
 _RANK_RTOL = 1e-2
 """Relative tolerance of rank decisions in `can_keep_sole_flat`. Chosen, not tuned: mesh soles
 are tilted by rounding of their vertices."""
 
 _MAX_CORNERS = 8
-"""Upper bound of the number of corners of a sole. Corners with the smallest area are removed
-first."""
+"""Upper bound of the number of contact points at the corners of a sole. Corners with the smallest
+area are removed first. Chosen, not tuned."""
 
 
 def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
-    """Return the indices of the points that are the corners of a sole.
+    """Find the corners of a sole: return their indices among the points of a foot.
 
     Args:
         points: Points of the foot, shape (n, 3) [m].
-        out: Outward normal of the sole, shape (3,).
+        out: Outward normal of the sole, shape (3,), in the frame of the points.
         flat: Distance from the lowest point [m] within which a point belongs to the sole.
 
     Returns:
-        Corners of the convex hull of the sole, at most `_MAX_CORNERS`. Empty if the sole has no
-        area.
+        Indices of the corners of the sole's convex hull, at most `_MAX_CORNERS`. Empty if the sole
+        has no area.
     """
     height = points @ out
     on = np.flatnonzero(height > height.max() - flat)
@@ -82,7 +83,7 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
 
 
 def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
-    """Return True if a leg can lift the sole without tilting the sole.
+    """Return True if the joints of a leg can move its sole along the normal without tilting it.
 
     This is possible with four joints if three of the axes are parallel (for example hip, knee
     and ankle) and the fourth joint keeps these axes level. The test evaluates the Jacobian in
@@ -155,12 +156,14 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
 
 
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
-    """Fit a sphere to the lower end of points: |p - c| = r is linear in c and r^2 - |c|^2.
+    """Fit a sphere to the lower end of a foot's points: centre and radius.
+
+    The equation |p - c| = r is linear in c and r^2 - |c|^2.
 
     Args:
         points: Points, shape (n, 3) [m].
-        tip: Lowest point, shape (3,) [m].
-        down: Unit vector towards the ground, shape (3,).
+        tip: Lowest point, shape (3,) [m], in the frame of the points.
+        down: Unit vector towards the ground, shape (3,), in the frame of the points.
 
     Returns:
         Centre, shape (3,) [m], of the largest part that fits, and radius [m] along ``down`` from
@@ -216,18 +219,20 @@ _SPHERE_POINTS = np.array(
 )
 
 _APEX_HEIGHT = 1.0
-"""Height [m] of a point added above a sole, so that coplanar points have a hull with a volume."""
+"""Height [m] of an auxiliary point above a sole, with which coplanar points have a convex hull with
+a volume. Chosen, not tuned."""
 
 _FOOT_SPHERE_RISE = 5e-3
-"""Height [m] above a foot's lowest point within which a sphere is part of the foot. Chosen."""
+"""Height [m] above a foot's lowest point within which a sphere is part of the foot. Chosen, not
+tuned."""
 
 _MAX_AXIS_COSINE = 0.1
-"""Upper bound of |cos| between a cylinder's axis and the vertical if the cylinder lies on its
-side."""
+"""Upper bound of |cos| of the angle between a cylinder's axis and the vertical, with which the
+cylinder counts as lying on its side (a wheel). Chosen, not tuned."""
 
 _SOLE_ATOL = 1e-3
-"""Distance [m] from a plane within which facets of a mesh, and spheres, form a common sole.
-Chosen."""
+"""Distance [m] from a plane within which facets of a mesh, and spheres, form a common sole. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +342,7 @@ def _make_contact_point(
 def compute_lowest_height(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> float:
-    """Return the height of the lowest point of geoms [m]; infinite without geoms."""
+    """Compute the world height of the lowest point of some geoms [m]; infinite without geoms."""
     return min(
         (
             float(point[2]) - radius

@@ -75,16 +75,17 @@ needed. Chosen."""
 def list_dependent_joints(robot: Robot) -> list[int]:
     """Return the indices (actuator order) of dependent joints, which need no servo.
 
-    The positions of dependent joints follow from closed loops or couplings.
+    Closed loops or couplings determine the positions of dependent joints.
     """
     return [] if robot.closure is None else robot.closure.dependent_joints.tolist()
 
 
 def add_loop_motors(robot: Robot) -> Robot:
-    """Add motors without effect to the joints of a robot with closed loops that have no motor.
+    """Add motors without torque to the independent joints of closed loops that have no motor.
 
-    Dependent joints get none. Motors come first in actuator order, so the order is then
-    final before a stand is solved. Without closed loops the robot is returned unchanged.
+    The actuator order lists joints with motors first. Stands are solved after this call, so that
+    servos, which are added later, do not change the order. Without closed loops the robot is
+    returned unchanged.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
         list_dependent_joints(robot)
@@ -102,14 +103,15 @@ def add_position_servos(
 ) -> tuple[Robot, Array, Array, int]:
     """Add position servos to the joints without one, with gains that hold a stand.
 
-    Candidates of gains and time step are tried in order. The first is chosen with which the
-    robot comes to rest in the stand, at rest agrees with the prediction (unless both files
-    describe different robots), and with which the published MJCF also comes to rest, with its own
-    time step and shapes. The MJCF is not tested with a reduced time step, which is used only if no
-    candidate with the time step of the file agrees with the prediction. If no candidate meets
-    all conditions, the first that agrees with the prediction is chosen; then the first that
-    comes to rest with and without feed-forward; then the first that comes to rest with
-    feed-forward alone; then the first candidate.
+    Candidates of gains and time step are tried in order. A candidate is chosen if the robot comes
+    to rest in the stand with and without feed-forward, if the rest position agrees with the
+    prediction (unless both files describe different robots), and if the published MJCF with these
+    servos comes to rest, too. The MJCF is not tested with a reduced time step, which is used only
+    if no candidate with the time step of the file agrees with the prediction.
+
+    If no candidate meets all conditions, the choice is, in this order: the first that agrees with
+    the prediction; the first that comes to rest with and without feed-forward; the first that comes
+    to rest with feed-forward; the first candidate.
 
     Args:
         robot: Robot.
@@ -167,19 +169,20 @@ def add_position_servos(
             results[number, fed] = comes_to_rest(trial, stand, feedforward=fed, kp=kp, kd=kd)
         return results[number, fed]
 
-    def first(*directions: bool) -> Iterator[tuple[int, Array, Array]]:
-        """Yield the candidates with which the robot comes to rest in the given modes.
+    def find_resting_candidates(*feedforward: bool) -> Iterator[tuple[int, Array, Array]]:
+        """Yield the candidates (time step divisor, kp, kd) with which the robot comes to rest.
 
+        ``feedforward`` lists the simulations: with (True) or without (False) feed-forward.
         Simulations without feed-forward run first: most candidates that fall do so in such a
         simulation, within seconds.
         """
         for number, candidate in enumerate(candidates):
             report_progress("servos", number, len(candidates))
-            if all(rests(number, fed=way) for way in sorted(directions)):
+            if all(rests(number, fed=fed) for fed in sorted(feedforward)):
                 yield candidate
 
     resting = good = None
-    for parts, kp, kd in first(False, True):
+    for parts, kp, kd in find_resting_candidates(False, True):
         if good and parts > 1:
             break  # no further candidate has the time step of the file
         resting = resting or (parts, kp, kd)
@@ -191,25 +194,26 @@ def add_position_servos(
             return made, kp, kd, 2
         if settles_in_place(file, _record_added_servos(made, kp, kd, original), stand.qpos):
             return made, kp, kd, 2
-    fed = None if resting else next(first(True), None)
+    fed = None if resting else next(find_resting_candidates(True), None)
     parts, kp, kd = good or resting or fed or candidates[0]
     return built(parts, kp, kd), kp, kd, 2 if resting else int(fed is not None)
 
 
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos with suggested gains; the gains for a fixed base if there is no stand.
+    """Add position servos with suggested gains at joints without one, and return notes.
 
-    Gains are chosen without torque limits of zero, which apply again to the returned robot.
+    The gains hold the nominal stand; without such a stand they are those for a fixed base. Torque
+    limits of zero are ignored in the choice, and apply again to the returned robot.
 
     Returns:
         Robot with servos, and notes.
     """
-    made, messages = _with_chosen_servos(_lift_null_efforts(robot), mjcf)
-    return _restore_null_efforts(made, robot), messages
+    made, messages = _with_chosen_servos(_remove_zero_limits(robot), mjcf)
+    return _restore_zero_limits(made, robot), messages
 
 
-def _lift_null_efforts(robot: Robot) -> Robot:
-    """Return the robot without torque limits of zero; the robot itself if no limit is zero."""
+def _remove_zero_limits(robot: Robot) -> Robot:
+    """Return the robot with unknown in place of zero torque limits; unchanged if none is zero."""
     null = [limit.joint for limit in robot.efforts if limit.without_torque]
     if not null:
         return robot
@@ -219,8 +223,8 @@ def _lift_null_efforts(robot: Robot) -> Robot:
     return rebuild_robot(robot, urdf=to_text(urdf.root), null_efforts={})
 
 
-def _restore_null_efforts(made: Robot, robot: Robot) -> Robot:
-    """Return a robot with servos and the torque limits of the robot before this change."""
+def _restore_zero_limits(made: Robot, robot: Robot) -> Robot:
+    """Return the robot with servos, ``made``, with the zero torque limits of ``robot`` again."""
     if not any(limit.without_torque for limit in robot.efforts):
         return made
     return rebuild_robot(
@@ -249,9 +253,9 @@ def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagn
 
 
 def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
-    """Return kp [N m/rad] and kd [N m s/rad] of `suggest_fixed_base_gains`, shape (nu,) each.
+    """Return the gains of servos for a fixed base: kp [N m/rad], kd [N m s/rad], (nu,) each.
 
-    Joints are in actuator order.
+    These are the gains of `suggest_fixed_base_gains` in actuator order.
     """
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
@@ -262,9 +266,9 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base, at joints without one."""
-    made, messages = _with_held_servos(_lift_null_efforts(robot), mjcf)
-    return _restore_null_efforts(made, robot), messages
+    """Add position servos to a robot with a fixed base, at joints without one; return notes."""
+    made, messages = _with_held_servos(_remove_zero_limits(robot), mjcf)
+    return _restore_zero_limits(made, robot), messages
 
 
 def _with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
@@ -311,7 +315,11 @@ def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> 
 def _merge_gains(
     robot: Robot, own_gains: Mapping[str, tuple[float, float]], kp: Array, kd: Array
 ) -> tuple[Array, Array]:
-    """Return gains (nu,) from the robot's own servos; zero for dependent joints."""
+    """Return kp and kd (nu,): those of ``own_gains`` at joints with a servo in the MJCF.
+
+    Other joints have the suggested gains ``kp`` [N m/rad] and ``kd`` [N m s/rad], and dependent
+    joints 0.
+    """
     gains = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     merged = np.array(
         [own_gains.get(name, (stiffness, damping)) for name, stiffness, damping in gains]
@@ -347,11 +355,10 @@ def make_missing_servos(
     timestep: float,
     own: Collection[str] | None = None,
 ) -> list[Addition]:
-    """Return the additions that give a position servo to each joint without one.
+    """Create the additions to an MJCF that give a position servo to each joint without one.
 
     Dependent joints get none. The force range is the motor's limit, if that is finite and not
-    empty. The integrator becomes ``implicitfast``: explicit
-    damping makes light joints oscillate.
+    empty. The integrator becomes ``implicitfast``: explicit damping makes light joints oscillate.
 
     Args:
         robot: Robot.

@@ -79,8 +79,8 @@ limbs are reported to point along this axis: about 45 deg. Chosen, not tuned."""
 
 
 _MIN_LIMB_LENGTH = 1e-3
-"""Lower bound of a limb's length [m] in the division that normalises its direction: a wheel has
-none. Chosen."""
+"""Lower bound of a limb's length [m] by which its direction is divided: the length of a wheel is
+zero. Chosen, not tuned."""
 
 
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
@@ -111,7 +111,7 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
 
 
 def count_joints_to_base(robot: Robot, body: int) -> int:
-    """Return the number of joints between a body (id) and the base."""
+    """Return the number of joints between the body with this MuJoCo id and the base."""
     model, count = robot.mj_model, 0
     base = model.body(robot.mj_base).id
     while body not in (0, base):
@@ -142,10 +142,10 @@ def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) 
 
 
 def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
-    """Find the feet: the collision geoms at the ends of the limbs that are lowest in a pose.
+    """Find the feet of a robot: the collision geoms at the ends of the limbs that are lowest.
 
-    Of several poses, that with the most feet counts: a robot that lies, or whose legs are
-    folded, shows fewer.
+    Of several poses, the pose with the most feet counts: fewer are found if the robot lies, or its
+    legs are folded.
 
     Args:
         robot: Robot without feet; its MJCF has a floor.
@@ -218,7 +218,7 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
 
     Raises:
         UnknownNameError: If neither file has the frame.
-        ModelError: If nothing there touches the ground.
+        ModelError: If no geom there can touch the ground.
     """
     model, data = robot.mj_model, robot.placed(robot.posed(joints))
     _, frame = frames
@@ -258,7 +258,7 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
 def _select_sphere(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], place: Array
 ) -> list[int]:
-    """Return the nearest sphere within `_MAX_SPHERE_DISTANCE` of a place; else all geoms."""
+    """Return the nearest sphere within `_MAX_SPHERE_DISTANCE` of a position; else all geoms."""
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
     distances = {geom: float(np.linalg.norm(data.geom_xpos[geom] - place)) for geom in spheres}
@@ -302,7 +302,7 @@ def _locate_link(
 def with_feet(
     robot: Robot, feet: Sequence[Foot], replaced: Mapping[str, Diagnostic] | None = None
 ) -> Description:
-    """Return the description of a robot with a frame at each contact point, in both files.
+    """Return the description of a robot with an added frame at each contact point, in both files.
 
     Shapes of the feet in ``replaced`` whose contact points are balls (`is_ball`) no longer collide;
     the balls replace the shapes.
@@ -310,7 +310,7 @@ def with_feet(
     Args:
         robot: Robot without feet.
         feet: Feet.
-        replaced: {foot whose shape is replaced by balls: reason}.
+        replaced: {foot whose shapes are replaced by balls: reason}.
     """
     model, spec = robot.mj_model, robot.description.mjcf.copy()
     data = robot.placed(robot.posed(np.zeros(robot.nu)))
@@ -367,7 +367,7 @@ def with_feet(
 
 
 def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
-    """Return True if a sphere takes the place of an ellipsoid at a contact point of the feet."""
+    """Return True if a contact point of the feet is a sphere that replaces an ellipsoid."""
     types = robot.mj_model.geom_type
     return any(
         types[point.geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value
@@ -383,7 +383,10 @@ is repeated. Chosen: a hundredth of the depth of a loaded contact."""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
-    """Return True if two fits of the same contact points differ; False if the feet differ."""
+    """Return True if two fits of the same contact points differ by more than 1 um.
+
+    False if the fits contain different feet or geoms.
+    """
     points = [[(foot.name, point) for foot in feet for point in foot.points] for feet in
               (before, after)]  # fmt: skip
     if [(name, point.geom) for name, point in points[0]] != [(n, p.geom) for n, p in points[1]]:
@@ -412,12 +415,12 @@ def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
 def _map_to_urdf(
     robot: Robot, config: Configuration, data: mujoco.MjData, body: int, world: Array
 ) -> Array:
-    """Return the position (3,) [m] in the URDF of a position in the MJCF, both at zero angles.
+    """Convert a world position (3,) [m] in the MJCF to the URDF, both at joint positions of zero.
 
-    If a link of the last rotating joint is at the same position against the base, or against the
-    joint, that position is returned. Otherwise the position is shifted by the distance between
-    both joint axes: the position of a joint frame along its axis has no meaning. Slides are
-    skipped, because a slide is a direction and not a line.
+    The joint axes of both files may differ. The position is shifted by the perpendicular distance
+    of the axes of the last hinge; the position of a joint frame along its axis has no meaning. If
+    the URDF has a link at the unshifted position, or at the position relative to the joint frame,
+    that position is returned.
     """
     joint = _find_last_joint(robot, body, turning=True)
     if joint is None:
@@ -449,7 +452,7 @@ def _find_moved_link(robot: Robot, body: int) -> str:
 
 
 def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
-    """Return the last joint between a body and the base; else None.
+    """Return the last joint between a body and the base; None without such a joint.
 
     Args:
         robot: Robot.

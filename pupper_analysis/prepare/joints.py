@@ -23,14 +23,15 @@ _LIMIT_ATOL = 1e-3
 rounded. Chosen, not tuned."""
 
 _CONTINUOUS_LIMIT = 2 * math.pi
-"""Limit of a continuous joint in a closed loop, in both directions [rad]: one revolution."""
+"""Limit of a continuous joint in a closed loop, in both directions [rad]. Chosen as one revolution:
+larger angles are not needed."""
 
 
 def limit_continuous_joints(robot: Robot) -> Description | None:
-    """Return the description with limits for continuous joints of closed loops; else None.
+    """Add limits to the continuous joints of a robot with closed loops; None without a change.
 
-    PlaCo's joint constraints in closed loops require limits. No note is added, because such a
-    joint does not need to turn so far. If the MJCF has a limit, that limit is used.
+    PlaCo's joint constraints in closed loops require limits. The limit is that of the MJCF, or one
+    revolution in both directions [rad].
     """
     if robot.closure is None or not robot.pin_convention.unbounded.any():
         return None
@@ -50,11 +51,10 @@ def limit_continuous_joints(robot: Robot) -> Description | None:
 
 
 def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
-    """Return the description with the URDF's joint limits narrowed to the MJCF's, and notes.
+    """Narrow the joint limits of the URDF [rad, m] to those of the MJCF; return notes.
 
-    The description is None if no limit changes. Limits are kept if both ranges do not overlap. A
-    stand at an angle beyond MuJoCo's limit would
-    be pushed away by the first simulation step.
+    MuJoCo would move a stand beyond its limits in the first simulation step. Limits are kept if
+    both ranges do not overlap. The returned description is None if no limit changes.
     """
     model, narrower = robot.mj_model, {}
     for name, low, high in zip(
@@ -83,7 +83,7 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
 
 
 def couple_mimics(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
-    """Return the description with the URDF's ``<mimic>`` couplings in the MJCF, and notes.
+    """Add the ``<mimic>`` couplings of the URDF to the MJCF; return the description, and notes.
 
     A joint remains uncoupled if it has an actuator in the MJCF, if a joint equality of the MJCF,
     active or not, refers to it, or if the MJCF lacks the joint or its leader. A joint that depends
@@ -121,7 +121,7 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
 
 
 def check_motors(model: mujoco.MjModel, source: Path) -> None:
-    """Refuse joints with several actuators: a stand has a single command per joint.
+    """Raise an error if a joint has several actuators: a stand has a single command per joint.
 
     Raises:
         ModelError: If a hinge or slide has several actuators.

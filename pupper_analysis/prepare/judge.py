@@ -15,8 +15,11 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
-from pupper_analysis.prepare.limits import bears_on_null_effort as null_bears
-from pupper_analysis.prepare.limits import describe_null_efforts, describe_unknown_limits
+from pupper_analysis.prepare.limits import (
+    describe_unknown_limits,
+    describe_zero_torque_limits,
+    loads_motor_without_torque,
+)
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, simulate_fixed_base
 from pupper_analysis.prepare.self_check import (
     compare_as_published,
@@ -61,7 +64,7 @@ def judge_simulation(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Verdict:
-    """Form the verdict of a simulated stand or posture, including checks of the published file.
+    """Create the verdict of a simulated stand or posture, including checks of the published file.
 
     Args:
         robot: Robot.
@@ -70,8 +73,8 @@ def judge_simulation(
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
-        trial: Result of nudges from all sides. If None, a stand near a limit in ``statics``, or one
-            that fails without feed-forward, is nudged here.
+        trial: Result of nudges in all directions. If None, and ``fed`` passes, a stand that is near
+            a limit in ``statics``, or that fails without feed-forward, is nudged here.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
@@ -93,8 +96,14 @@ def judge_simulation(
     if (slippery := describe_frictionless_feet(robot, stand.stance_feet)) is not None:
         fed = replace(fed, passed=False, stays=False, failures=(slippery, *fed.failures))
     published = compare_as_published(robot, stand, servos, kp, kd)
-    null, unknown, masses = describe_null_efforts(robot), None, describe_given_masses(loaded)
-    if null is not None and (not fed.passed or statics is None or null_bears(robot, statics)):
+    null, unknown, masses = (
+        describe_zero_torque_limits(robot),
+        None,
+        describe_missing_masses(loaded),
+    )
+    if null is not None and (
+        not fed.passed or statics is None or loads_motor_without_torque(robot, statics)
+    ):
         # Other failures are consequences of motors without torque.
         fed, null = replace(fed, passed=False, stays=False, failures=(null,)), None
         alone = (
@@ -138,9 +147,10 @@ def judge_simulation(
 
 
 def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic | None:
-    """Describe the contact points of a stand if none has friction: each push then moves the robot.
+    """Create a message if no contact point of a stand has friction: each push moves the robot.
 
-    None if a contact point has friction, or if a weld holds the robot.
+    None if a contact point has friction, if there are no contact points, or if the robot has a
+    weld or a fixed base.
     """
     if not feet or robot.welds or robot.bolted:
         return None
@@ -185,10 +195,10 @@ def _fail_if_upset(
     *,
     fragile: bool,
 ) -> Outcome:
-    """Return the simulation result; failed if a nudge from any side upsets the stand.
+    """Return the simulation result, as failed if the stand fails after a nudge.
 
-    Without a trial, the nudges are simulated if the stand is near a limit, or ``fragile``: if the
-    stand fails without feed-forward. Contacts of such a stand may rest, and chatter after a nudge.
+    Without ``trial``, nudges are simulated if the stand is near a limit, or ``fragile``: the stand
+    fails without feed-forward, and its contacts may chatter after a nudge.
     """
     if trial is None:
         if statics.com_margin is None or robot.bolted:  # a base that no nudge moves
@@ -219,8 +229,10 @@ _FILE_ERROR_CODES = {
 verdict depends on the assumptions in the notes."""
 
 
-def describe_given_masses(robot: Robot) -> Diagnostic | None:
-    """Describe the links whose mass in the URDF is absent, zero or negative; None without any.
+def describe_missing_masses(robot: Robot) -> Diagnostic | None:
+    """Create the message about links whose mass in the URDF is absent, zero or negative.
+
+    None without such links.
 
     Moving links without a positive mass are simulated with 1 g; MuJoCo refuses the URDF. The
     negative mass of a link that is fixed to another link is subtracted from the mass of the other
@@ -244,7 +256,7 @@ def describe_given_masses(robot: Robot) -> Diagnostic | None:
 
 
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return the errors and assumptions about a robot's files on which its verdicts depend."""
+    """Return messages about errors and assumptions in a robot's files, for its verdicts."""
     loaded = as_loaded(robot)
     messages = [note for note in loaded.notes if note.code in _FILE_ERROR_CODES]
     joint_names, model = np.array(loaded.joint_names), loaded.mj_model
@@ -276,7 +288,7 @@ def judge_stand(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Verdict:
-    """Simulate a stand, and return its verdict: the same as that of ``study_stance``.
+    """Simulate a stand with and without feed-forward, and return its verdict.
 
     Results such as `steady_state` and `payload_limit` are computed for the prepared robot. The
     verdict includes the comparison with the published file.
@@ -284,7 +296,7 @@ def judge_stand(
     Args:
         robot: Robot.
         stand: Stand.
-        trial: Result of nudges from all sides, if already simulated.
+        trial: Result of nudges in all directions, if already simulated.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 

@@ -15,17 +15,18 @@ from pupper_analysis.statics.equilibrium import MIN_TORQUE_PER_MASS, GravityComp
 
 
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
-    """Return the torque limits of all joints except dependent joints, which need no motor."""
+    """Return the torque limits of the independent joints; dependent joints need no motor."""
     following = () if robot.closure is None else robot.closure.dependent_joints.tolist()
     return [limit for index, limit in enumerate(robot.efforts) if index not in following]
 
 
-def describe_null_efforts(robot: Robot) -> Diagnostic | None:
-    """Describe the motors without torque, with the value of the other file or a sibling limb.
+def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
+    """Create the message about motors whose torque limit is zero, or negative, in a file.
+
+    The message proposes the limit that the other file, or the same joint of a similar limb, has.
 
     Returns:
-        The description; None if each motor has torque or an unknown limit, or if the first motor
-        without torque has a limit of unknown origin.
+        The message; None if no limit is zero, or if the first zero limit has no known origin.
     """
     null = [limit for limit in list_driven_limits(robot) if limit.without_torque]
     if not null or null[0].origin is None:
@@ -69,8 +70,11 @@ def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortSt
     return None
 
 
-def bears_on_null_effort(robot: Robot, statics: GravityCompensation) -> bool:
-    """Return True if a motor without torque has to hold more than rounding."""
+def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bool:
+    """Return True if a motor with a torque limit of zero must hold a torque in a stance.
+
+    Torques [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot are rounding.
+    """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
     return any(
@@ -79,10 +83,11 @@ def bears_on_null_effort(robot: Robot, statics: GravityCompensation) -> bool:
 
 
 def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
-    """Describe the motors whose limit no file states, with the largest torque that the motors need.
+    """Create the message about motors without a torque limit in any file, with the largest torque.
 
     Returns:
-        The description; None if each motor that has to hold more than rounding has a limit.
+        The message; None if each motor that must hold a torque in the stance has a limit. Torques
+        [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot are rounding.
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass

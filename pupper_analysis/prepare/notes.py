@@ -44,7 +44,7 @@ def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
 
 
 def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
-    """Report the feet, and the number of contact points.
+    """Create the message about the feet of a robot, with their bodies and contact points.
 
     Args:
         robot: Robot.
@@ -65,7 +65,10 @@ def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnosti
 
 
 def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
-    """Return {foot: reason} of the feet with balls in place of the shape; a reason per kind."""
+    """Return {foot: message} of the feet whose shape is replaced by balls, a message per kind.
+
+    The kinds are ellipsoids, soles, and other feet.
+    """
     soles, others, ellipsoids = list[str](), list[str](), list[str]()
     for foot in feet:
         if has_ellipsoids(robot, [foot]):
@@ -86,7 +89,7 @@ def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Report joints that loops or couplings make follow other joints, if there are any."""
+    """Report the joints that depend on other joints by closed loops or couplings, if any."""
     if robot.closure is not None:
         yield robot.closure.describe()
 
@@ -119,7 +122,7 @@ def report_added_servos(
 
 
 def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
-    """Report actuators that act on no single hinge or slide, for example at a tendon."""
+    """Report the actuators that do not act on a single hinge or slide, for example at a tendon."""
     model = robot.mj_model
     actuators = [
         actuator for actuator in range(model.nactuator) if not is_at_one_joint(model, actuator)
@@ -131,6 +134,6 @@ def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def describe_span(values: ArrayLike, unit: str) -> Diagnostic:
-    """Return the minimum and maximum of values with a unit; a single value if both are equal."""
+    """Create a message part with the range of values and their unit, such as "5 to 20 N m/rad"."""
     low, high = float(np.min(values)), float(np.max(values))
     return diagnose("span", least=low, most=Quantity(high, unit), wide=low != high)

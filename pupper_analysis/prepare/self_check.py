@@ -25,9 +25,9 @@ from pupper_analysis.prepare.causes import (
     NUMERICS_CODES,
     CauseCandidate,
     add_line,
-    list_candidate_causes,
+    list_difference_causes,
     list_loading_changes,
-    list_physical_causes,
+    list_shared_causes,
     list_soft_servos,
 )
 from pupper_analysis.prepare.own_run import (
@@ -236,7 +236,7 @@ def _find_loading_causes(
     if file is None or robot.description.converted:
         return ()
     model = copy.copy(published.model)
-    for candidate in list_candidate_causes(published, robot):
+    for candidate in list_difference_causes(published, robot):
         candidate.switch_off(model)
     stripped = simulate_prediction(replace(published, model=model), robot, prediction)
     similar_runs = (similar for similar in (run, stripped) if similar is not None)
@@ -464,7 +464,7 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
         candidate.switch_off(stiffer)
         run = simulate_model_from_keyframe(replace(published, model=stiffer), loaded)
         if run is not None and not run.fails:
-            return add_lines([candidate.to_cause(0.0)], loaded)
+            return add_lines([candidate.make_cause(0.0)], loaded)
     return ()
 
 
@@ -484,8 +484,8 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
     """Find what makes the run of the unmodified file fail, by changes of copies of the model."""
     model = published.model
     candidates, physical = (
-        list_candidate_causes(published, robot),
-        list_physical_causes(published, robot),
+        list_difference_causes(published, robot),
+        list_shared_causes(published, robot),
     )
     if run.unheld is not None or (run.worst is not None and run.worst.commanded_away):
         # Nothing holds a joint, or its ctrl belongs to another pose: then other changes may let the
@@ -541,8 +541,8 @@ def find_difference_causes(
     if any(drive.has_invalid_stiffness for drive in published.drives):
         return ()  # bad servos are reported, and make other causes meaningless
     candidates, physical = (
-        list_candidate_causes(published, robot),
-        list_physical_causes(published, robot),
+        list_difference_causes(published, robot),
+        list_shared_causes(published, robot),
     )
     return _test_causes(published, candidates, physical, test_model)
 
@@ -600,5 +600,5 @@ def _test_causes(
         ]
         residual = without(frozenset(breaking)) if breaking else None
         if residual is not None:
-            return tuple(candidate.to_cause(residual) for candidate in breaking)
+            return tuple(candidate.make_cause(residual) for candidate in breaking)
     return ()

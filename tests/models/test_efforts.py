@@ -16,7 +16,7 @@ from pupper_analysis.models.efforts import resolve_effort_limit
 from pupper_analysis.models.transmission import Drive, classify_joint_drive
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.prepare.limits import describe_null_efforts
+from pupper_analysis.prepare.limits import describe_zero_torque_limits
 from pupper_analysis.robot.build import rebuild_robot, with_efforts
 from pupper_analysis.robot.robot import report_efforts
 from pupper_analysis.robot.servos import model_with_servos
@@ -331,7 +331,7 @@ def test_effort_of_zero_is_reported_with_the_effort_of_a_sibling_limb(tmp_path: 
     pair = quadruped(tmp_path)
     rewritten(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
     robot = pa.load_robot(pair.urdf)
-    cause = describe_null_efforts(robot)
+    cause = describe_zero_torque_limits(robot)
     assert cause is not None
     assert cause.values["joints"] == ("FL_roll",)
     assert cause.values["other"] == Quantity(80.0, "N m")

@@ -12,7 +12,7 @@ import mujoco
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.judge import describe_given_masses, list_file_remarks
+from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
 from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
@@ -95,7 +95,7 @@ def test_negative_mass_of_a_fixed_link_is_not_a_known_mass(tmp_path: Path, momen
     path = tmp_path / "arm.urdf"
     path.write_text(arm.URDF.replace("</robot>", tip))
     robot = pa.load_robot(path, fixed_base=True)
-    remark = describe_given_masses(robot)
+    remark = describe_missing_masses(robot)
     assert remark is not None
     assert "negative mass of link bar" in str(remark)
     verdict = pa.hold_posture(robot).verdict

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.models.transmission import MadeServo
-from pupper_analysis.prepare.judge import describe_frictionless_feet, describe_given_masses
+from pupper_analysis.prepare.judge import describe_frictionless_feet, describe_missing_masses
 from pupper_analysis.prepare.self_check import explain_own_run
 from pupper_analysis.present import display
 from pupper_analysis.present.document import NextStep
@@ -170,7 +170,7 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
         display.show_window(robot.mj_model, make_home_data(robot))
     result = simulate_drop(robot)
     print(format_drop(result))
-    masses = describe_given_masses(robot)
+    masses = describe_missing_masses(robot)
     if masses is not None:
         print(f"UNKNOWN: {masses}")
     contradictions = list_contradictions(robot)

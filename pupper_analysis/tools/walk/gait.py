@@ -20,7 +20,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
-from pupper_analysis.prepare.judge import describe_given_masses, list_file_remarks
+from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
 from pupper_analysis.robot.contact import bodies_on_ground
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
@@ -166,7 +166,7 @@ class Walk(Result):
 
 def list_walk_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return the errors and assumptions about a robot's files, unknown link masses first."""
-    masses = describe_given_masses(robot)
+    masses = describe_missing_masses(robot)
     return (*(() if masses is None else (masses,)), *list_file_remarks(robot))
 
 
