@@ -206,7 +206,7 @@ class Text:
 
     @property
     def zh(self) -> str:
-        """Simplified Chinese text."""
+        """Simplified Chinese form of this text."""
         return self.chinese if isinstance(self.chinese, str) else self.chinese()
 
     def with_mark(self, mark: str) -> Text:

@@ -82,7 +82,7 @@ class Annotation:
 
     @property
     def file_and_line(self) -> tuple[str, int | None]:
-        """File, empty if absent, and line number, None if absent."""
+        """File and line number of this annotation: an unknown file is empty, a line None."""
         file, _, line = (self.place or "").rpartition(":")
         if line.startswith("<"):
             return file, None
@@ -104,7 +104,7 @@ def relative_to_checkout(file: str | Path) -> str:
 
 
 def write_sarif(annotations: Iterable[Annotation]) -> str:
-    """Return a SARIF log of a run as indented JSON."""
+    """Convert annotations to a SARIF 2.1.0 log with one run, and return it as indented JSON."""
     listed = list(annotations)
     rules = {annotation.kind: annotation.about or annotation.kind for annotation in listed}
     numbers = {name: number for number, name in enumerate(rules)}
@@ -220,8 +220,9 @@ def escape_control(text: str) -> str:
 
 
 def write_github(annotations: Iterable[Annotation]) -> str:
-    """Return GitHub workflow commands, a command per line; GitHub shows messages beside the files.
+    """Convert annotations to GitHub workflow commands, a command per line.
 
+    GitHub shows the messages beside the lines of the files.
     GitHub shows ten annotations per level and step; the log of the step contains all annotations.
 
     Source: GitHub documentation, "Workflow commands for GitHub Actions".
@@ -252,9 +253,10 @@ def _escape_property(text: str) -> str:
 
 
 def write_junit(annotations: Iterable[Annotation]) -> str:
-    """Return JUnit XML with one test case per annotation, or one passing case without annotations.
+    """Convert annotations to JUnit XML, with a test case per annotation.
 
-    Notices pass, as do annotations that a baseline contains.
+    Annotations of level notice, and annotations that a baseline contains, pass. Without annotations
+    there is a single case, which passes.
     """
     listed = list(annotations) or [Annotation("notice", "nothing found", "")]
     failing = [annotation.level != "notice" and not annotation.known for annotation in listed]
@@ -284,7 +286,7 @@ ANNOTATION_WRITERS = {"github": write_github, "sarif": write_sarif, "junit": wri
 
 
 def write_annotations(style: str, annotations: Iterable[Annotation]) -> str:
-    """Return annotations in a format of ``ANNOTATION_WRITERS``.
+    """Convert annotations to text in a format of ``ANNOTATION_WRITERS``, such as ``sarif``.
 
     Raises:
         KeyError: If the format is unknown.

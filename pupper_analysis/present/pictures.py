@@ -127,6 +127,7 @@ class Animation:
         return target
 
     def _to_gif(self) -> bytes:
+        """Return the animation as the content of a GIF file."""
         images = [Image.fromarray(frame).quantize(128) for frame in self.frames]
         buffer = io.BytesIO()
         images[0].save(
@@ -141,6 +142,7 @@ class Animation:
         return buffer.getvalue()
 
     def _to_mp4(self) -> bytes:
+        """Return the animation as the content of an MP4 file."""
         try:
             imageio = import_module("imageio.v2")
             import_module("imageio_ffmpeg")
@@ -239,7 +241,7 @@ def animate_result(
 
 @singledispatch
 def list_views(result: Any, robot: Robot | None = None) -> View:
-    """Return the configurations of a result that ``show`` and ``animate`` draw.
+    """Return the configurations of a result, in MuJoCo's coordinates, that a picture shows.
 
     Raises:
         ConfigurationError: If the type has no pictures, or the robot is missing.
@@ -273,10 +275,12 @@ def _list_verification(run: StandVerification, robot: Robot | None = None) -> Vi
 
 
 def _single_view(robot: Robot, qpos: Array) -> View:
+    """Return the view of a robot in one configuration, shape (nq,)."""
     return View(robot, np.zeros(1), np.asarray(qpos, dtype=float)[None])
 
 
 def _require_robot(result: object, robot: Robot | None) -> Robot:
+    """Return the robot, or raise a ConfigurationError that names the type of the result."""
     if robot is None:
         raise ConfigurationError("robot", diagnose("picture-needs-robot", kind=_name_type(result)))
     return robot
@@ -292,6 +296,7 @@ def _name_type(result: object) -> str:
 
 
 def _can_open_window() -> bool:
+    """Return True if MuJoCo's viewer can open a window."""
     try:
         check_display()
     except DisplayError:

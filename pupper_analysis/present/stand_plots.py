@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 @draw_result.register(Stand)
 def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw skeleton, contact forces, CoM and support polygon, obliquely and from above.
+    """Draw skeleton, contact forces, CoM and support polygon of a stand, in two panels.
+
+    The views are oblique and from above.
 
     Raises:
         ConfigurationError: If the robot is missing, is not the robot of the stand, or stands on no
@@ -39,7 +41,7 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
 
 @draw_result.register(StandVerification)
 def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw the height of the base over the simulated time."""
+    """Draw the base height [mm] of a simulated stand over time [s], and return the axes."""
     from pupper_analysis.present.figures.drawing import make_plots_figure
 
     height = run.base_height + run.height_loss

@@ -72,12 +72,12 @@ class SafeConsole(Console):
     """Console that prints control characters (ESC, U+202E) in escaped form."""
 
     def render_str(self, text: str, **_: Any) -> Text:
-        """Escape each line of a text; markup is not interpreted."""
+        """Return a text with escaped control characters, line by line; markup has no effect."""
         return Text("\n".join(map(_escape_line, text.split("\n"))))
 
 
 def make_console() -> Console:
-    """Create a safe console on standard output."""
+    """Create a console of rich on standard output that escapes control characters."""
     return SafeConsole(highlight=False, emoji=False, markup=False)
 
 
@@ -278,7 +278,7 @@ def _make_listing_lines(block: Listing, _: _ViewOptions) -> list[_PrintedLine]:
 
 
 def _print_block(out: Console, block: Block, place: int = 0, *, everything: bool) -> None:
-    """Print the lines of a block."""
+    """Print the lines of a block; ``place`` is the number of a finding, from 1."""
     for line in _make_lines(block, _ViewOptions(out, place, everything)):
         _print_line(out, line.text, indent=line.indent, wrap=line.wrap)
 

@@ -324,7 +324,10 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
 
 
 def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
-    """State which servos of the file were replaced, because the servos cannot hold a position."""
+    """Yield a statement on servos of the file that were replaced, as they cannot hold a position.
+
+    Without replaced servos there is no statement.
+    """
     if replaced:
         joints = [servo.joint for servo in replaced]
         kinds = dict.fromkeys(Term(servo.instead_of.value) for servo in replaced)
@@ -510,7 +513,10 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
-    """State that a result depends on added servos, and name up to `MAX_NAMED_JOINTS` servos."""
+    """Create the statement that a result depends on added servos, with their range of gains.
+
+    Up to `MAX_NAMED_JOINTS` servos are named. ``good`` is True if the statement supports the stand.
+    """
     few = servos.made if len(servos.made) <= MAX_NAMED_JOINTS else ()
     message = diagnose(
         "on-servos-made-up",

@@ -24,7 +24,7 @@ from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation, peak_utilisation
 
 NO_COLUMNS: Mapping[doc.Column, Any] = MappingProxyType({})
-"""Default of optional columns: none."""
+"""Default of the further columns of a table of torques: none."""
 
 WARNING_UTILISATION, FULL_UTILISATION = 0.9, 1.0
 """Motor utilisation above which a cell is marked as a warning, or as bad. At 1 the effort limit is
@@ -188,7 +188,13 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
 def torque_plot(
     statics: GravityCompensation, simulated: Sequence[float], limits: Sequence[float]
 ) -> doc.BarPlot:
-    """Create the bar plot of predicted torques, with simulated torques and limits, in N m."""
+    """Create the bar plot of motor torques [N m]: predicted, simulated and limits.
+
+    Args:
+        statics: Static equilibrium with the predicted torques.
+        simulated: Torques of a simulation, shape (nu,) [N m].
+        limits: Effort limits, shape (nu,) [N m].
+    """
     bars = [
         doc.Bar(
             doc.Name(name),

@@ -43,7 +43,10 @@ def task_text(task: StandTask) -> Text:
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
-    """Return the files and notes of a robot; nothing without a robot."""
+    """Return a sentence on the files of a robot, and the notes on its preparation.
+
+    Without a robot nothing is returned.
+    """
     return (
         ()
         if robot is None
@@ -186,7 +189,7 @@ def run_rows(
 
 
 def simulated_table(run: StandVerification) -> doc.Table:
-    """Create the table of the quantities of a simulation."""
+    """Create the table of the quantities of a simulation: height losses, tilt, slip, errors."""
     return doc.Table(
         text("simulation", seconds=f"{run.duration:g}"),
         quantity_columns(text("with-feed-forward") if run.feedforward else text("without")),

@@ -27,18 +27,25 @@ from pupper_analysis.present.document import Plot, Words, get_english
 from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
 
 FIGURE_DPI = 180
-"""Resolution of figures [pixels per inch]."""
+"""Resolution of figures [pixels per inch]. Chosen, not tuned."""
 FONT_SIZE = 8
-"""Font size of figures [pt]."""
+"""Font size of figures [pt]. Chosen, not tuned."""
 
 # Okabe and Ito's colours, which the colour-blind can tell apart.
 BLUE_COLOUR = "#0072B2"
+"""Blue of Okabe and Ito's palette, which the colour-blind can tell apart."""
 ORANGE_COLOUR = "#E69F00"
+"""Orange of Okabe and Ito's palette, which the colour-blind can tell apart."""
 GREEN_COLOUR = "#009E73"
+"""Green of Okabe and Ito's palette, which the colour-blind can tell apart."""
 RED_COLOUR = "#D55E00"
+"""Red (vermilion) of Okabe and Ito's palette, which the colour-blind can tell apart."""
 SKY_BLUE_COLOUR = "#56B4E9"
+"""Light blue of Okabe and Ito's palette, which the colour-blind can tell apart."""
 BLACK_COLOUR = "#000000"
+"""Black of Okabe and Ito's palette, which the colour-blind can tell apart."""
 GREY_COLOUR = "#6B7280"
+"""Grey of axes, and of marks without another colour."""
 
 GRID_COLOUR = "#E3E6EB"
 """Colour of grid lines."""
@@ -259,7 +266,7 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Add a legend with a single row below a figure."""
+    """Add a legend with the given symbols, in a single row below a figure."""
     figure.legend(handles=list(handles), loc="lower center", ncols=len(handles), fontsize=FONT_SIZE,
                   frameon=False, handletextpad=0.5, columnspacing=0.8,
                   handlelength=1.6)  # fmt: skip

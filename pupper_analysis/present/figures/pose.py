@@ -147,9 +147,13 @@ not tuned."""
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT_COLOUR = "#CFE8F7"
+"""Fill colour of the support polygon."""
 _RING_STYLE: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
+"""Options of Matplotlib for a ring without a line."""
 _COM_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.GREEN_COLOUR, "mew": 2.2, "ms": 8}
+"""Options of Matplotlib for the mark of the centre of mass."""
 _SWING_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.BLACK_COLOUR, "mew": 1.6}
+"""Options of Matplotlib for the mark of a swing foot."""
 _COM_PROJECTION_STYLE: dict[str, Any] = {
     "color": drawing.GREEN_COLOUR,
     "marker": "x",
@@ -157,6 +161,7 @@ _COM_PROJECTION_STYLE: dict[str, Any] = {
     "mew": 2.2,
     "ms": 7,
 }
+"""Options of Matplotlib for the mark of the projected centre of mass."""
 
 
 def write_pose_figure(

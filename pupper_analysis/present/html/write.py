@@ -238,7 +238,11 @@ def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, A
 
 
 def serialise_bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
-    """Convert all bodies except the world: name, mass [kg], and CoM in the body frame [m]."""
+    """Convert all bodies except the world to JSON data.
+
+    Returns:
+        Name, mass [kg] and CoM in the body frame [m] of each body, in the order of the model.
+    """
     return [
         {
             "name": escape_control(str(model.body(body).name)),
@@ -327,7 +331,10 @@ class ViewerLibrary:
 
 
 def load_viewer_library() -> ViewerLibrary | None:
-    """Load three.js; None if the package is not installed, unreadable or of another form."""
+    """Load the script three.js from the installed package MeshCat.
+
+    None if the package is not installed or unreadable, or the script has no `_EXPORT_MARKER`.
+    """
     package = find_spec(_VIEWER_PACKAGE)  # which does not import it
     if package is None or package.origin is None:
         return None

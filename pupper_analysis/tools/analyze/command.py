@@ -141,7 +141,14 @@ def command(
 def _analyze_all(
     meant: list[VariantSpec | RobotFiles], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
-    """Analyse robots, and print each result after the analysis."""
+    """Analyse robots, and print each result as soon as it is known.
+
+    Args:
+        meant: Requested robots.
+        task: Task of the stand.
+        everything: Print all tables.
+        shown: Print results as text; otherwise nothing is printed.
+    """
     from pupper_analysis.cli.next_step import complete_command
     from pupper_analysis.present.terminal import make_console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand

@@ -523,7 +523,7 @@ def _compute_ratio(length: float | None, reference: float | None) -> float | Non
 
 
 def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
-    """Create the table that compares robots, a row per robot."""
+    """Create the table of mass, height, torques, servo sag and verdict, a row per robot."""
     columns = (
         ("mass", "kg", "total_mass", ".3f", 1.0),
         ("mass-ratio", "1", "mass_ratio", ".3f", 1.0),

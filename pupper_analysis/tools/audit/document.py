@@ -29,10 +29,10 @@ from pupper_analysis.tools.audit.fix import locate_repair
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, ValueRepair
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
-"""Emphasis of each severity in a document."""
+"""{severity of a finding: emphasis in a document}."""
 
 MAX_SHOWN_GROUPS = 40
-"""Largest number of groups of findings in the short view. Chosen."""
+"""Largest number of groups of findings in the short view. Chosen, not tuned."""
 
 
 @build_document.register(Audit)
@@ -153,7 +153,7 @@ def get_rule_text(rule: str, what: str) -> doc.Text:
 
 
 def format_element(finding: Diagnostic) -> doc.Text:
-    """Format kind and name of the element of a finding."""
+    """Return kind and name of the element of a finding, such as ``link 'FL_calf'``."""
     subject = finding.subject
     assert subject is not None
     name = f" {subject.name!r}" if subject.name else ""
@@ -199,7 +199,7 @@ def make_fix(repair: ValueRepair) -> Fix:
 
 
 ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
-"""Level of an annotation for each severity."""
+"""{severity of a finding: level of its annotation}."""
 
 
 def make_audit_annotations(audit: Audit) -> list[Annotation]:

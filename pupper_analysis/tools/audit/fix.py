@@ -88,7 +88,7 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
 
 
 def make_patch(document: XmlDocument) -> str:
-    """Return the changes of a file as a unified diff."""
+    """Return the changes of a file in memory as a unified diff without context lines."""
     before, after = (
         data.decode("utf-8", "replace").splitlines(keepends=True)
         for data in (document.data, document.render())

@@ -108,6 +108,7 @@ def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 
 
 _LIMB_SHORT_NAMES: Final = ("fl", "fr", "rl", "rr", "hl", "hr", "bl", "br", "lf", "rf", "lh", "rh")
+"""Two-letter names of limbs: front, rear, hind or back, and left or right."""
 _SIDE_TOKENS: Final = frozenset(
     {*_LIMB_SHORT_NAMES, "l", "r", "lr", "left", "right", "front", "rear", "hind", "back", "middle"}
 )

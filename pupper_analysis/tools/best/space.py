@@ -33,6 +33,7 @@ BASE_COORDINATES = ("height", "x", "y", "roll", "pitch", "yaw")
 """Coordinates of the base; see `BestStance.coordinates` for the definition."""
 
 _BASE_ROTATIONS = ("roll", "pitch", "yaw")
+"""Coordinates of the base that are angles."""
 
 HEIGHT_RESERVE = 0.05
 """Fraction of the reachable height interval that is excluded at either end, because the legs are

@@ -111,7 +111,7 @@ def is_include_part(path: Path) -> bool:
 
 
 def read_config(path: Path) -> GuardConfig:
-    """Read a configuration.
+    """Read a ``pupper-analysis.toml``: pairs of model files, tolerances and settings.
 
     Raises:
         ModelError: If the file cannot be read, or contains an invalid key or value. The message
@@ -152,25 +152,33 @@ def _is_list(value: Any, kind: type) -> bool:
 
 
 _TEXT_VALUE: Final = _ValueKind(Term("a text, in quotes"), _is_text)
+"""Kind of a value in the configuration: text."""
 _NAMES_VALUE: Final = _ValueKind(
     Term("a list of names, in quotes"), lambda value: _is_list(value, str)
 )
+"""Kind of a value in the configuration: list of names."""
 _TABLE_VALUE: Final = _ValueKind(Term("a table"), lambda value: isinstance(value, dict))
+"""Kind of a value in the configuration: table."""
 _COMMON_KEYS: Final = {
     "strict": _ValueKind(Term("true or false"), lambda value: isinstance(value, bool)),
     **dict.fromkeys(("tolerances", "packages", "disable"), _TABLE_VALUE),
 }
+"""{key: required kind of its value} at the top of a configuration and in each [[pair]]."""
 _PAIRS_VALUE: Final = _ValueKind(
     Term("tables that begin with [[pair]]"), lambda value: _is_list(value, dict)
 )
+"""Kind of a value in the configuration: array of tables."""
 _TOP_KEYS: Final = {
     "baseline": _TEXT_VALUE,
     "fail-on": _TEXT_VALUE,
     **_COMMON_KEYS,
     "pair": _PAIRS_VALUE,
 }
+"""{key: required kind of its value} at the top of a configuration."""
 _ENTRY_KEYS: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT_VALUE), "feet": _NAMES_VALUE}
+"""{key: required kind of its value} that only a [[pair]] may have, apart from ``map``."""
 _PAIR_KEYS: Final = {**_ENTRY_KEYS, "map": _TABLE_VALUE, **_COMMON_KEYS}
+"""{key: required kind of its value} in a [[pair]], without the keys of other tools."""
 _TABLE_VALUES: Final = {
     "tolerances": _ValueKind(Term("a positive number"), _is_number),
     "packages": _ValueKind(Term("a folder that exists"), _is_text),
@@ -292,7 +300,10 @@ class _ConfigReader:
             yield self.make_pair({**others, **name, **files})
 
     def match_files(self, pattern: str, key: str) -> list[str]:
-        """Return the files that a pattern matches, relative to the configuration."""
+        """Return the paths of the files that a pattern matches, relative to the configuration.
+
+        Files that other MJCFs include are left out. ``key`` names the pattern in an error.
+        """
         try:
             files = (path for path in self.folder.glob(pattern) if path.is_file())
             paths = sorted(path for path in files if not is_include_part(path))

@@ -376,7 +376,7 @@ class Baseline:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """Read a baseline; a file that does not exist has no entries.
+    """Read the accepted remarks and the comments of a baseline; empty if the file does not exist.
 
     Raises:
         ModelError: If it cannot be read, or a line is neither a comment nor an entry; the error has

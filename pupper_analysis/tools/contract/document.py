@@ -24,10 +24,10 @@ from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, find_quantity
 from pupper_analysis.tools.contract.findings import Disagreement
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
-"""Emphasis of each severity in a document."""
+"""{severity of a disagreement: emphasis in a document}."""
 
 ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
-"""Level of an annotation for each severity."""
+"""{severity of a disagreement: level of its annotation}."""
 
 MAX_SHOWN_FINDINGS = 25
 """Largest number of disagreements whose lines are shown in the short view. Chosen, not tuned."""

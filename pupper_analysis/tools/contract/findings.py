@@ -40,10 +40,10 @@ seven printed digits."""
 _KIND_TOLERANCES = {
     kind: getattr(Tolerances(), kind) for kind in ("effort", "velocity", "damping", "friction")
 }
-"""Relative tolerance of quantities that `crosscheck` defines."""
+"""{quantity: relative tolerance}, as in the comparison of a URDF with an MJCF (`crosscheck`)."""
 
 _LIMIT_QUANTITIES = ("lower limit", "upper limit")
-"""Position limits, compared with the absolute tolerance of `crosscheck`."""
+"""Quantities that are compared with the absolute tolerance of position limits of `crosscheck`."""
 
 _MIN_COMPUTED_DECIMALS = 5
 """Number of decimals from which a number counts as computed, so that another source may state it
@@ -368,6 +368,7 @@ def _make_disagreement(
     mistake: str = "",
     effects: tuple[Diagnostic, ...] = (),
 ) -> Disagreement:
+    """Create a disagreement with the names, values and places of two facts."""
     names, values, places = zip(
         *((fact.source, fact.value, fact.place) for fact in sides), strict=True
     )

@@ -165,7 +165,10 @@ def command_range_in_degrees(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
+    """Find actuators without a torque limit.
+
+    Limits are forcerange, actuatorfrcrange and, for motors, ctrlrange.
+    """
     for model, drive in _list_robot_drives(robot):
         limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]
         by_input = not drive.servo and model.actuator_ctrllimited[drive.control]

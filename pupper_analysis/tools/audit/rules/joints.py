@@ -50,7 +50,10 @@ _AXIS_NAMES = (
 _AXIS_PATTERNS = [
     re.compile(rf"(?<![a-z])(?:{names})(?![a-z])", re.IGNORECASE) for names in _AXIS_NAMES
 ]
+"""Regular expressions that find the words of `_AXIS_NAMES` in a joint name."""
+
 _HIP_PATTERN = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
+"""Regular expression that finds the word "hip" in a joint name."""
 
 
 def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:

@@ -346,7 +346,7 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find left-right pairs of joints whose ranges differ by over 0.02 rad or m, or efforts by 1 %.
+    """Find left-right joints whose ranges differ by over 0.02 rad (m), or efforts by over 1 %.
 
     The range of a partner with the opposite axis sense is negated. Efforts are only compared if the
     ranges agree.

@@ -116,7 +116,7 @@ def list_foot_geoms(robot: MjcfModel) -> list[int]:
 
 @rule
 def foot_softer_than_its_size(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find spherical feet whose ground contact has full impedance only below half the foot radius.
+    """Find spherical feet whose ground contact reaches full impedance deeper than half the radius.
 
     The width of ``solimp`` [m] is that of the contact with the ground, combined as in MuJoCo. It
     has an effect only if the impedance rises over the width (``solimp[0] < solimp[1]``). One

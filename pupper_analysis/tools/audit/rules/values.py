@@ -142,12 +142,13 @@ _OPTION_RANGES: dict[str, tuple[float, float, Severity, str]] = {
     "density": (0, 2e4, Severity.ERROR, "kg/m^3"),
     "viscosity": (0, 1e3, Severity.ERROR, "Pa s"),
 }
-"""{option of an MJCF: (minimum, maximum, severity, unit)}."""
+"""{option of an MJCF: (minimum, maximum, severity, unit)}. Values outside are useless for robots.
+Chosen, not tuned."""
 
 
 @rule
 def option_out_of_range(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find time steps, solver settings and fluid properties outside the range useful for robots."""
+    """Find time steps, solver settings and fluid properties of an MJCF outside `_OPTION_RANGES`."""
     option = robot.file.spec.option
     for name, (least, greatest, severity, unit) in _OPTION_RANGES.items():
         value = float(getattr(option, name))

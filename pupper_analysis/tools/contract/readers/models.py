@@ -26,6 +26,7 @@ from pupper_analysis.tools.contract.facts import QUANTITIES, Request, Role, Sour
 from pupper_analysis.tools.contract.orders import list_depth_first
 
 FILE_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", ".usdz")
+"""Suffixes of the files that this reader of model files reads."""
 
 
 def read(request: Request) -> Iterator[Source]:
@@ -86,7 +87,7 @@ _RANGE_ATTRIBUTES = ("ctrlrange", "forcerange")
 
 
 def read_model_file(path: Path) -> RobotModel:
-    """Read the model of a robot from a URDF, MJCF or another registered format."""
+    """Read the values that a URDF, MJCF or file of a registered format states, as a model."""
     reader = reader_of(path)
     with silence_mujoco():
         if reader is not None:

@@ -21,6 +21,7 @@ from pupper_analysis.tools.contract.facts import (
 from pupper_analysis.tools.contract.readers.tables import read_table
 
 FILE_SUFFIXES = (".onnx",)
+"""Suffixes of the files that this reader of exported policies reads."""
 
 ProtobufMessage = dict[int, list["int | memoryview"]]
 """Message of Protocol Buffers: {field number: values, in order}."""

@@ -21,6 +21,7 @@ from pupper_analysis.tools.contract.facts import (
 from pupper_analysis.tools.contract.readers import tables
 
 FILE_SUFFIXES = (".py",)
+"""Suffixes of the files that this reader of training configurations reads."""
 
 _ACTUATOR_QUANTITIES = FORMAT_KEYS["actuator"]
 """{field of an actuator configuration: quantity}."""

@@ -29,6 +29,7 @@ from pupper_analysis.tools.contract.facts import (
 )
 
 FILE_SUFFIXES = (".yaml", ".yml", ".json")
+"""Suffixes of the files that this reader of tables reads."""
 
 _TABLE_KEYS = {
     **FORMAT_KEYS["table"],
