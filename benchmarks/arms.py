@@ -72,7 +72,7 @@ class ByMujoco:
         """Returns that of the tool (3, nu), at the posture."""
         model, rows = self.robot.mj_model, np.zeros((3, self.robot.mj_model.nv))
         self.load(held.posture.qpos)
-        body, place = held.tool.in_mjcf(self.robot)
+        body, place = held.tool.locate_in_mjcf(self.robot)
         number = model.body(body).id
         point = self.data.xpos[number] + self.data.xmat[number].reshape(3, 3) @ place
         mujoco.mj_jac(model, self.data, rows, None, point, number)
@@ -81,7 +81,7 @@ class ByMujoco:
 
 def by_motors(robot: Robot, qpos: Array, forces: Array) -> Array:
     """Returns what motors hold of forces, of which loops and couplings carry the rest."""
-    return Configuration(robot, qpos).by_motors(forces)
+    return Configuration(robot, qpos).transfer_to_motors(forces)
 
 
 def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> float:
@@ -164,7 +164,7 @@ def row(files: str) -> str:
         return f"| {name} | | {type(error).__name__}: {str(error)[:110]} |"
     took, own = time.process_time() - begin, ByMujoco(robot)
     postures = JointMotions(robot, held.posture).draw_postures(POSTURES)
-    both = [(Configuration(robot, qpos).load(), own.load(qpos)) for qpos in postures]
+    both = [(Configuration(robot, qpos).static_load(), own.load(qpos)) for qpos in postures]
     gravity = own.gravity(postures)
     apart = max(float(np.abs(one - other).max()) for one, other in both) / max(gravity, 1e-300)
     beyond = sampled(robot, held, own, gravity)

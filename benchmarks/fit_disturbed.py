@@ -370,7 +370,7 @@ class Rig:
     def _above(self, q: np.ndarray, swing: tuple[str, ...], drop: float) -> np.ndarray:
         """Returns qpos with the carrying feet level, so high above the ground."""
         robot = self.robot
-        qpos = robot.posed(q)
+        qpos = robot.make_qpos(q)
         data, model = mujoco.MjData(self.model), self.model
         geoms = [g for g, foot in robot.foot_geoms.items() if foot not in swing]
         every = list(robot.foot_geoms)

@@ -92,7 +92,7 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
             solver.tasks.solver.solve(True)
             solver.placo_robot.wrapper.update_kinematics()
         watch.stop("of PlaCo: as many programmes alone")
-        shapes.kinematics.move(point.qpos)
+        shapes.kinematics.update(point.qpos)
         watch.stop("of the errors: where com and feet are")
         shapes.lowest_part(shapes.kinematics, goal.task.ground, goal.targets, goal.depths)
         watch.stop("of the errors: how high all parts are")
@@ -139,7 +139,7 @@ def _forces(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     def run() -> None:
         load = config.gravity()
         carrying = make_contacts(robot, None, None, None, None)
-        transposed = carrying.jacobian(config)
+        transposed = carrying.transposed_jacobian(config)
         problem = carrying.balance(transposed, load)
         watch.stop("Jacobians of the contacts, gravity")
         problem.minimum_tangential(carrying.friction, carrying.metric)

@@ -118,7 +118,7 @@ def configuration(robot: pa.Robot, _: pa.Stand) -> dict[str, object]:
         "mass_matrix": config.mass_matrix(),
         "bias_forces": config.bias_forces(),
         "gravity": config.gravity(),
-        "static_rates": config.static_rates(wrenches),
+        "static_rates": config.static_load_derivative(wrenches),
         "forward_dynamics": config.forward_dynamics(qacc),
         "foot_accelerations": config.foot_accelerations(qacc),
         "com_acceleration": config.com_acceleration(qacc),

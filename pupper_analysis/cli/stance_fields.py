@@ -200,7 +200,7 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
             return Contact(Bar((x, y, z), (way[0], way[1], way[2]), radius, friction), **properties)
         x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0, *KINDS[kind])
         plane = Plane((x, y, z), (normal[0], normal[1], normal[2]), friction)
-        return Contact(plane if kind == "plane" else plane.moved(lengths[0]), **properties)
+        return Contact(plane if kind == "plane" else plane.with_parameter(lengths[0]), **properties)
     except ConfigurationError as error:
         raise ConfigurationError(option, error.diagnostic) from None
 

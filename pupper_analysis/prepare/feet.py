@@ -92,7 +92,7 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     limbs, or if this component is below `_MIN_DIRECTION_COSINE`.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
-    data = robot.placed(robot.posed(joints))
+    data = robot.compute_kinematics(robot.make_qpos(joints))
     ends: dict[int, list[int]] = {}  # an arm with its fingers is one limb
     for limb in limbs_of(robot):
         ends.setdefault(limb.bodies[0], []).append(limb.bodies[-1])
@@ -160,7 +160,7 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 
 def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     """Return the feet in a pose: the limbs that end at about the height of the lowest limb."""
-    model, data = robot.mj_model, robot.placed(robot.posed(joints))
+    model, data = robot.mj_model, robot.compute_kinematics(robot.make_qpos(joints))
     ends = {body: list_ground_geoms(model, body) for body in limb_ends(model)}
     heights = {
         body: compute_lowest_height(model, data, geoms) for body, geoms in ends.items() if geoms
@@ -220,7 +220,7 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
         UnknownNameError: If neither file has the frame.
         ModelError: If no geom there can touch the ground.
     """
-    model, data = robot.mj_model, robot.placed(robot.posed(joints))
+    model, data = robot.mj_model, robot.compute_kinematics(robot.make_qpos(joints))
     _, frame = frames
     places = [
         (kind, mujoco.mj_name2id(model, kind, frame))
@@ -294,7 +294,7 @@ def _locate_link(
         body = int(robot.mj_model.jnt_bodyid[robot.mj_model.joint(joint).id])
     else:
         body = int(robot.mj_model.body(robot.mj_base).id)
-    qpos = robot.posed(joints)
+    qpos = robot.make_qpos(joints)
     place = Configuration(robot, qpos).frame_position(link)
     return int(robot.mj_model.body_weldid[body]), place
 
@@ -313,7 +313,7 @@ def with_feet(
         replaced: {foot whose shapes are replaced by balls: reason}.
     """
     model, spec = robot.mj_model, robot.description.mjcf.copy()
-    data = robot.placed(robot.posed(np.zeros(robot.nu)))
+    data = robot.compute_kinematics(robot.make_qpos(np.zeros(robot.nu)))
     config = Configuration(robot, robot.neutral())
     tree = UrdfTree.of(robot.description.urdf)
     bodies = {body.name: body for body in spec.bodies}

@@ -152,7 +152,7 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
     None if a contact point has friction, if there are no contact points, or if the robot has a
     weld or a fixed base.
     """
-    if not feet or robot.welds or robot.bolted:
+    if not feet or robot.welds or robot.is_base_fixed:
         return None
     if any(robot.contacts[foot].sliding_friction > 0 for foot in feet):
         return None
@@ -177,7 +177,7 @@ def _report_buried_feet(
         return ()
     for foot, force in statics.contact_forces.items():
         radius, normal_force = robot.contact_radius[foot], float(force @ stand.normals[foot])
-        depth = GroundLaw.of(robot, foot).depth(max(0.0, normal_force))
+        depth = GroundLaw.of_contact(robot, foot).depth(max(0.0, normal_force))
         if depth > radius > 0:
             deep, size = Quantity(depth, "m"), Quantity(radius, "m")
             return (diagnose("foot-buried", subject=("foot", foot), depth=deep, radius=size),)
@@ -201,7 +201,7 @@ def _fail_if_upset(
     fails without feed-forward, and its contacts may chatter after a nudge.
     """
     if trial is None:
-        if statics.com_margin is None or robot.bolted:  # a base that no nudge moves
+        if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves
             return fed
         held = solve_stand_as_simulated(robot, stand)
         if not (fragile or is_near_limit(robot, held, statics)):

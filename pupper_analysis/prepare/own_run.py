@@ -88,7 +88,7 @@ def own_run(robot: Robot) -> OwnRun | None:
         Run. None if the robot has no feet or a fixed base, if ``get_published_model`` returns None,
         or if the file fixes the base. See ``simulate_model_from_keyframe`` for further cases.
     """
-    return as_loaded(robot).once(_simulate_from_keyframe)
+    return as_loaded(robot).compute_once(_simulate_from_keyframe)
 
 
 def get_published_model(robot: Robot) -> mujoco.MjModel | None:
@@ -101,10 +101,10 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
     """
     if robot.published is None:
         return None
-    if robot.published.as_prepared:
+    if robot.published.is_unchanged:
         return robot.mj_model
     if robot.published.file is None:
-        found = robot.once(_imported)
+        found = robot.compute_once(_imported)
         model = None if isinstance(found, Diagnostic) else found
     else:
         model = compile_published_model(robot.published.file, robot)
@@ -117,7 +117,7 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
 
 def import_refused(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return the reason why MuJoCo cannot import the robot's URDF; empty if the import works."""
-    found = as_loaded(robot).once(_imported)
+    found = as_loaded(robot).compute_once(_imported)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
 
 
@@ -177,7 +177,7 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
     """Compute the result of ``own_run``."""
     if not robot.floating or not robot.feet or robot.published is None:
         return None
-    model = robot.once(get_published_model)
+    model = robot.compute_once(get_published_model)
     if model is None:
         return None
     return simulate_model_from_keyframe(PublishedModel.of(model, robot), robot)
@@ -341,7 +341,7 @@ def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
         Run. None if the robot or the file has a free base, if there is no model, or if an actuator
         has a built-in controller.
     """
-    model = None if robot.floating else robot.once(get_published_model)
+    model = None if robot.floating else robot.compute_once(get_published_model)
     if model is None:
         return None
     published = PublishedModel.of(model, robot)

@@ -113,7 +113,7 @@ def compare_as_published(
         Comparison. None if the robot has no file, or if the file is what is simulated. See
         ``_compare_in`` and ``compare_nominal_stand`` for further cases.
     """
-    if robot.published is None or robot.published.as_prepared:
+    if robot.published is None or robot.published.is_unchanged:
         return None
     gains = (kp, kd) if servos.source is ServoSource.GIVEN else None
     loaded = as_loaded(robot)
@@ -121,10 +121,12 @@ def compare_as_published(
         return _compare_in(loaded, stand, gains)
     if robot.published.loaded is not None or robot.welds or not stand.task.ground.level:
         if gains is None:
-            return loaded.once(compare_nominal_stand)
+            return loaded.compute_once(compare_nominal_stand)
         return _compare_nominal(loaded, gains)
     if gains is None and robot is loaded and _is_nominal_stand(robot, stand):
-        return loaded.once(compare_nominal_stand)  # not simulated again for a robot with payload
+        return loaded.compute_once(
+            compare_nominal_stand
+        )  # not simulated again for a robot with payload
     return _compare_in(robot, stand, gains)
 
 
@@ -164,7 +166,7 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
     """
     if robot.published is None or (robot.floating and not robot.feet):
         return None
-    model = robot.once(get_published_model)
+    model = robot.compute_once(get_published_model)
     if model is None and (robot.published.file is None or not robot.floating):
         return None
     published = (
@@ -250,7 +252,9 @@ def _find_loading_causes(
     with contextlib.suppress(PupperAnalysisError):
         comparison = compare_files(robot.description.urdf_source, file.path).result
         affecting = [
-            similar.diagnostic for similar in comparison.differences if similar.weight[0] > 0
+            similar.diagnostic
+            for similar in comparison.differences
+            if similar.relative_effects[0] > 0
         ]
         affecting += comparison.parts
         if affecting:
@@ -396,13 +400,13 @@ def explain_own_run(robot: Robot) -> OwnRun | None:
     If the run fails, the result contains the causes that are found. Bad servos are reported
     elsewhere; a file with such servos gets no causes.
     """
-    return as_loaded(robot).once(_own_run_explained)
+    return as_loaded(robot).compute_once(_own_run_explained)
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:
     """Compute the run of the unmodified file, with a named cause if the run fails."""
     run = own_run(robot)
-    model = robot.once(get_published_model)
+    model = robot.compute_once(get_published_model)
     if run is None or not run.fails or model is None:
         return run
     published = PublishedModel.of(model, robot)
@@ -444,7 +448,7 @@ def name_remaining_cause(
     """
     if own is not None and own.fails:
         return replace(
-            own, causes=robot.once(_test_soft_servos) or _deviating_joint(own)
+            own, causes=robot.compute_once(_test_soft_servos) or _deviating_joint(own)
         ), published
     run = None if published is None else published.worst
     if published is None or run is None or run.agrees_with_equilibrium:
@@ -455,7 +459,7 @@ def name_remaining_cause(
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
     """Return the file's servos as a cause, if the file stands with stiffer servos."""
     loaded = as_loaded(robot)
-    model = loaded.once(get_published_model)
+    model = loaded.compute_once(get_published_model)
     if model is None or not loaded.floating:
         return ()
     published = PublishedModel.of(model, loaded)

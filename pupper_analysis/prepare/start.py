@@ -237,7 +237,7 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
     values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
     if np.abs(values - clip_to_limits(robot, joints)).max() > _LIMIT_ATOL:
         return False
-    qpos = robot.posed(values)
+    qpos = robot.make_qpos(values)
     centres = Configuration(robot, qpos).foot_positions()
     heights = [
         min(float(centres[point][2]) - robot.contact_radius[point] for point in points)
@@ -289,10 +289,10 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
         Robot with this nominal stand. None if there is none, or if no joint moves a contact point
         (wheels).
     """
-    jacobians = Configuration(robot, robot.posed(pose)).foot_jacobians().values()
+    jacobians = Configuration(robot, robot.make_qpos(pose)).foot_jacobians().values()
     if not any((np.abs(jacobian[:, 6:]) > _LIMIT_CLEARANCE).any() for jacobian in jacobians):
         return None
-    length = compute_leg_length(robot, robot.posed(pose))
+    length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = np.round(
         length * np.linspace(_MAX_HEIGHT_FRACTION, _MIN_HEIGHT_FRACTION, _NUM_HEIGHTS), 3
     )
@@ -334,7 +334,7 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
     radii = np.array(list(robot.contact_radius.values()))
 
     def errors(joints: Array) -> Array:
-        config = Configuration(robot, robot.posed(joints))
+        config = Configuration(robot, robot.make_qpos(joints))
         places = config.foot_positions()
         touching = np.array([places[point] for point in robot.contact_radius])
         com_offset = (config.center_of_mass() - touching.mean(axis=0))[:2]
@@ -393,7 +393,7 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
     ground from their foot positions. If no leg posture reaches the targets, the pose is
     returned.
     """
-    qpos = robot.posed(pose)
+    qpos = robot.make_qpos(pose)
     config = Configuration(robot, qpos)
     feet = config.foot_positions()
     targets, drops = dict(feet), []
@@ -430,7 +430,7 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
         margin: Distance of the joints from their limits [rad, m].
         known: Length of the longest run known so far; a shorter run may be returned incomplete.
     """
-    length = compute_leg_length(robot, robot.posed(pose))
+    length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = [
         float(h)
         for h in length * np.linspace(_MAX_HEIGHT_FRACTION, _MIN_HEIGHT_FRACTION, _NUM_HEIGHTS)
@@ -466,7 +466,7 @@ def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[in
     """
     qpos = stand.qpos.copy()
     qpos[2] -= sinkage
-    model, data = robot.mj_model, robot.placed(qpos)
+    model, data = robot.mj_model, robot.compute_kinematics(qpos)
     mujoco.mj_collision(model, data)
     pairs = [pair for pair in data.contact.geom if 0 in model.geom_bodyid[pair]]
     return {
@@ -527,7 +527,7 @@ def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
 
     The branches are computed when the first is requested; mostly the pose itself is sufficient.
     """
-    qpos = robot.posed(pose)
+    qpos = robot.make_qpos(pose)
     qpos[:3] = (*goal.place, goal.height)
     found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
     yield from itertools.islice(combine_branches(found, pose), _MAX_BRANCHES)
@@ -725,7 +725,7 @@ def make_start_keyframe(
 
 def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
     """Return the robot with a start pose in which the lowest foot penetrates the ground [m]."""
-    qpos = robot.posed(joints)
+    qpos = robot.make_qpos(joints)
     places = Configuration(robot, qpos).foot_positions()
     height = max(robot.contact_radius[foot] - float(place[2]) for foot, place in places.items())
     return replace(robot, home=qpos, stand_height=round(height - sunk, 9) if sunk else height)

@@ -88,7 +88,7 @@ def find_carrying_hulls(
     except PupperAnalysisError:
         return None
     model = footless.mj_model
-    data = footless.placed(footless.posed(stand.joint_positions(robot)))
+    data = footless.compute_kinematics(footless.make_qpos(stand.joint_positions(robot)))
     changed: dict[str, Foot] = {}
     gaps, depths = dict[str, float](), dict[str, float]()
     for foot in feet:
@@ -115,9 +115,9 @@ def find_carrying_hulls(
     hulled = build_robot(with_feet(footless, new, notes.report_balls(footless, new)))
     shares = []
     for name, gap in gaps.items():
-        soft = GroundLaw.of(robot, name)
+        soft = GroundLaw.of_contact(robot, name)
         load = soft.force(depths[name])
-        shares.append(soft.force(gap + GroundLaw.of(hulled, name).depth(load)) / load)
+        shares.append(soft.force(gap + GroundLaw.of_contact(hulled, name).depth(load)) / load)
     if np.mean(shares) > _MAX_FOOT_SHARE:  # one decision for all feet: like limbs stay alike
         return None
     message = diagnose(

@@ -323,7 +323,7 @@ def _make_cameras(robot: Robot, qpos: Array, azimuths: Array, elevation: float) 
     signs = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
     points = []
     for state in (qpos[0], qpos[-1]):
-        data = robot.placed(state)
+        data = robot.compute_kinematics(state)
         points.append(data.xpos[base])
         for geom in geoms:
             box = model.geom_aabb[geom]

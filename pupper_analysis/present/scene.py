@@ -156,12 +156,12 @@ def describe_scene(
     com = config.center_of_mass() if statics is None else statics.center_of_mass
     ground = stand.task.ground
     points = np.array([*stand.contact_points.values()] or [stand.qpos[:3] * (1.0, 1.0, 0.0)])
-    over = points[:1] if robot.welded else points  # welds hold a com over any place
+    over = points[:1] if robot.is_welded else points  # welds hold a com over any place
     return StandingScene(
         ground=ground,
         contact_positions=points,
         polygon=_find_balance_corners(robot, stand, points)
-        if ground.planes and not robot.welded
+        if ground.planes and not robot.is_welded
         else compute_polygon_corners(over),
         steps=ground.steps(stand.rigid_targets),
         com=com,

@@ -307,7 +307,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
             collapses=run.collapses and not run.is_lifted,
             lifted=run.is_lifted,
             gives=(run.has_left_posture or run.unheld is not None) and not run.collapses,
-            place=run.gone,
+            place=run.has_left_place,
             duration=Quantity(run.duration, "s"),
             height=Quantity(run.height, "m"),
             drop=Quantity(run.clearance, "m") if run.clearance > _MIN_STATED_CLEARANCE else None,

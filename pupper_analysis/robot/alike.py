@@ -71,7 +71,7 @@ def limbs_of(robot: Robot) -> list[Limb]:
     A limb end carries no other moving body. Bodies that are fixed to a moving body count as part of
     this body.
     """
-    model, data = robot.mj_model, robot.placed()
+    model, data = robot.mj_model, robot.compute_kinematics()
     weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
     limbs = []
     for end_body in limb_ends(model):

@@ -81,9 +81,9 @@ def build_robot(
     mj_base = _find_base_body(mj_model, floating, joint_names)
     if not floating:
         mj_base = _match_root_link(mj_model, mj_base, description.urdf)
-    mj_convention = MujocoConvention.of(mj_model, joint_names)
+    mj_convention = MujocoConvention.from_model(mj_model, joint_names)
     pin_model = _build_pinocchio_model(description, mj_model, mj_base, joint_names, floating)
-    pin_convention = PinocchioConvention.of(pin_model, joint_names)
+    pin_convention = PinocchioConvention.from_model(pin_model, joint_names)
     notes = [*added, *report_options(mj_model), *_check_forces_at_rest(mj_model)]
     notes += report_ignored_tendon_ranges(mj_model)
     notes += report_ignored_equalities(mj_model)
@@ -176,7 +176,7 @@ def copy_metadata(built: Robot, robot: Robot) -> Robot:
         built,
         stand_height=robot.stand_height,
         notes=robot.notes,
-        published=None if robot.published is None else robot.published.of_changed(robot),
+        published=None if robot.published is None else robot.published.for_modified_copy(robot),
     )
     return result if not robot.touching else with_touching(result, robot, robot.touching)
 

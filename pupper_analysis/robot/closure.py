@@ -76,6 +76,8 @@ _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
     "mjDSBL_SENSOR",
 )
+"""MuJoCo's parts of the computation that are disabled, so that equality constraints alone
+remain."""
 
 
 class Closure:

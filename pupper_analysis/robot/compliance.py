@@ -1,4 +1,10 @@
-"""Static stiffness and creep viscosity of MuJoCo's contact between a foot and the ground."""
+"""Static stiffness and viscosity of MuJoCo's contact between a foot and the ground.
+
+MuJoCo's contacts are soft. Input: the contact parameters of a foot. Output: `GroundLaw`, with the
+penetration under a normal force (solved by Newton's method), the normal stiffness, and the
+viscosity: MuJoCo's regularised friction lets a foot creep (slip slowly) at a speed proportional to
+the tangential force.
+"""
 
 from __future__ import annotations
 
@@ -38,10 +44,10 @@ class GroundLaw:
     aref = k d r - b v. Therefore
 
         normal force:      f = k d(r)^2 r / ((1 - d(r)) A)
-        tangential force:  f = -c v, c = b d / ((1 - d) A_t), A_t = A / impratio  (a creeping foot)
+        tangential force:  f = -c v, c = b d / ((1 - d) A_t), A_t = A / impratio
 
-    for the elliptic cone; for the pyramidal cone see `of`. Here k = 1/(dmax timeconst dampratio)^2
-    and b = 2/(dmax timeconst), or -solref/(dmax^2, dmax).
+    with the creep velocity v, for the elliptic cone; for the pyramidal cone see `of_contact`. Here
+    k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax timeconst), or -solref/(dmax^2, dmax).
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 
@@ -63,11 +69,15 @@ class GroundLaw:
     margin: float = 0.0
 
     @staticmethod
-    def of(robot: Robot, foot: str) -> GroundLaw:
-        """Return the law of the contact between a contact point and the ground.
+    def of_contact(robot: Robot, foot: str) -> GroundLaw:
+        """Return the force law between a contact point and the ground in MuJoCo's model.
 
-        With the pyramidal cone, A_t = (1 + mu^2) A / impratio, and A is that of the sum of all
-        edges: A_t mu^2 / (condim - 1).
+        With the pyramidal cone, A_t = (1 + mu^2) A / impratio, and ``normal`` is A_t mu^2 / (condim
+        - 1), since the normal force is the sum of the forces of 2 (condim - 1) edges.
+
+        Args:
+            robot: Robot whose MuJoCo model has a ground.
+            foot: Contact point.
         """
         model, parameters = robot.mj_model, robot.contacts[foot]
         solimp = clip_solimp(parameters.solimp)
@@ -96,7 +106,7 @@ class GroundLaw:
         )
 
     def impedance(self, depth: float) -> float:
-        """Return MuJoCo's impedance d (0 to 1, from ``solimp``) at a penetration [m]."""
+        """Return MuJoCo's impedance d (0 to 1, from ``solimp``) at a penetration ``depth`` [m]."""
         return float(self._impedance_and_slope(depth)[0])
 
     def _impedance_and_slope(self, depth: float) -> tuple[float, float]:
@@ -159,7 +169,7 @@ class GroundLaw:
                 if abs(x - previous) <= _STEP_RTOL * previous:
                     return start + x
         high = 2 * linear
-        while self.force(start + high) < force:  # ground that softens with depth
+        while self.force(start + high) < force:  # the stiffness falls with the penetration
             high *= 2
         # x is the penetration plus the margin.
         low, x, previous = 0.0, linear, math.inf
@@ -186,6 +196,10 @@ class GroundLaw:
         return force, self.stiffness * (slope_term + d**2 / (1 - d)) / self.normal
 
     def viscosity(self, depth: float) -> float:
-        """Return the viscosity c [N s/m] (tangential force per creep speed) at a depth [m]."""
+        """Return the viscosity c [N s/m] of the contact at a penetration [m].
+
+        c is the tangential force divided by the creep velocity, the slow slip that MuJoCo's
+        regularised friction permits inside the friction cone.
+        """
         d = self.impedance(depth)
         return self.damping * d / ((1 - d) * self.tangential)

@@ -72,7 +72,7 @@ class Configuration(Pictured):
             check_type("robot", robot, Robot)
         self._structure = structure = robot.structure
         self.robot = robot
-        self.qpos = own = structure.state(qpos)
+        self.qpos = own = structure.normalise_qpos(qpos)
         self.qvel = structure.rest
         if qvel is not None:
             self.qvel = check_vector("qvel", qvel, structure.nv)
@@ -81,7 +81,7 @@ class Configuration(Pictured):
 
         self._model = structure.model
         # The workspace is owned by this configuration and its copies.
-        self._workspace = structure.workspace()
+        self._workspace = structure.acquire_workspace()
         self._data = self._workspace.data
         self._q = structure.convention.unit_q(own)
         pin.computeJointJacobians(self._model, self._data, self._q)
@@ -162,7 +162,7 @@ class Configuration(Pictured):
             return jacobian
         frame_type = _check_reference(reference)
         columns = pin.getFrameJacobian(self._model, self._data, frame, frame_type)
-        jacobian = self._structure.columns(columns)
+        jacobian = self._structure.sort_columns(columns)
         if offset is not None and reference == "local":
             lever = self._data.oMf[frame].rotation.T @ np.asarray(offset, dtype=float)
             jacobian[:3] -= pin.skew(lever) @ jacobian[3:]
@@ -191,12 +191,12 @@ class Configuration(Pictured):
             ConfigurationError: If ``reference`` is unknown.
         """
         frame, frame_type = self._frame_index(name), _check_reference(reference)
-        workspace = self._structure.workspace()
+        workspace = self._structure.acquire_workspace()
         data = workspace.data
         pin.computeJointJacobiansTimeVariation(self._model, data, self._q, self._v)
         pin.updateFramePlacements(self._model, data)
         columns = pin.getFrameJacobianTimeVariation(self._model, data, frame, frame_type)
-        variation = self._structure.columns(columns)
+        variation = self._structure.sort_columns(columns)
         if offset is not None and reference != "world":
             lever = np.asarray(offset, dtype=float)
             if reference == "local":  # the lever is constant in the axes of the link
@@ -269,7 +269,7 @@ class Configuration(Pictured):
         Rows: linear velocity of the origin [m/s], then angular velocity [rad/s].
         """
         jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
-        return self._structure.columns(jacobian)
+        return self._structure.sort_columns(jacobian)
 
     def _jacobians(self, feet: Iterable[str]) -> Array:
         """Return the Jacobians (n, 6, nv) of the sphere centres of feet, in world axes.
@@ -312,7 +312,7 @@ class Configuration(Pictured):
         placements, frames = self._data.oMf, self._structure.feet
         return {foot: np.array(placements[frame].translation) for foot, frame in frames.items()}
 
-    def foot_places(self, feet: Iterable[str]) -> Array:
+    def foot_centres(self, feet: Iterable[str]) -> Array:
         """Return the centres (n, 3) [m] of the spheres of contact points in the world."""
         placements, frames = self._data.oMf, self._structure.feet
         positions = [placements[frames[foot]].translation for foot in feet]
@@ -330,7 +330,7 @@ class Configuration(Pictured):
         placements, frames = self._data.oMf, self._structure.feet
         return np.array([placements[frames[foot]].rotation for foot in feet]).reshape(-1, 3, 3)
 
-    def foot_twists(self, feet: Sequence[str]) -> Array:
+    def foot_twist_jacobians(self, feet: Sequence[str]) -> Array:
         """Return the Jacobians, shape (n, 6, nv), of the centres of n contact points.
 
         J qvel = (linear velocity of the centre [m/s], angular velocity [rad/s]), in world axes.
@@ -367,12 +367,12 @@ class Configuration(Pictured):
         """Return the CoM (3,) [m] in the world."""
         # Without q, Pinocchio reuses the joint placements.
         moving = pin.centerOfMass(self._model, self._data, pin.KinematicLevel.POSITION, False)
-        return np.array(self._structure.centre(moving))
+        return np.array(self._structure.total_com(moving))
 
     def com_jacobian(self) -> Array:
         """Return the Jacobian (3, nv) of the CoM; J qvel is the velocity of the CoM [m/s]."""
         moving = pin.jacobianCenterOfMass(self._model, self._data, self._q)
-        jacobian: Array = (1 - self._structure.fixed) * self._structure.columns(moving)
+        jacobian: Array = (1 - self._structure.fixed) * self._structure.sort_columns(moving)
         return jacobian
 
     def centroidal_map(self) -> Array:
@@ -382,9 +382,9 @@ class Configuration(Pictured):
         axes, as ``pin.computeCentroidalMap``. Armature is not included (Orin and Goswami 2008,
         "Centroidal momentum matrix of a humanoid robot").
         """
-        workspace = self._structure.workspace()
+        workspace = self._structure.acquire_workspace()
         moving = pin.computeCentroidalMap(self._model, workspace.data, self._q)
-        momentum = np.array(self._structure.columns(moving))
+        momentum = np.array(self._structure.sort_columns(moving))
         if self._structure.fixed:  # Pinocchio's CoM does not include fixed mass
             momentum[3:] += pin.skew(self._moving_com_offset()) @ momentum[:3]
         return momentum
@@ -402,8 +402,8 @@ class Configuration(Pictured):
         # Pinocchio's function reads data.vcom[0], which must be zero, as in new data.
         data = self._model.createData()
         moving = pin.computeCentroidalMapTimeVariation(self._model, data, self._q, self._v)
-        variation = np.array(self._structure.columns(moving))
-        momentum = self._structure.columns(np.array(data.Ag))
+        variation = np.array(self._structure.sort_columns(moving))
+        momentum = self._structure.sort_columns(np.array(data.Ag))
         variation[3:] -= pin.skew(self.com_jacobian() @ self.qvel) @ momentum[:3]
         if self._structure.fixed:
             variation[3:] += pin.skew(self._moving_com_offset()) @ variation[:3]
@@ -420,7 +420,9 @@ class Configuration(Pictured):
 
     def mass_matrix(self) -> Array:
         """Return the joint-space inertia matrix M (nv, nv), including armature (``pin.crba``)."""
-        return self._structure.inertia(pin.crba(self._structure.loaded(), self._data, self._q))
+        return self._structure.fill_symmetric(
+            pin.crba(self._structure.update_armature(), self._data, self._q)
+        )
 
     def bias_forces(self) -> Array:
         """Return the bias h (nv,) [N, N m]: Coriolis, centrifugal and gravity forces.
@@ -429,7 +431,7 @@ class Configuration(Pictured):
         ``pin.nonLinearEffects``, sorted into the order of qvel.
         """
         forces = pin.nonLinearEffects(self._model, self._data, self._q, self._v)
-        return self._structure.dual(forces)
+        return self._structure.to_qvel_order(forces)
 
     def gravity(self) -> Array:
         """Return the gravity vector g (nv,), the bias at rest.
@@ -439,9 +441,9 @@ class Configuration(Pictured):
         computes those of a standing robot.
         """
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
-        return self._structure.dual(forces)
+        return self._structure.to_qvel_order(forces)
 
-    def passive(self) -> Array:
+    def passive_forces(self) -> Array:
         """Return the passive generalised forces of the MJCF at zero velocity, shape (nv,) [N, N m].
 
         MuJoCo's ``qfrc_passive``, for example of springs, gravity compensation, wind and flexible
@@ -453,14 +455,14 @@ class Configuration(Pictured):
         with lend(self.robot, AtRest) as springs:
             return springs.forces(self.qpos)
 
-    def load(self) -> Array:
+    def static_load(self) -> Array:
         """Return the generalised force that motors and contacts must exert at rest, shape (nv,).
 
         Gravity vector minus passive forces of the MJCF [N, N m].
         """
-        return self.gravity() - self.passive() if self.robot.acts_at_rest else self.gravity()
+        return self.gravity() - self.passive_forces() if self.robot.acts_at_rest else self.gravity()
 
-    def by_motors(self, forces: Array) -> Array:
+    def transfer_to_motors(self, forces: Array) -> Array:
         """Transfer the loads of joints without motor to the motors, through loops and couplings.
 
         Constraint forces transfer the load of dependent joints, which have no motor, to the motors
@@ -482,7 +484,7 @@ class Configuration(Pictured):
         result[first:] -= closure.load_transfer(self.qpos) @ forces[first:]
         return result
 
-    def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
+    def static_load_derivative(self, wrenches: Mapping[str, Array]) -> Array:
         """Return the derivative of the static load minus constant wrenches on feet, (nv, nv).
 
         The differentiated force is l - sum J^T w, with l the static load and J the Jacobian (6, nv)
@@ -493,9 +495,9 @@ class Configuration(Pictured):
                 constant in world axes.
         """
         pushes = np.array(list(wrenches.values())).reshape(-1, 6)
-        return self.pushed_rates(self._jacobians(wrenches), pushes)
+        return self.loaded_points_derivative(self._jacobians(wrenches), pushes)
 
-    def pushed_rates(self, jacobians: Array, wrenches: Array) -> Array:
+    def loaded_points_derivative(self, jacobians: Array, wrenches: Array) -> Array:
         """Return the derivative of the static load minus constant wrenches on moving points.
 
         The differentiated force is l - sum J^T w, with l the static load; column i is the
@@ -510,9 +512,9 @@ class Configuration(Pictured):
             Shape (nv, nv).
         """
         structure, n = self._structure, self._structure.nv
-        workspace = structure.workspace()
+        workspace = structure.acquire_workspace()
         rates = pin.computeGeneralizedGravityDerivatives(self._model, workspace.data, self._q)
-        changed = structure.square(np.atleast_2d(rates))
+        changed = structure.sort_matrix(np.atleast_2d(rates))
         turned = cross_matrices(wrenches.reshape(-1, 3)).reshape(-1, 6, 3) @ jacobians[:, 3:]
         pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
         combined = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
@@ -521,7 +523,7 @@ class Configuration(Pictured):
         changed -= np.where(structure.carried, combined, pushed.T)
         if self.robot.acts_at_rest:
             with lend(self.robot, AtRest) as springs:
-                changed -= springs.rates(self.qpos)
+                changed -= springs.force_derivative(self.qpos)
         return changed
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
@@ -533,9 +535,11 @@ class Configuration(Pictured):
         Raises:
             ConfigurationError: If the vector has a wrong length, or a value is not finite.
         """
-        model_force = self._structure.velocity(check_vector("force", force, self.robot.nv))
-        acceleration = pin.aba(self._structure.loaded(), self._data, self._q, self._v, model_force)
-        return self._structure.dual(acceleration)
+        model_force = self._structure.to_model_order(check_vector("force", force, self.robot.nv))
+        acceleration = pin.aba(
+            self._structure.update_armature(), self._data, self._q, self._v, model_force
+        )
+        return self._structure.to_qvel_order(acceleration)
 
     def joint_torque_regressor(self, qacc: ArrayLike) -> Array:
         """Return the regressor Y (nv, 10 n) of the inverse dynamics of n bodies.
@@ -553,13 +557,15 @@ class Configuration(Pictured):
         Raises:
             ConfigurationError: If the vector has a wrong length, or a value is not finite.
         """
-        acceleration = self._structure.velocity(check_vector("qacc", qacc, self.robot.nv))
-        workspace = self._structure.workspace()
+        acceleration = self._structure.to_model_order(check_vector("qacc", qacc, self.robot.nv))
+        workspace = self._structure.acquire_workspace()
         regressor = pin.computeJointTorqueRegressor(
             self._model, workspace.data, self._q, self._v, acceleration
         )
         blocks = np.reshape(regressor, (self.robot.nv, -1, 10))[:, self._bodies() - 1]
-        rows = [self._structure.dual(column) for column in blocks.reshape(self.robot.nv, -1).T]
+        rows = [
+            self._structure.to_qvel_order(column) for column in blocks.reshape(self.robot.nv, -1).T
+        ]
         return np.array(rows).T
 
     def dynamic_parameters(self) -> Array:
@@ -616,8 +622,8 @@ class Configuration(Pictured):
 
     def _compute_accelerations(self, qacc: ArrayLike) -> Workspace:
         """Return Pinocchio data with velocities and accelerations for a qacc of shape (nv,)."""
-        acceleration = self._structure.velocity(check_vector("qacc", qacc, self.robot.nv))
-        workspace = self._structure.workspace()
+        acceleration = self._structure.to_model_order(check_vector("qacc", qacc, self.robot.nv))
+        workspace = self._structure.acquire_workspace()
         pin.forwardKinematics(self._model, workspace.data, self._q, self._v, acceleration)
         pin.updateFramePlacements(self._model, workspace.data)
         return workspace
@@ -625,7 +631,7 @@ class Configuration(Pictured):
     @property
     def _v(self) -> Array:
         """Velocity in the order of the Pinocchio model, shape (nv,)."""
-        return self._structure.velocity(self.qvel)
+        return self._structure.to_model_order(self.qvel)
 
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
         """Return the readings of gyro and accelerometer at the frame of a link.
@@ -678,7 +684,7 @@ linear or polynomial, and gravity compensation varies with sines of the angles."
 
 
 class AtRest:
-    """Passive forces at rest, from MuJoCo's ``qfrc_passive``; see `Configuration.passive`.
+    """Passive forces at rest, from MuJoCo's ``qfrc_passive``; see `Configuration.passive_forces`.
 
     Borrow an instance with ``lend``, because creating MuJoCo's data takes 50 times as long as an
     evaluation.
@@ -696,7 +702,7 @@ class AtRest:
         self._convention.set_state(self._data, qpos)
         return self._passive_forces()
 
-    def rates(self, qpos: Array) -> Array:
+    def force_derivative(self, qpos: Array) -> Array:
         """Return the derivative of the passive forces at rest, shape (nv, nv).
 
         Column i is the derivative by a step along qvel[i], computed by central differences.

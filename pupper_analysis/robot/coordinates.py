@@ -72,7 +72,7 @@ class PinocchioConvention:
     unbounded: NDArray[np.bool_]
 
     @staticmethod
-    def of(model: pin.Model, joint_names: Sequence[str]) -> PinocchioConvention:
+    def from_model(model: pin.Model, joint_names: Sequence[str]) -> PinocchioConvention:
         """Return the maps between the coordinates of this package and of a Pinocchio model.
 
         Args:
@@ -221,7 +221,7 @@ class MujocoConvention:
     actuator_index: IntArray
 
     @staticmethod
-    def of(model: mujoco.MjModel, joint_names: Sequence[str]) -> MujocoConvention:
+    def from_model(model: mujoco.MjModel, joint_names: Sequence[str]) -> MujocoConvention:
         """Return the maps between the coordinates of this package and of a MuJoCo model.
 
         Args:

@@ -140,7 +140,7 @@ class BodyMotion:
         return self.diverged or self._has_collapsed(self.away)
 
     @property
-    def gone(self) -> bool:
+    def has_left_place(self) -> bool:
         """True if the robot collapses only because its CoM travelled too far horizontally.
 
         The limit is ``MAX_TRAVEL_RATIO`` times the initial CoM height.

@@ -147,7 +147,10 @@ def _level_floor(
 def _compiled_planes(
     spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
 ) -> tuple[list[float], list[float]]:
-    """Return the cosine of the tilt of each plane, and the height above the world's origin [m]."""
+    """Return cosines of the tilt of n planes, and heights above the world's origin [m].
+
+    Two lists of n numbers, computed from the compiled model.
+    """
     numbers = [next(i for i, geom in enumerate(spec.geoms) if geom == one) for one in planes]
     copied = spec.copy()
     copied.compiler.discardvisual = False  # removing geoms would change their order
@@ -160,7 +163,10 @@ def _compiled_planes(
 
 
 def _disable_scenery(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
-    """Disable the contacts of geoms, and report the names of geoms or bodies."""
+    """Disable the contacts of geoms, in place, and report each geom by name.
+
+    A geom without a name is reported by the name of its body, or, in the world body, by its type.
+    """
     names: list[str | Diagnostic] = []
     for geom in geoms:
         geom.contype = geom.conaffinity = 0

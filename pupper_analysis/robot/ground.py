@@ -1,4 +1,9 @@
-"""Ground of a stand: a plane with a slope, steps on it, and separate planes or bars under feet."""
+"""Ground of a stand: a sloped plane, steps on it, and planes or bars under individual feet.
+
+Input: slope, uphill direction and step heights of a task, and the planes of individual feet.
+Output: height, normal and nearest ground point for each foot, and the boxes and cylinders that
+represent the steps in MuJoCo's model.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +34,8 @@ Point = tuple[float, float]
 
 
 _DEFAULT_ANGLE = 0.0
-"""Default of slope and uphill direction [rad]. The constructor compares by identity, to skip
-checks."""
+"""Default of slope and uphill direction [rad]. The constructor skips its checks if both fields are
+this object (``is``, not ``==``), because level ground is the usual case."""
 
 
 class Step(NamedTuple):
@@ -53,7 +58,7 @@ class Step(NamedTuple):
     height: float = 0.0
 
     @property
-    def turn(self) -> Array:
+    def quaternion(self) -> Array:
         """Orientation of the step in the world as a quaternion (w, x, y, z)."""
         return quaternion_from_rotation(self.rotation)
 
@@ -98,50 +103,57 @@ class Ground:
 
     @property
     def planes(self) -> Mapping[str, Plane]:
-        """{foot: plane under the foot}, set when a task is prepared for a robot."""
+        """{foot: plane of an individual foot}, from ``with_planes``; empty in a new ground."""
         return self._planes
 
     def with_planes(self, planes: Mapping[str, Plane]) -> Ground:
-        """Return a copy of the ground in which some feet touch separate planes.
+        """Return a copy of the ground in which some feet touch planes of their own.
 
         Args:
-            planes: {foot: plane}.
+            planes: {foot: plane that the foot touches instead of the ground}; replaces all earlier
+                planes.
         """
         ground = replace(self)
         object.__setattr__(ground, "_planes", FrozenDict(planes))
         return ground
 
     def normal(self, foot: str | None = None) -> Array:
-        """Return the upward unit normal of the ground, shape (3,), in the world frame.
+        """Return the unit normal of the ground under a foot, shape (3,), in the world frame.
 
         Args:
-            foot: Foot with a separate plane, whose normal is returned. Default: the slope.
+            foot: Foot. If the foot has a plane of its own, the normal of this plane is returned;
+                otherwise, and by default, the normal of the sloped ground.
         """
         if foot is not None and foot in self._planes:
             return np.array(self._planes[foot].normal)
         return np.array(slope_normal(self.slope, self.uphill))
 
     def rotation(self, foot: str | None = None) -> Array:
-        """Return the shortest rotation (3, 3) that aligns z with the normal."""
+        """Return the shortest rotation (3, 3) that aligns z with the normal under a foot.
+
+        Args:
+            foot: As for ``normal``.
+        """
         return _align_z_with(self.normal(foot))
 
-    def touched(self, foot: str, centre: Array) -> Array:
+    def ground_point(self, foot: str, centre: Array) -> Array:
         """Return the ground point (3,) [m] for the centre (3,) [m] of a foot, in the world frame.
 
-        This is the nearest point of the foot's own plane; otherwise, the point of the ground or
-        step vertically below the centre.
+        If the foot has a plane of its own, this is the nearest point of the plane. Otherwise, it is
+        the point of the ground or step vertically below the centre.
         """
         if foot in self._planes:
-            return self._planes[foot].nearest(centre)
+            return self._planes[foot].project(centre)
         x, y, _ = centre
         return np.array([x, y, self.height((x, y), foot)])
 
     @check_arguments
     def steps(self, places: Mapping[str, Array]) -> dict[str, Step]:
-        """Return {foot: box or bar} of the feet on a step or on a separate plane.
+        """Return {foot: box or cylinder} for feet on a step, or on a plane or bar of their own.
 
-        The box extends ``STEP_HALF_WIDTH`` beyond the contact points. The top of the box for a step
-        down is the bottom of the pit, and the thickness is the depth of the pit.
+        A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. For a step of
+        height h > 0, the box stands on the ground; for h < 0 (a pit), the top of the box is the
+        bottom of the pit, |h| below the ground, and the thickness of the box is also |h|.
 
         Args:
             places: {contact point: centre (3,) [m]}; the points of a flat foot are ``foot/1``,
@@ -153,7 +165,7 @@ class Ground:
                 centre for point, centre in places.items() if f"{point}/".startswith(f"{foot}/")
             ]
             if centres and (self.heights.get(foot) or foot in self._planes):
-                top, reach = self.middle(foot, np.array(centres))
+                top, reach = self.foot_ground_point(foot, np.array(centres))
                 half_width = reach + STEP_HALF_WIDTH
                 bar = getattr(self._planes.get(foot), "bar", None)
                 if bar is not None:
@@ -175,26 +187,26 @@ class Ground:
                 steps[foot] = Step(middle, half, self.rotation(foot), height=height)
         return steps
 
-    def middle(self, foot: str, centres: Array) -> tuple[Array, float]:
-        """Return the ground point (3,) [m] of the middle of a foot, and the foot's radius [m].
+    def foot_ground_point(self, foot: str, centres: Array) -> tuple[Array, float]:
+        """Return the ground point (3,) [m] under the mean of a foot's contact points, and a size.
 
-        The ground point is that of `touched`; the radius is the largest distance of a contact point
-        from the middle.
+        The size is the largest distance of a contact point from the mean [m]. The ground point is
+        computed by ``ground_point``.
 
         Args:
             foot: Foot.
-            centres: Centres (n, 3) [m] of the contact points.
+            centres: Sphere centres (n, 3) [m] of the contact points in the world frame.
         """
         centre = centres.mean(axis=0)
         reach = float(np.linalg.norm(centres - centre, axis=1).max())
-        return self.touched(foot, centre), reach
+        return self.ground_point(foot, centre), reach
 
     def height(self, place: Sequence[float] | Array, foot: str | None = None) -> float:
         """Return the height [m] of the sloped ground at a horizontal position.
 
         Args:
             place: Position (x, y) or (x, y, z) [m], in the world frame.
-            foot: Foot whose step is added to the height. Default: no step.
+            foot: Foot whose step height (``heights``) is added. Default: no step.
         """
         rise = math.tan(self.slope)
         along = place[0] * math.cos(self.uphill) + place[1] * math.sin(self.uphill)
@@ -233,9 +245,8 @@ def _check_slope(name: str, value: float) -> float:
 
 
 _BAR_LENGTH_FACTOR = 3.0
-"""Half length of the cylinder that represents a bar, relative to the half width of the box that
-represents a plane under the same foot. Chosen, not tuned: a foot must not reach the end of the
-bar."""
+"""Half length of the cylinder that represents a bar in MuJoCo's model, relative to the half width
+that a box under the same foot has. Chosen, not tuned: a foot must not reach the end of the bar."""
 
 STEP_HALF_WIDTH = 0.03
 """Distance [m] by which the box of a step extends horizontally beyond the contact points of its

@@ -24,20 +24,23 @@ _DEFAULT_REFERENCE = (0.02, 1.0)
 """Time constant [s] and damping ratio of MuJoCo's mj_defaultSolRefImp."""
 
 _NUM_BISECTIONS = 60
-"""Number of bisections of the opening of a constraint that stiffens. Derived: 60 halvings reach
-double precision."""
+"""Number of bisections of the violation of a soft constraint under a force, if its stiffness rises
+with the violation. Derived: 60 halvings reach double precision."""
 
 _MAX_ITERATIONS = 1000
-"""Maximum number of fixed-point iterations for the opening of a constraint that softens. Chosen,
-not tuned."""
+"""Maximum number of fixed-point iterations for the violation of a soft constraint under a force, if
+its stiffness falls with the violation. Chosen, not tuned."""
 
 _OPENING_RTOL = 1e-14
-"""Relative change of the opening per iteration at which the fixed-point iteration ends: rounding
+"""Relative change of the violation per iteration at which the fixed-point iteration ends: rounding
 level. Chosen, not tuned."""
 
 
 def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
-    """Return dmin, dmax, width, midpoint and power, clipped to MuJoCo's bounds."""
+    """Return the five numbers of a solimp, clipped to MuJoCo's bounds.
+
+    Order: dmin, dmax, width [m, rad], midpoint, power.
+    """
     dmin, dmax, width, midpoint, power = (float(value) for value in solimp)
     dmin, dmax, midpoint = (
         min(max(value, mujoco.mjMINIMP), mujoco.mjMAXIMP) for value in (dmin, dmax, midpoint)
@@ -61,12 +64,12 @@ def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, f
     """Return the impedance d of a constraint, and the derivative [1/m, 1/rad].
 
     d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero d is the mean of both.
-    Source: MuJoCo documentation, "Computation:
-    Solver parameters"; ``engine_core_constraint.c``.
+
+    Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 
     Args:
         solimp: Parameters from ``clip_solimp``.
-        opened: Distance [m, rad] from the margin of the constraint.
+        opened: Violation of the constraint [m, rad]; for a contact, penetration plus margin.
     """
     dmin, dmax, width, midpoint, power = solimp
     if dmin == dmax or width <= mujoco.mjMINVAL:
@@ -83,10 +86,10 @@ def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, f
 
 
 class EqualityCompliance:
-    """Compliance of the equality constraints of a model at a configuration, for any opening.
+    """Compliance of a model's equality constraints at a configuration, for any violation.
 
-    At rest a constraint with opening x has the force k d^2 x / ((1 - d) A), with the impedance d at
-    |x|; A and k do not depend on x.
+    At rest a constraint with violation x has the force k d^2 x / ((1 - d) A), with the impedance d
+    at |x|; A and k do not depend on x.
 
     Args:
         model: MuJoCo model.
@@ -108,11 +111,14 @@ class EqualityCompliance:
             row += num_rows
 
     def current_compliance(self) -> Array:
-        """Return the compliance of each equation (m,) at the current opening [m/N, rad/(N m)]."""
+        """Return the compliance of each of m equations at the constraint violation of the data.
+
+        Shape (m,) [m/N, rad/(N m)]: violation / constraint force.
+        """
         return self._compliance.copy()
 
     def max_compliance(self) -> Array:
-        """Return the largest compliance of each equation over all openings.
+        """Return the largest compliance of each of m equations over all constraint violations.
 
         Shape (m,) [m/N, rad/(N m)].
         """
@@ -124,7 +130,7 @@ class EqualityCompliance:
         return compliance
 
     def solve_violations(self, forces: Array) -> Array:
-        """Return the openings of the equations (m,) [m, rad] under forces (m,) [N, N m] at rest."""
+        """Return the constraint violations (m,) [m, rad] at rest under forces (m,) [N, N m]."""
         openings = self._base_compliance * forces
         for rows, solimp in self._row_groups:
             openings[rows] *= _compliance_factor(
@@ -134,10 +140,11 @@ class EqualityCompliance:
 
 
 def _solve_opening(solimp: tuple[float, ...], force: float) -> float:
-    """Return the smallest opening x of a constraint that satisfies x = force (1 - d) / d^2 at x.
+    """Return the smallest violation x [m, rad] that satisfies x = ``force`` (1 - d(x)) / d(x)^2.
 
-    If the constraint softens with increasing opening, the fixed-point iteration increases to the
-    smallest solution. Otherwise, the solution is bisected.
+    ``force`` is the constraint force times A / k [m, rad], d the impedance. If the stiffness falls
+    with the violation, a fixed-point iteration rises to the smallest solution; otherwise the
+    solution is bisected.
     """
     low, high = (force * _compliance_factor(solimp, opening) for opening in (0.0, solimp[2]))
     if low < high:
@@ -161,7 +168,7 @@ def _compliance_factor(solimp: tuple[float, ...], opened: float) -> float:
 
     Args:
         solimp: Parameters from ``clip_solimp``, which determine the impedance d at the opening.
-        opened: Opening (violation) of the constraint [m, rad].
+        opened: Violation of the constraint [m, rad].
     """
     d, _ = solimp_impedance(solimp, opened)
     return (1 - d) / d**2

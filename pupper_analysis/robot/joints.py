@@ -1,4 +1,10 @@
-"""Joints of a robot: motion types, legs, and positions of joints that carry no foot."""
+"""Joints of a robot: motion types, legs, and postures.
+
+A posture contains the positions of joints that carry no foot, for example of the arms of a
+humanoid, requested by the user as {joint name or pattern: position}. This module resolves the
+names, checks units, loops and joint ranges, and returns the default posture of a robot with a fixed
+base.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +31,14 @@ OBLIQUE_MOTIONS = ("oblique", "oblique slide")
 
 
 def joint_motions(robot: Robot) -> dict[str, str]:
-    """Classify the motion of each joint, for example as roll, pitch or yaw.
+    """Classify the motion of each joint by the direction of its axis.
 
-    The direction of the joint axis in the world at zero angles determines the motion. The axes of a
-    free base are then those of the world; a fixed base has the pose of the MJCF.
+    The axis is expressed in the world frame, with all joint positions zero and a free base at the
+    origin; a fixed base has the pose of the MJCF.
 
     Returns:
-        {joint: motion}.
+        {joint: motion}: ``roll``, ``pitch`` or ``yaw`` for a hinge about x, y or z, ``along x``
+        etc. for a slide, and ``oblique`` or ``oblique slide`` for axes in other directions.
     """
     zero_configuration = Configuration(robot, robot.neutral())
     return {
@@ -47,7 +54,7 @@ def is_slide(robot: Robot, joint: str) -> bool:
 
 
 def _classify_motion(axis: Array, *, is_slide: bool) -> str:
-    """Return the motion type of a joint: the base axis within 1 degree of its axis, or oblique."""
+    """Return the motion type of a joint axis (3,): oblique if no base axis is within 1 degree."""
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
     if is_slide:
@@ -74,12 +81,12 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
 
 
 _LIMIT_ATOL = 1e-6
-"""Distance beyond a joint limit [rad, m] with which a typed position is accepted: users type
-rounded values. Chosen, not tuned."""
+"""Distance beyond a joint limit [rad, m] with which a position requested by the user is accepted,
+because users enter rounded values. Chosen, not tuned."""
 
 
 def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
-    """Return {joint: position} of the joints in the posture of a stand.
+    """Resolve the names of a posture, and check the joints; return {joint: position [rad, m]}.
 
     Args:
         robot: The robot.
@@ -88,8 +95,9 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
 
     Raises:
         UnknownNameError: If a pattern matches no joint; the message lists the joints.
-        ConfigurationError: If a joint carries a foot, a joint is part of a loop or coupling and
-            the posture omits another such joint or leaves a loop open, or a position is not valid.
+        ConfigurationError: If a joint carries a foot, or a position is not valid. Also if a joint
+            is part of a loop or coupling, and the posture does not contain all such joints, or does
+            not close the loops.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = free_joints(robot) if placed else ()
@@ -102,15 +110,16 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
 
 
 _CLOSED = 1e-6
-"""Largest residual [rad, m] of the loops and couplings of a posture that closes both: positions are
-typed with up to six decimals."""
+"""Largest constraint violation [rad, m] with which a requested posture closes loops and couplings:
+positions are entered with up to six decimals."""
 
 
 def _closed_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of all loops and couplings, without joints that move a foot.
+    """Return the joints of all loops and couplings that a posture determines.
 
-    Empty if the posture omits a joint of a loop or coupling, or leaves a loop open by more than
-    `_CLOSED`. The stance determines the positions of joints that move a foot.
+    Joints that move a foot are omitted, because the stance determines their positions. The result
+    is empty if the posture omits a joint of a loop or coupling, or violates a constraint by more
+    than `_MAX_POSTURE_VIOLATION`.
     """
     closure = robot.closure
     assert closure is not None
@@ -118,7 +127,7 @@ def _closed_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]
     names = [robot.joint_names[index] for index in indices]
     if not placed.keys() >= {*names}:
         return ()
-    positions = robot.posed(robot.home[-robot.nu :])
+    positions = robot.make_qpos(robot.home[-robot.nu :])
     for index in indices:
         positions[robot.nq - robot.nu + index] = placed[robot.joint_names[index]]
     if closure.largest_violation(positions) > _CLOSED:
@@ -153,12 +162,18 @@ def _foot_joints(robot: Robot) -> set[str]:
 def named_positions(
     robot: Robot, joints: Mapping[str, float], argument: str = "joints"
 ) -> dict[str, Position]:
-    """Return {joint: position with unit} of {joint, or pattern: position}.
+    """Expand patterns of joint names; return {joint: position with its unit}.
+
+    Args:
+        robot: The robot.
+        joints: {joint, or pattern such as ``*elbow*``: position [rad, m]}. If several patterns
+            match a joint, the last counts.
+        argument: Name of the caller's argument, for error messages.
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: If a position is not finite, or its unit is that of the other joint
-            type.
+        ConfigurationError: If a position is not finite, or has a unit of length for a hinge or a
+            unit of angle for a slide.
     """
     positions: dict[str, Position] = {}
     for pattern, value in joints.items():
@@ -191,12 +206,13 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
 
 _KEYFRAME_ROUNDING = 1e-3
-"""Largest violation of a joint limit [rad, m] by a keyframe that is clipped to the limit. Keyframes
-are written with a few digits; a keyframe with a larger violation is not the default posture."""
+"""Distance beyond a joint limit [rad, m] below which a position in a keyframe is attributed to
+rounding, and replaced by the limit. Keyframes are written with a few digits. A keyframe with a
+larger distance is not the default posture."""
 
 
 def joint_ranges(robot: Robot) -> Array:
-    """Return the joint ranges that both files permit, shape (nu, 2) [rad, m].
+    """Return lower and upper limits that both files permit, shape (nu, 2) [rad, m].
 
     Infinite if neither file limits a joint. If the ranges of the files do not overlap, both ends
     are the larger lower limit.
@@ -224,7 +240,8 @@ def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array,
         keyframe: Name of a keyframe of the MJCF, which is used even outside of the joint ranges.
 
     Returns:
-        Joint positions, shape (nu,) [rad, m], and the keyframe's name; None for the middle.
+        Joint positions in actuator order, shape (nu,) [rad, m], and the name of the keyframe; None
+        instead of a name if the middle of the ranges is used.
 
     Raises:
         UnknownNameError: If there is no such keyframe.
@@ -264,10 +281,10 @@ def check_in_range(
         position: Position [rad, m].
         ends: Lower and upper limit [rad, m].
         argument: Name of the argument, for the message.
-        bonds: Names of the constraints that restrict the range, for the message.
+        bonds: Names of loop constraints that restrict the range, for the message.
 
     Raises:
-        ConfigurationError: If so.
+        ConfigurationError: If the position is beyond a limit by more than ``_LIMIT_ATOL``.
     """
     low, high = ends
     if not low - _LIMIT_ATOL <= position <= high + _LIMIT_ATOL:

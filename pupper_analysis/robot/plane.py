@@ -48,49 +48,50 @@ class Plane:
 
     @property
     def kind(self) -> str:
-        """Kind of plane in ``KINDS``, determined by the normal; "" for other planes."""
+        """Kind of plane, a key of ``KINDS``: wall, table or ceiling; "" for another normal."""
         return next((name for name, out in KINDS.items() if out == self.normal), "")
 
     @property
-    def _number_sign(self) -> float:
-        """Factor, 1 or -1, between the offset of the plane along its normal and ``number``."""
+    def _parameter_sign(self) -> float:
+        """Factor, 1 or -1, between the offset of the plane along its normal and ``parameter``."""
         return sum(self.normal) if self.kind else 1.0
 
     @property
-    def number(self) -> float:
-        """Coordinate [m] that the user types: x of a wall, z of a table or ceiling.
+    def parameter(self) -> float:
+        """Coordinate [m] that determines the position: x of a wall, z of a table or ceiling.
 
-        For another plane, the distance of the world origin from the plane, positive if the normal
-        points away from the origin.
+        For another plane, the offset n . p of the plane along its unit normal n, with p a point on
+        the plane: positive if the normal points away from the world origin.
         """
         offset = math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
-        return self._number_sign * offset
+        return self._parameter_sign * offset
 
-    def height(self, place: Array) -> float:
-        """Return the distance [m] of a point along the normal; negative behind the plane.
+    def signed_distance(self, place: Array) -> float:
+        """Return the signed distance [m] of a point from the plane; negative behind the plane.
 
         Args:
             place: Point, shape (3,) [m], in the world frame.
         """
         return float((place - np.array(self.point)) @ np.array(self.normal))
 
-    def nearest(self, place: Array) -> Array:
+    def project(self, place: Array) -> Array:
         """Project a point, shape (3,) [m], orthogonally onto the plane, in the world frame."""
-        nearest: Array = place - self.height(place) * np.array(self.normal)
+        nearest: Array = place - self.signed_distance(place) * np.array(self.normal)
         return nearest
 
-    def through(self, _check_position: Point) -> Plane:
+    def contact_plane(self, _check_position: Point) -> Plane:
         """Return this plane unchanged; the point is ignored, because the plane has a position.
 
-        `Slope.through` and `Bar.through` use the point, so all three have the same signature.
+        `Slope.contact_plane` and `Bar.contact_plane` use the point, so all three have the same
+        signature.
         """
         return self
 
-    def moved(self, number: float) -> Plane:
-        """Return the parallel plane with another ``number``, the coordinate or offset [m]."""
+    def with_parameter(self, number: float) -> Plane:
+        """Return the parallel plane with another ``parameter`` (coordinate or offset) [m]."""
         offset, displacement = (
-            self._number_sign * number,
-            self._number_sign * (number - self.number),
+            self._parameter_sign * number,
+            self._parameter_sign * (number - self.parameter),
         )
         x, y, z = (
             offset * b if abs(b) == 1.0 else a + displacement * b  # without rounding along an axis
@@ -104,7 +105,7 @@ class Slope:
     """Inclined plane under a contact, through the contact's place on the ground or on a step.
 
     Attributes:
-        angle: Angle to the horizontal (rad), from 0 (floor) to pi (ceiling); the ``number``.
+        angle: Angle to the horizontal (rad), from 0 (floor) to pi (ceiling); the ``parameter``.
         uphill: Direction of steepest ascent, as an angle about z from x (rad).
         friction: Friction coefficient; that of the ground by default.
     """
@@ -124,16 +125,16 @@ class Slope:
         return slope_normal(self.angle, self.uphill)
 
     @property
-    def number(self) -> float:
+    def parameter(self) -> float:
         """Angle to the horizontal [rad]."""
         return self.angle
 
-    def moved(self, number: float) -> Slope:
+    def with_parameter(self, number: float) -> Slope:
         """Return a copy with another angle to the horizontal [rad]."""
         return replace(self, angle=number)
 
-    def through(self, point: Point) -> Plane:
-        """Return the plane with this slope through a point (x, y, z) [m]."""
+    def contact_plane(self, point: Point) -> Plane:
+        """Return the plane with this slope through a point (x, y, z) [m] of the world frame."""
         return Plane(point, self.normal, self.friction)
 
 
@@ -144,7 +145,7 @@ class Bar:
     A contact touches the bar in the tangent plane.
 
     Attributes:
-        point: Point (x, y, z) on the axis (m); z is the ``number``.
+        point: Point (x, y, z) on the axis (m); z is the ``parameter``.
         direction: Unit vector (x, y, z) along the axis; normalised on construction.
         radius: Radius (m).
         friction: Friction coefficient; that of the ground by default.
@@ -165,19 +166,19 @@ class Bar:
         object.__setattr__(self, "friction", _check_friction("bar.friction", self.friction))
 
     @property
-    def number(self) -> float:
-        """Height of the point on the axis above the world origin [m]."""
+    def parameter(self) -> float:
+        """Coordinate z [m] of ``point``, the given point on the axis, in the world frame."""
         return self.point[2]
 
-    def moved(self, number: float) -> Bar:
-        """Return a copy whose point on the axis has another height [m]."""
+    def with_parameter(self, number: float) -> Bar:
+        """Return a copy whose ``point`` on the axis has another z coordinate [m]."""
         return replace(self, point=(*self.point[:2], number))
 
-    def top(self, x: float, y: float) -> Point:
-        """Return a point (x, y, z) [m] above the bar, next to a horizontal position.
+    def point_above(self, x: float, y: float) -> Point:
+        """Return a point (x, y, z) [m] above the bar, near a horizontal position (x, y) [m].
 
-        The point is above the point of the axis that is nearest to (x, y) in the horizontal plane;
-        the nearest point of the bar's surface is on its upper side.
+        The point of the axis that is nearest to (x, y) in the horizontal plane is moved up,
+        perpendicular to the axis: by 1 m for a horizontal bar, by 0 for a vertical bar.
         """
         along = np.array(self.direction)
         level = along[:2] @ along[:2]
@@ -186,11 +187,11 @@ class Bar:
         result: list[float] = (np.array(self.point) + distance * along + upward).tolist()
         return _check_position("place", result)
 
-    def through(self, point: Point) -> Tangent:
+    def contact_plane(self, point: Point) -> Tangent:
         """Return the tangent plane at the point of the bar nearest to a point (x, y, z) [m].
 
         Raises:
-            ConfigurationError: If the point is on the axis.
+            ConfigurationError: If the point is on the axis, up to rounding.
         """
         axis, offset = np.array(self.direction), np.array(point) - self.point
         normal = offset - (offset @ axis) * axis
@@ -223,7 +224,7 @@ no nearest point on the bar. Chosen, not tuned."""
 class Contact:
     """Contact of a foot, or of another part of the robot (a hand), with a plane or a bar.
 
-    A foot touches with the collision geometry. A hand touches with a massless ball at a point of
+    A foot touches with the collision geometry. A hand touches with a massless sphere at a point of
     its link, which collides with that plane only. A sole (foot with several contact points) cannot
     touch a bar.
 
@@ -233,11 +234,11 @@ class Contact:
             ``Weld``, which balances any force, from minimum motor torque.
         place: Point (x, y, z) (m), projected to the plane. By default, the nominal position of the
             foot, or the position of the hand with the joints at home.
-        offset: Centre (x, y, z) of the ball in the frame of the hand's link (m).
-        radius: Radius of the ball (m). By default, that of the largest ball inside the hand's
-            shapes, or 1 cm outside of all shapes.
+        offset: Centre (x, y, z) of the contact sphere in the frame of the hand's link (m).
+        radius: Radius of the contact sphere (m). By default, that of the largest sphere inside the
+            hand's shapes, or 1 cm outside of all shapes.
         grip: Maximum force (N) of a grip in any direction, such as of a hand around a rung: the
-            centre of the ball is fixed, and the hand may rotate about it. By default, there is no
+            centre of the sphere is fixed, and the hand may rotate about it. By default, there is no
             grip, and the contact is unilateral.
     """
 
@@ -272,27 +273,28 @@ class Contact:
             object.__setattr__(self, "radius", radius)
 
     @property
-    def turns(self) -> bool:
-        """True if ``numbers`` contains an angle [rad] (a `Slope`); False if lengths [m]."""
+    def has_angle(self) -> bool:
+        """True if ``parameters`` is an angle [rad] (a `Slope`); False for lengths [m]."""
         return isinstance(self.plane, Slope)
 
     @property
-    def numbers(self) -> tuple[float, ...]:
-        """Adjustable numbers: point of a bar [m], ``number`` of a plane [m] or of a slope [rad].
+    def parameters(self) -> tuple[float, ...]:
+        """Numbers that position the plane; a relaxation of the stand may change these numbers.
 
-        A relaxation of the contact changes such numbers.
+        x, y, z of a point of a bar [m]; otherwise one number, the ``parameter`` of a plane [m] or
+        the angle of a slope [rad].
         """
-        return self.plane.point if isinstance(self.plane, Bar) else (self.plane.number,)
+        return self.plane.point if isinstance(self.plane, Bar) else (self.plane.parameter,)
 
-    def moved(self, numbers: Sequence[float]) -> Contact:
-        """Return a copy with other ``numbers``: [rad] for a slope, else [m]."""
+    def with_parameters(self, numbers: Sequence[float]) -> Contact:
+        """Return a copy with other ``parameters``: [rad] for a slope, else [m]."""
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
-        return self.at(*numbers)
+        return self.with_plane_parameter(*numbers)
 
-    def at(self, number: float) -> Contact:
-        """Return a copy with another ``number`` of the plane: [rad] for a slope, else [m]."""
-        return replace(self, plane=self.plane.moved(number))
+    def with_plane_parameter(self, number: float) -> Contact:
+        """Return a copy with another ``parameter`` of the plane: [rad] for a slope, else [m]."""
+        return replace(self, plane=self.plane.with_parameter(number))
 
     def __str__(self) -> str:
         """Return the text on the command line, without loss: ``wall:0.4m,mu=0.6``."""
@@ -311,7 +313,7 @@ class Contact:
             point, direction = write(plane.point, "m", ","), write(plane.direction, "", ",")
             parts = [f"bar:{point},{direction},{write([plane.radius], 'm')}"]
         elif plane.kind:
-            parts = [f"{plane.kind}:{write([plane.number], 'm')}"]
+            parts = [f"{plane.kind}:{write([plane.parameter], 'm')}"]
         else:
             parts = [f"plane:{write(plane.point, 'm', ',')},{write(plane.normal, '', ',')}"]
         parts += [] if plane.friction is None else ["mu=" + write([plane.friction], "")]
@@ -336,7 +338,7 @@ class Weld:
     """
 
     plane: ClassVar[None] = None
-    turns: ClassVar[bool] = False
+    has_angle: ClassVar[bool] = False
     place: Point | None = field(default=None, metadata={"unit": "m"})
     offset: Point = field(default=(0.0, 0.0, 0.0), metadata={"unit": "m"})
 
@@ -346,11 +348,11 @@ class Weld:
         object.__setattr__(self, "offset", _check_position("offset", self.offset))
 
     @property
-    def numbers(self) -> tuple[float, ...]:
-        """Adjustable numbers: x, y, z of ``place`` [m]; empty if there is no place."""
+    def parameters(self) -> tuple[float, ...]:
+        """Coordinates (x, y, z) of ``place`` [m]; empty if there is no place."""
         return self.place or ()
 
-    def moved(self, numbers: Sequence[float]) -> Weld:
+    def with_parameters(self, numbers: Sequence[float]) -> Weld:
         """Return a copy with another place (x, y, z) [m]."""
         return replace(self, place=_check_position("place", numbers))
 
@@ -364,7 +366,11 @@ class Weld:
 
 
 def _make_formatter(spec: str) -> Callable[..., str]:
-    """Return a function that formats values with a unit: in mm and deg by a format, or exactly."""
+    """Return a function that formats numbers with their unit.
+
+    With a number format such as ``.4g``, lengths are in mm and angles in deg; without (""), lengths
+    are in m, and all texts are exact.
+    """
 
     def write(values: Sequence[float], unit: str, by: str = "/") -> str:
         factor, shown_unit = READ_IN.get(unit, (1.0, unit)) if spec else (1.0, unit)
@@ -377,7 +383,10 @@ def _make_formatter(spec: str) -> Callable[..., str]:
 
 
 def _format_exact_angle(angle: float) -> str:
-    """Return the shortest text of an angle that is read without loss, in degrees if possible."""
+    """Return a text of an angle [rad] from which exactly this angle is read.
+
+    The shortest such text in degrees; if there is none, radians.
+    """
     candidates = (f"{math.degrees(angle):.{digits}g}" for digits in range(3, 18))
     radians_per_degree = UNIT_FACTORS["angle"]["deg"]
     return next(
@@ -424,11 +433,16 @@ KINDS: dict[str, Point] = {
     "table": (0.0, 0.0, 1.0),
     "ceiling": (0.0, 0.0, -1.0),
 }
-"""{kind of plane: normal}."""
+"""{kind of plane: unit normal towards the robot, in the world frame}."""
 
 
 def slope_normal(angle: float, uphill: float) -> Point:
-    """Return the unit normal of a plane with a slope angle and an uphill direction [rad]."""
+    """Return the upward unit normal of a sloped plane, in the world frame.
+
+    Args:
+        angle: Angle to the horizontal [rad].
+        uphill: Direction of steepest ascent, as an angle about z from the x axis [rad].
+    """
     rise = math.sin(angle)
     return -rise * math.cos(uphill), -rise * math.sin(uphill), math.cos(angle)
 

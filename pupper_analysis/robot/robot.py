@@ -65,9 +65,9 @@ def efforts_of(
         pin_model: Pinocchio's model of the URDF.
         convention: Coordinate maps of Pinocchio's model.
         joint_names: Names of the joints.
-        original_limits: {joint: original limit} of motors that were replaced by servos. If the
-            servo has an equal limit, the original limit is returned, with sources.
-        null: {joint: empty force range of the MJCF}.
+        original_limits: {joint: limit of the motor that a servo replaced}. If the limit of the
+            servo is equal, the original limit is returned, because it states its source in a file.
+        null: {joint: statement of the MJCF}, for joints whose force range in the MJCF is empty.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
     actuators_by_joint = group_actuators_by_joint(mj_model)
@@ -161,15 +161,15 @@ class PublishedFile:
     loaded: Robot | None = None
 
     @property
-    def as_prepared(self) -> bool:
-        """Whether the robot was loaded without changes."""
+    def is_unchanged(self) -> bool:
+        """True if the robot was loaded without changes: its own model is the published model."""
         return self.file is None and self.imported is None
 
-    def of_changed(self, robot: Robot) -> PublishedFile:
-        """Return the record to be kept by a modified copy of a robot.
+    def for_modified_copy(self, robot: Robot) -> PublishedFile:
+        """Return this record for a modified copy of a robot.
 
         Args:
-            robot: Robot before the first modification, which is stored as ``loaded``.
+            robot: Robot before the modification; stored as ``loaded`` at the first modification.
         """
         return self if self.loaded is not None else replace(self, loaded=robot)
 
@@ -180,10 +180,10 @@ class Touching:
 
     Attributes:
         friction: Friction coefficient; None for that of the ground.
-        offset: Centre (x, y, z) [m] of the contact ball of a hand, in the frame of the hand; None
+        offset: Centre (x, y, z) [m] of the contact sphere of a hand, in the frame of the hand; None
             for a foot.
-        radius: Radius [m] of the ball; None for the largest ball inside the shapes of the hand, or
-            1 cm outside of all shapes.
+        radius: Radius [m] of the sphere; None for the largest sphere inside the shapes of the hand,
+            or 1 cm outside of all shapes.
         force: Prescribed normal force [N]; None if it follows from balance.
         welded: Whether the part is fixed to the world, and does not collide.
         grip: Maximum force [N] of a grip, which fixes a point and permits rotation; None for a
@@ -208,7 +208,8 @@ def with_friction(
     Args:
         contacts: {contact point: parameters} on the ground.
         feet: {foot: contact points}.
-        touching: {foot: contact}; a contact without own friction changes nothing.
+        touching: {foot or hand: changes for a contact}; without ``friction``, the parameters of
+            the ground remain.
     """
     changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
@@ -370,7 +371,10 @@ class Robot(EngineModels):
 
     @property
     def hands(self) -> tuple[str, ...]:
-        """Names of the parts in ``feet`` that a task uses as hands, which touch with a ball."""
+        """Names of the parts in ``feet`` that a task uses as hands.
+
+        A hand touches its plane with a massless contact sphere.
+        """
         touching = self.touching.items()
         return tuple(
             name
@@ -382,7 +386,7 @@ class Robot(EngineModels):
     def welds(self) -> Mapping[str, str | None]:
         """{part that a task fixes to the world: contact point on the part, or None for the base}.
 
-        The entries of ``grips`` are last.
+        First the welded parts, then the gripping parts (``grips``).
         """
         welded = (
             name
@@ -394,21 +398,24 @@ class Robot(EngineModels):
 
     @cached_property
     def grips(self) -> Mapping[str, float]:
-        """{part whose contact point is fixed to the world: maximum force [N]}."""
+        """{gripping part: maximum norm of the grip force [N]}.
+
+        A grip fixes the contact point of a part to the world, and permits rotation about the point.
+        """
         grips_by_name = ((name, properties.grip) for name, properties in self.touching.items())
         return FrozenDict({name: grip for name, grip in grips_by_name if grip is not None})
 
     @property
-    def welded(self) -> bool:
-        """Whether a part is welded to the world, which balances the robot for any CoM.
+    def is_welded(self) -> bool:
+        """True if a part is welded to the world, so that balance does not depend on the CoM.
 
-        A grip alone does not count: it permits rotation, and the force is limited.
+        A grip is no weld: it permits rotation, and its force is limited.
         """
         return len(self.welds) > len(self.grips)
 
     @property
-    def bolted(self) -> bool:
-        """Whether the base is fixed to the world, by the file or by a weld of a task."""
+    def is_base_fixed(self) -> bool:
+        """True if the base is fixed to the world, by the model or by a weld of a task."""
         return not self.floating or None in self.welds.values()
 
     @cached_property
@@ -420,7 +427,7 @@ class Robot(EngineModels):
         return bool(self.mj_model.geom_contype[floor] or self.mj_model.geom_conaffinity[floor])
 
     @property
-    def bearing(self) -> tuple[str, ...]:
+    def bearing_points(self) -> tuple[str, ...]:
         """Contact points that can bear contact forces: all but points of welded or gripping parts.
 
         Empty for a robot with a fixed base.
@@ -434,9 +441,10 @@ class Robot(EngineModels):
 
     @property
     def base_height(self) -> float:
-        """Default height [m] of a free base: in the nominal stand, or in ``home`` without feet.
+        """Default height [m] of the origin of a free base above the world's origin.
 
-        0 for a fixed base.
+        The height in the nominal stand; for a robot without feet, the height in ``home``; for a
+        fixed base 0.
         """
         if not self.floating:
             return 0.0
@@ -512,9 +520,10 @@ class Robot(EngineModels):
 
     @cached_property
     def _cache(self) -> dict[tuple[Hashable, ...], Any]:
+        """{(function, *arguments): result} of ``compute_once``."""
         return {}
 
-    def once(self, make: Callable[..., _T], *given: Hashable) -> _T:
+    def compute_once(self, make: Callable[..., _T], *given: Hashable) -> _T:
         """Return the result of a function of the robot; cached for the lifetime of the robot.
 
         The result must not reference the robot, because the reference cycle would delay the release
@@ -586,7 +595,12 @@ class Robot(EngineModels):
         return found
 
     def _select_positions(self, values: Array, unbounded: float) -> Array:
-        """Return the values (nu,) of the joints from a vector in Pinocchio's q order."""
+        """Return the values (nu,) of the joints from a vector in the order of Pinocchio's q.
+
+        Args:
+            values: Vector, shape (pin_model.nq,) [rad, m].
+            unbounded: Value for continuous joints, which have no limit in Pinocchio's model.
+        """
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
         return limits
@@ -595,10 +609,10 @@ class Robot(EngineModels):
         """Raise an error if a task welds a part to the world, or a part grips.
 
         Args:
-            what: Requested analysis, which does not support welds, for the message.
+            what: Name of the requested analysis, which does not support welds, for the message.
 
         Raises:
-            ConfigurationError: If so.
+            ConfigurationError: If the robot has welds or grips.
         """
         if self.welds:
             problem = diagnose("robot-is-welded", robot=self.name, what=Term(what))
@@ -608,10 +622,11 @@ class Robot(EngineModels):
         """Raise an error if the robot has loops, couplings, welds or grips.
 
         Args:
-            what: Requested analysis, which does not support such robots, for the message.
+            what: Name of the requested analysis, which does not support such robots, for the
+                message.
 
         Raises:
-            ConfigurationError: If so.
+            ConfigurationError: If the robot has loops, couplings, welds or grips.
         """
         self.check_not_welded(what)
         if self.closure is not None:
@@ -623,7 +638,7 @@ class Robot(EngineModels):
         """Raise an error if the base is fixed, so that the robot cannot stand.
 
         Raises:
-            ConfigurationError: If so.
+            ConfigurationError: If the base is fixed.
         """
         if not self.floating:
             reasons = (note for note in self.notes if note.code == "base-kept-in-the-world")
@@ -636,9 +651,10 @@ class Robot(EngineModels):
         A negative moment within rounding is accepted. A robot that passes is checked once.
 
         Raises:
-            ModelError: If so; the message contains the joint, except for a free base.
+            ModelError: If a mass or moment is negative; the message contains the joint, except for
+                a free base.
         """
-        self.once(_check_bodies)
+        self.compute_once(_check_bodies)
 
     def check_foot(self, foot: str) -> str:
         """Return the name of a contact point, if the point exists.
@@ -662,10 +678,10 @@ class Robot(EngineModels):
         return self.feet[foot]
 
     def foot_of(self, point: str) -> str:
-        """Return the foot of a contact point.
+        """Return the foot of an existing contact point.
 
-        Raises:
-            StopIteration: If there is no such contact point.
+        Raises: StopIteration: If there is no such contact point. (Other methods raise
+            UnknownNameError.)
         """
         return next(foot for foot, points in self.feet.items() if point in points)
 
@@ -690,14 +706,24 @@ class Robot(EngineModels):
             for foot in self.feet_with(forces)
         }
 
-    def posed(self, joints: Array) -> Array:
-        """Return the qpos (nq,) with joint positions (nu,), and a free base at the origin."""
+    def make_qpos(self, joints: Array) -> Array:
+        """Return a qpos (nq,) with given joint positions.
+
+        A free base is at the world origin, without rotation.
+
+        Args:
+            joints: Joint positions in actuator order, shape (nu,) [rad, m].
+        """
         qpos = self.neutral()
         qpos[self.nq - self.nu :] = joints
         return qpos
 
-    def placed(self, qpos: ArrayLike | None = None) -> mujoco.MjData:
-        """Return MuJoCo data with kinematics and CoMs at a qpos (nq,), by default ``neutral``."""
+    def compute_kinematics(self, qpos: ArrayLike | None = None) -> mujoco.MjData:
+        """Return new MuJoCo data with positions of bodies and CoMs at a configuration.
+
+        Args:
+            qpos: Configuration, shape (nq,); by default ``neutral``.
+        """
         data = mujoco.MjData(self.mj_model)
         self.mj_convention.set_state(data, np.asarray(self.neutral() if qpos is None else qpos))
         mujoco.mj_kinematics(self.mj_model, data)
@@ -719,7 +745,7 @@ _EARLY_FIELDS = (
     *("contact_points", "contact_frames", "contact_radius", "feet", "nominal", "stand_height"),
     *("imu", "fingerprint", "touching", "bare"),
 )
-"""Fields that servos and visual meshes do not change."""
+"""Fields of a robot that the postponed preparation steps (`defer_stages`) do not change."""
 
 
 def defer_stages(robot: Robot, complete: Callable[[], Robot]) -> Robot:
@@ -742,7 +768,11 @@ def defer_stages(robot: Robot, complete: Callable[[], Robot]) -> Robot:
 
 
 def acts_at_rest(model: mujoco.MjModel) -> bool:
-    """Return True if springs, gravity compensation, wind, flexes or plugins may act at rest."""
+    """Return True if the model may have passive forces at zero velocity.
+
+    Sources: springs of joints and tendons, gravity compensation, wind in a fluid, flexible bodies,
+    plugins of bodies.
+    """
     arrays = ("jnt_stiffness", "jnt_stiffnesspoly", "tendon_stiffness", "tendon_stiffnesspoly")
     return (
         any(getattr(model, name).any() for name in (*arrays, "body_gravcomp"))
@@ -774,8 +804,8 @@ def _check_bodies(robot: Robot) -> None:
 
 
 _MAX_POOL_SIZE = 8
-"""Largest number of unused objects (for example MuJoCo data) that a robot keeps for reuse; the
-least recently used are dropped. Chosen, not tuned."""
+"""Largest number of unused objects (for example MuJoCo data) in the pool of all robots; the least
+recently used are dropped. Chosen, not tuned."""
 
 _pool: list[tuple[Robot, object, Any]] = []
 """(robot, constructor, object) of unused objects. The pool is global, because a reference from the
@@ -786,13 +816,14 @@ _pool_lock = Lock()
 
 @contextmanager
 def lend(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
-    """Borrow an object that belongs to a robot, for a single user at a time. Thread-safe.
+    """Context manager: borrow an object of a robot from a pool, for exclusive use. Thread-safe.
 
-    Returned objects are reused while present in the pool of recently used objects.
+    The object is created by ``make`` if the pool contains none for this robot and function. At the
+    end of the context, the object returns to the pool of the `_MAX_POOL_SIZE` last used objects.
 
     Args:
         robot: The robot.
-        make: Function that creates an object if the pool has none.
+        make: Function that creates an object for the robot, for example a class.
     """
     borrowed = None
     with _pool_lock:

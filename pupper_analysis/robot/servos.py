@@ -46,7 +46,8 @@ _CONVERGING_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Actuator dynamics with which the activation converges to a constant command."""
+"""Types of actuator dynamics (``dyntype``) with which, if the command is constant, the activation
+equals the command or converges to it. Only such an actuator can be a position servo."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +70,22 @@ class Servos:
 
     @property
     def implicit(self) -> bool:
-        """Whether the servos' damping acts on the velocity at the end of a time step."""
+        """True for an implicit integrator: servo damping acts on the velocity after the step."""
         return self.integrator.startswith("implicit")
 
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
-        """Compute the ctrl (..., model.nu) for joint positions with a feed-forward torque.
+        """Compute MuJoCo's ctrl for joint positions with feed-forward torques.
 
-        Position servos without a joint of their own, such as on tendons and sites, get commands of
-        `make_neutral_commands`. All other motors are commanded 0.
+        Position servos that do not act on a single joint, for example on tendons, are commanded not
+        to exert a force (`make_neutral_commands`). Other actuators without joint are commanded 0.
 
         Args:
-            robot: Robot.
-            positions: Joint positions, shape (..., nu) [rad, m].
-            torques: Feed-forward torques, shape (..., nu) [N m]. Default: 0.
+            robot: Robot with n joints (``robot.nu``).
+            positions: Joint positions in actuator order, shape (..., n) [rad, m].
+            torques: Feed-forward torques, shape (..., n) [N m, N]. Default: 0.
+
+        Returns:
+            Commands of all actuators of the model, shape (..., model.nu).
         """
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros((*positions.shape[:-1], self.model.nu))
@@ -139,9 +143,14 @@ def _find_other_servos(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArr
 
 
 def compute_command_lead(torques: Array, kp: Array) -> Array:
-    """Compute the command offset, shape (..., nu) [rad], of feed-forward torques: torque / kp.
+    """Compute the command offset of feed-forward torques, torque / kp; 0 for joints with kp = 0.
 
-    0 for coupled joints without a servo.
+    Args:
+        torques: Shape (..., nu) [N m, N].
+        kp: Stiffness, shape (nu,) [N m/rad, N/m].
+
+    Returns:
+        Shape (..., nu) [rad, m].
     """
     ahead: Array = np.divide(torques, kp, out=np.zeros_like(torques), where=kp > 0)
     return ahead
@@ -232,7 +241,7 @@ class Gains:
 def _narrow_force_ranges(
     model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array, ranges: Array
 ) -> None:
-    """Bound the actuators of a model by the efforts of the joints, in place.
+    """Narrow the force ranges of actuators to the effort limits of their joints, in place.
 
     MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. The
     bounds of an actuator are the efforts divided by the gear. Each end of an existing force range
@@ -261,10 +270,12 @@ def _narrow_force_ranges(
 
 
 MAX_GAIN = 1e9
-"""Upper bound of kp [N m/rad] and kd [N m s/rad]: above any machine's gains, below overflow."""
+"""Largest accepted kp [N m/rad] and kd [N m s/rad]. Chosen: far above the gains of machines, and
+small enough that simulations do not overflow."""
 
 MIN_STIFFNESS = 1e-9
-"""Lower bound of kp [N m/rad]. Commands contain torque / kp, which overflows far below."""
+"""Smallest accepted kp [N m/rad] of a motor. Commands contain the quotient torque / kp, which would
+overflow for much smaller values. Chosen, not tuned."""
 
 
 def resolve_servo_gains(
@@ -350,7 +361,7 @@ def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
 def find_servos_used(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> ServosUsed:
-    """Return source and range of the gains of a robot's servos.
+    """Return the servos that a result depends on: source, smallest and largest gains.
 
     Args:
         robot: Robot.
@@ -402,7 +413,7 @@ def _read_gains(
 
 
 def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
-    """Convert a gain to shape (size,), and check the range."""
+    """Convert a gain to shape (size,); ConfigurationError if it is not in [0, ``MAX_GAIN``]."""
     given = real_array(name, value)
     try:
         gain: Array = np.broadcast_to(given, (size,)).copy()
@@ -416,7 +427,11 @@ def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
 
 
 def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
-    """Return the MuJoCo constant of a name."""
+    """Return the value of MuJoCo's constant for the name of an option; check the name.
+
+    Raises:
+        ConfigurationError: If the name is unknown; the message lists the known names.
+    """
     if name not in known:
         problem = diagnose("option-unknown", option=option, name=name, known=tuple(known))
         raise ConfigurationError(option, problem)
@@ -430,7 +445,7 @@ def with_options(
     impratio: float | None = None,
     timestep: float | None = None,
 ) -> Robot:
-    """Return a robot with other MuJoCo options; the robot itself without options.
+    """Return a robot with other MuJoCo options; ``robot`` itself if all arguments are None.
 
     A time step, and a cone or ``impratio``, are reported in the notes. Simulations of the
     unmodified file use the options as well.
@@ -439,8 +454,8 @@ def with_options(
         robot: Robot.
         integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``.
         cone: Form of the friction cones: ``elliptic`` or ``pyramidal``.
-        impratio: Ratio between the stiffness of friction and of the normal force; larger values
-            creep less.
+        impratio: Ratio between the stiffness of friction and of the normal force; with a larger
+            ratio, contacts slip more slowly under tangential force.
         timestep: Time step [s], between 1e-5 and 0.1.
 
     Raises:

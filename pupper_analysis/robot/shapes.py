@@ -57,13 +57,14 @@ def shapes_of(
 
     If the base of the MJCF is the world, the shapes that are fixed in the world are included.
 
-    The pose of a body in the link is computed at zero angles, for which both models agree.
+    The pose of a shape in the frame of its link is computed with all joint positions zero, for
+    which the link poses of both models agree.
 
     Args:
         model: MuJoCo's model of the MJCF.
         convention: Coordinate maps of the model.
         structure: Structure of the URDF's model.
-        bases: Link and body of the base.
+        bases: Name of the base link (URDF), and name of the base body (MJCF).
         neutral: Configuration (nq,) with all joints at zero.
         source: File of the MJCF, for messages.
 
@@ -135,14 +136,15 @@ class _LinkFinder:
                 self._first_link_by_joint.setdefault(joint, name)
 
     def link(self, body: str, moving: int) -> tuple[str, pin.SE3]:
-        """Return the link that carries a body, and the world placement at zero angles.
+        """Return the link of the URDF that corresponds to a body of the MJCF, and its world pose.
 
-        The link has the name of the body if such a link moves with the body. Otherwise, it is the
-        first link that moves with the body.
+        The pose is that with all joint positions zero. The link has the name of the body if such a
+        link moves with the same joint; otherwise it is the first link that this joint moves.
 
         Args:
             body: Name of the body.
-            moving: Id of the moving body that the body belongs to.
+            moving: Id of the body with a joint (or the base) to which the body is fixed, possibly
+                itself.
         """
         first_link = self._first_link_by_joint[self.joints[moving]]
         joint = self._frames[self._links[first_link]].parentJoint
@@ -152,9 +154,16 @@ class _LinkFinder:
 
 
 def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
-    """Return True if MuJoCo detects contacts between a geom and a ground, by bits or by a pair.
+    """Return True if MuJoCo checks two geoms for contact: by a ``<pair>``, or by contact bits.
 
-    If the model has no ground (None), a plane with MuJoCo's default bits is assumed.
+    A ``<pair>`` has priority. Otherwise the bits (``contype``, ``conaffinity``) must match, and the
+    MJCF must not exclude the two bodies.
+
+    Args:
+        model: MuJoCo model.
+        geom: Id of a geom.
+        ground: Id of the other geom, for example the floor; None for a plane with MuJoCo's default
+            bits.
     """
     if ground is None:
         return bool((model.geom_contype[geom] | model.geom_conaffinity[geom]) & 1)

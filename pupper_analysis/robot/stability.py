@@ -25,17 +25,18 @@ from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 Array = NDArray[np.float64]
 
 DIFFERENCE_STEP = 1e-7
-"""Step of centred differences [m, rad, and rates]. Contact forces are curved on a scale of 1e-5.
-Measured: the error of the eigenvalues is 1e-9 with this step, and with 1e-6."""
+"""Step of the centred differences of a MuJoCo step, for positions [m, rad] and velocities [m/s,
+rad/s]. Contact forces are nonlinear over 1e-5 m. Measured: the error of the eigenvalues is 1e-9
+with this step, and with 1e-6."""
 
 SECOND_STEP = 3e-8
-"""Finite-difference step [m, rad, and rates] with which a growing mode must be found again. Two
-public MJCFs with dry friction have a spectral radius of 1.041 with ``DIFFERENCE_STEP``, and of
-1.000 with this step."""
+"""Second finite-difference step [m, rad, and rates], with which the spectrum is repeated to check
+the growing modes. Two public MJCFs with dry friction have a spectral radius of 1.041 with
+``DIFFERENCE_STEP``, and of 1.000 with this step."""
 
 _RATE_TOLERANCE = 0.3
-"""Relative difference of the growth per time step, up to which the modes of both finite-difference
-steps count as the same mode. Chosen, not tuned."""
+"""Relative difference between the growths per time step (|eigenvalue| - 1) of two modes, up to
+which both finite-difference steps show the same mode. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-14
 """Solver tolerance during differences. Measured with the default of 1e-8: the solver sometimes
@@ -65,7 +66,9 @@ def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
 def step_derivative(
     model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Compute the derivative of a step by the state, shape (2 nv + na, 2 nv + na).
+    """Compute the derivative of the next state by the state, shape (2 nv + na, 2 nv + na).
+
+    Rows and columns are in the tangent space of (qpos, qvel, act), in MuJoCo's order.
 
     Args:
         model: MuJoCo model. The tolerance of the solver is tightened during the call.
@@ -92,7 +95,10 @@ def step_derivative(
 def _difference_steps(
     model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Fill in centred differences of whole steps (for RK4, which mjd_transitionFD lacks)."""
+    """Write centred differences of complete MuJoCo steps into ``matrix``, and return it.
+
+    For the integrator RK4, which ``mjd_transitionFD`` does not support.
+    """
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
     for column in range(len(matrix)):
@@ -113,48 +119,51 @@ def _difference_steps(
 
 
 HOLD_DURATION = 12.0
-"""Duration for which a stand must hold to count as holding [s]. Regularised friction creeps, and a
-load on it buckles slowly: v3's payload limit doubles a deviation in 30 s."""
+"""Duration for which a stand must hold to count as holding [s]. Slower failures are accepted,
+because MuJoCo's regularised friction always slips a little: at the payload limit of Pupper v3, a
+deviation doubles in 30 s."""
 
 SETTLING_TIME = 0.5
 """Time for which a state settles before it is evaluated [s]. Contacts settle within 0.05 s; a mode
 that doubles in a second grows by 1.4 only."""
 
 _MAX_SETTLING_TIME = 600.0
-"""Upper bound of the settling time, the longest simulation of a stand [s]."""
+"""Largest accepted settling time of `step_stability` [s]. Chosen: no simulation of a stand is
+longer."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance from a joint limit [rad, m] below which differences would be taken partly beyond the
-limit, so that the mean is invalid. ANYmal at a hard knee limit appeared to shake at 9 Hz, and
-returned from each nudge."""
+"""Distance of a joint from a limit [rad, m] up to which the limit is moved for the differences.
+Centred differences across a limit mix two regimes: ANYmal at a knee limit seemed to oscillate
+at 9 Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Upper bound of the absolute growth rate of a mode that counts as neither growing nor decaying
 [1/s]: two hours per doubling. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
-"""Error of a well-conditioned eigenvalue of a step, and lower bound of the absolute value and of
-the angle of the eigenvalue of an oscillation. Measured: error of the finite differences with
-``DIFFERENCE_STEP``."""
+"""Error of a well-conditioned eigenvalue of a step, measured for finite differences with
+``DIFFERENCE_STEP``. An eigenvalue with a smaller absolute value, or a smaller angle [rad], is
+therefore not counted as an oscillation."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
-"""Upper bound of the error of an ill-conditioned eigenvalue at 1. A wheel that rolls freely has a
-double one with a single eigenvector, which errors split by their square root."""
+"""Upper bound of the error of an ill-conditioned eigenvalue near 1. For example, a wheel that rolls
+freely has a double eigenvalue 1 with a single eigenvector; an error e of the matrix changes it by
+sqrt(e)."""
 
 _MAX_REST_SPEED = 0.1
-"""Largest speed of a state at rest [m/s, rad/s]. v3 sags with up to 0.02 after half a second. A
-faster state may have been thrown off by a mode that doubles within steps, so that the initial state
-is evaluated as well."""
+"""Largest element of qvel of a state at rest [m/s, rad/s]. Pupper v3 sags with up to 0.02 after the
+settling time. If a state is faster, a growing mode may have moved the robot out of its initial
+state, which is then evaluated as well."""
 
 _MIN_THROWING_DOUBLINGS = 6
-"""Number of doublings within the settling time by which a mode can throw off a robot from a
-deviation below a millimetre. With fewer, the robot moves since the start was no equilibrium, and
-the spectrum at the start is meaningless (v3 half way down on soft servos: 1.5 to 25 s for one rest
-position)."""
+"""Number of doublings within the settling time from which a growing mode explains why a robot has
+left its initial state: 6 doublings turn 1 mm into 64 mm. With fewer, the initial state was no
+equilibrium, and its spectrum has no meaning (Pupper v3 while it sinks on soft servos: doubling
+times from 1.5 to 25 s for the same rest position)."""
 
 _MIN_NAMED_SHARE = 0.5
-"""Smallest amplitude of a joint in a mode that is named in a message, relative to the largest
-amplitude. Chosen, not tuned."""
+"""Amplitude of a joint in a mode, relative to the largest amplitude, from which a message about the
+mode contains the joint. Chosen, not tuned."""
 
 _MAX_NAMED_JOINTS = 4
 """Largest number of joints with which a message describes a mode. Chosen, not tuned."""
@@ -195,7 +204,10 @@ class Mode(Result):
 
     @property
     def nudge_unit(self) -> str:
-        """Unit of ``nudge``: m if the most displaced coordinate is a translation, else rad."""
+        """Unit of ``nudge``, the deviation from which growth was measured: m or rad.
+
+        m if the coordinate with the largest displacement in the mode is a translation.
+        """
         return self._nudge_unit
 
     @property
@@ -208,28 +220,28 @@ class Mode(Result):
         return self._direction
 
     @property
-    def sustained(self) -> bool:
+    def is_sustained(self) -> bool:
         """Whether a simulation shows an oscillation that neither grows nor decays."""
         return self.nudge is not None and self.doubling_time is None
 
     @property
     def shakes(self) -> bool:
-        """Whether the mode oscillates, by more than 1 rad of phase in the time constant.
+        """True if the mode counts as an oscillation.
 
-        Oscillations with a period above ``HOLD_DURATION`` are creep, and do not count.
+        The phase advances by more than 1 rad within the time constant, and the period is shorter
+        than ``HOLD_DURATION`` (slower modes are creep).
         """
         swings = 2 * math.pi * self.frequency * self.time_constant > 1
         return swings and self.frequency * HOLD_DURATION > 1
 
     def grows_within(self, duration: float) -> bool:
-        """Return True if the mode leaves the state within a duration [s].
+        """Return True if this mode grows fast enough to matter within a duration [s].
 
-        A growing oscillation never comes to rest, and always counts. Other modes count if their
-        doubling time is shorter than the duration: buckling on regularised friction may take
-        minutes.
+        True for a sustained or growing oscillation of any rate, since the robot does not come to
+        rest; for another mode, if its doubling time is shorter than the duration.
         """
         if self.doubling_time is None:
-            return self.sustained
+            return self.is_sustained
         return self.shakes or self.doubling_time < duration
 
 
@@ -261,7 +273,7 @@ class Stability(Result):
 
     @property
     def at_rest(self) -> bool:
-        """Whether the state was nearly at rest, so that the spectrum is meaningful."""
+        """True if ``speed`` is at most 0.1 (m/s or rad/s), so that the spectrum is meaningful."""
         return self.speed <= _MAX_REST_SPEED
 
     @property
@@ -271,9 +283,9 @@ class Stability(Result):
 
     @property
     def doubling_time(self) -> float | None:
-        """Doubling time of the fastest mode that grows [s].
+        """Doubling time of the first mode in ``unstable``, which grows fastest [s].
 
-        None if no mode grows, or the first is a sustained oscillation.
+        None if no mode grows, or this mode is a sustained oscillation.
         """
         return self.unstable[0].doubling_time if self.unstable else None
 
@@ -288,16 +300,16 @@ class Stability(Result):
         return min((mode.damping_ratio for mode in swinging), default=1.0)
 
     def modes_growing_within(self, duration: float = HOLD_DURATION) -> tuple[Mode, ...]:
-        """Return the unstable modes that leave the state within a duration [s].
+        """Return the unstable modes for which `Mode.grows_within` is true for a duration [s].
 
-        `Mode.grows_within` decides. If MuJoCo's no-slip solver is active (``uses_noslip_solver``),
-        friction holds buckling modes, so only growing oscillations are returned.
+        If MuJoCo's no-slip solver is active (``uses_noslip_solver``), only oscillations are
+        returned, because friction prevents slow buckling.
         """
         growing = (mode for mode in self.unstable if mode.grows_within(duration))
         return tuple(mode for mode in growing if mode.shakes or not self.uses_noslip_solver)
 
-    def lasts(self, duration: float = HOLD_DURATION) -> bool:
-        """Return True if no mode leaves the state within a duration [s] after a nudge."""
+    def is_stable_for(self, duration: float = HOLD_DURATION) -> bool:
+        """Return True if `modes_growing_within` is empty for a duration [s]."""
         return not self.modes_growing_within(duration)
 
 
@@ -308,14 +320,14 @@ def step_stability(
     """Evaluate the stability of a state by the eigenvalues of a MuJoCo step.
 
     A step maps a deviation x of (qpos, qvel, act) to A x, with contacts, servos under their
-    commands (``data.ctrl``), friction and integrator of the model. An eigenvalue outside of the
-    unit circle grows: as an oscillation if complex (the robot shakes), otherwise monotonically (it
-    buckles). With time step h, the rate is ln|eigenvalue| / h.
+    commands (``data.ctrl``), friction and integrator of the model. A mode with an eigenvalue
+    outside of the unit circle grows: as an oscillation if complex (the robot shakes), otherwise
+    monotonically (it buckles). With time step h, the rate is ln|eigenvalue| / h.
 
     Dry friction of joints and tendons is viscous in MuJoCo while nothing slides, and hides a mode
-    until a push overcomes the friction. Modes that leave within ``HOLD_DURATION`` without this
-    friction are therefore returned as well (``Mode.without_dry_friction``). Contacts keep the
-    friction.
+    until a push overcomes the friction. Modes that grow within ``HOLD_DURATION``
+    (`Mode.grows_within`) in a model without this friction are therefore returned as well, with
+    ``Mode.without_dry_friction``. The friction of contacts is not changed.
 
     The spectrum is valid for states at rest (``Stability.speed``) and small deviations. For larger
     pushes, simulate.
@@ -330,7 +342,8 @@ def step_stability(
         settle: Time for which the state is simulated first [s].
 
     Returns:
-        The modes that grow, and the decaying oscillation with the smallest damping.
+        The growing modes with and without dry friction, and the decaying oscillation with the
+        smallest damping ratio.
 
     Raises:
         ConfigurationError: If an argument has another type, or ``settle`` is not from 0 to 600 s.
@@ -349,8 +362,8 @@ def judge_settled(
 
     The result equals the result of `step_stability`, with the state to which the result applies.
     This is the state after settling. It is the initial state if ``settle`` is below half a time
-    step, or if the simulation diverges. It is also the initial state if only this state is at rest,
-    and has a mode that is fast enough to throw off the robot during settling.
+    step, or if the simulation diverges. It is also the initial state if only this state is at rest
+    and one of its modes doubles at least ``_MIN_THROWING_DOUBLINGS`` times during settling.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
@@ -402,20 +415,21 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
 
 
 def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
-    """Mark the growing modes that the spectrum with ``SECOND_STEP`` has as well.
+    """Set ``repeated_at_second_step`` of the growing modes, by a second spectrum.
 
-    The spectrum is computed with finite differences. A growing mode that disappears with the other
-    finite-difference step, ``SECOND_STEP``, may be an error of the differences.
-
-    The result is unchanged, without a second spectrum, if `Stability.modes_growing_within` returns
-    no mode.
+    A growing mode that disappears with the other finite-difference step, ``SECOND_STEP``, may be an
+    error of the differences. If `Stability.modes_growing_within` returns no mode, no second
+    spectrum is computed, and the result is ``found``.
     """
     if not found.modes_growing_within():
         return found
     second = _evaluate_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
 
     def repeats(mode: Mode) -> bool:
-        """Return True if the second spectrum has a mode with nearly equal growth."""
+        """Return True if the spectrum with ``SECOND_STEP`` has a mode of nearly equal growth.
+
+        The relative difference is at most ``_RATE_TOLERANCE``.
+        """
         return any(
             abs(again.growth - mode.growth) <= _RATE_TOLERANCE * mode.growth for again in second
         )
@@ -497,12 +511,16 @@ class _Modes:
         )
 
     def _damping_ratio(self, mode: int) -> float:
-        """Return the damping ratio of a mode."""
+        """Return the damping ratio of the mode with eigenvalue number ``mode``: -Re s / |s|.
+
+        s = ln(eigenvalue): 1 for monotonic decay, 0 for an undamped oscillation, negative for
+        growth.
+        """
         exponent = np.log(self._values[mode])
         return float(-exponent.real / abs(exponent))
 
     def _make_mode(self, mode: int) -> Mode:
-        """Create the result for an eigenvalue."""
+        """Create the result for eigenvalue number ``mode``."""
         timestep = float(self._model.opt.timestep)
         value, growth = self._values[mode], float(self._growth[mode])
         constant = timestep / abs(math.log1p(growth)) if growth else math.inf

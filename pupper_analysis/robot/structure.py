@@ -1,8 +1,9 @@
 """``Structure``: data that depend on the robot only, and ``Kinematics``: positions of CoM and feet.
 
-Structure contains a Pinocchio model in public coordinates, and the indices of frames and joints. It
-is computed once per robot, so that a configuration needs no search for names, no rotation of axes,
-and no new Pinocchio data.
+Structure contains a Pinocchio model whose coordinates have the same axes as this package's
+(MuJoCo's; see ``robot.coordinates``), and the indices of frames and joints. It is computed once per
+robot, so that a configuration needs no search for names, no rotation of axes, and no new Pinocchio
+data.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _MAX_SPARE_DATA = 32
-"""Maximum number of unused Pinocchio data that are kept (some 10 kB each)."""
+"""Maximum number of unused Pinocchio data that a robot keeps for reuse. An upper bound of memory:
+some 10 kB each. Chosen, not tuned."""
 
 
 class Workspace:
@@ -95,7 +97,7 @@ class Structure:
         rest = np.zeros(self.nv)
         rest.flags.writeable = False
         self.rest = rest[:]
-        self.convention = PinocchioConvention.of(self.model, joint_names)
+        self.convention = PinocchioConvention.from_model(self.model, joint_names)
         # Index in the original model of each velocity coordinate of this model.
         self._original_order = np.arange(self.nv)
         self._original_order[self.convention.v_index] = convention.v_index
@@ -109,15 +111,18 @@ class Structure:
         self._public_to_model: IntArray | None = None if in_order else columns
         self._spare_data: list[pin.Data] = []
 
-    def workspace(self) -> Workspace:
-        """Return a workspace that has no other owner."""
+    def acquire_workspace(self) -> Workspace:
+        """Return a workspace: Pinocchio data, new or reused, for exclusive use by the caller.
+
+        The data return to the pool when the `Workspace` is deleted.
+        """
         try:
             data = self._spare_data.pop()
         except IndexError:
             data = self.model.createData()
         return Workspace(data, self._spare_data)
 
-    def loaded(self) -> pin.Model:
+    def update_armature(self) -> pin.Model:
         """Update the armature of ``model`` from the robot's Pinocchio model, and return ``model``.
 
         The armature of the robot's Pinocchio model may have been changed since construction.
@@ -125,7 +130,7 @@ class Structure:
         self.model.armature = self._original_model.armature.take(self._original_order)
         return self.model
 
-    def state(self, qpos: ArrayLike) -> Array:
+    def normalise_qpos(self, qpos: ArrayLike) -> Array:
         """Return a copy of a public qpos (nq,) with normalised quaternion.
 
         Raises:
@@ -137,14 +142,18 @@ class Structure:
             normalise_quaternion(result)
         return result
 
-    def centre(self, moving: Array) -> Array:
-        """Return the total CoM (3,) [m] from that of the moving parts, without fixed mass."""
+    def total_com(self, moving: Array) -> Array:
+        """Return the CoM of all mass (3,) [m], from the CoM without the mass of a fixed base.
+
+        Args:
+            moving: CoM of the moving links, shape (3,) [m], in the world frame.
+        """
         if not self.fixed:
             return moving
         com: Array = moving + self.fixed * (self.lever - moving)
         return com
 
-    def columns(self, jacobian: Array) -> Array:
+    def sort_columns(self, jacobian: Array) -> Array:
         """Sort the columns of a Pinocchio Jacobian, shape (n, nv), into the order of qvel."""
         if self.nv == 1:  # Pinocchio returns a vector
             jacobian = jacobian.reshape(-1, 1)
@@ -154,26 +163,33 @@ class Structure:
             else jacobian.take(self._public_to_model, axis=1)
         )
 
-    def dual(self, forces: Array) -> Array:
-        """Return the model's generalised forces or accelerations (nv,) in public order."""
+    def to_qvel_order(self, forces: Array) -> Array:
+        """Return forces or accelerations of ``model``, (nv,), sorted into the order of qvel."""
         public: Array = (
             forces if self._public_to_model is None else forces.take(self._public_to_model)
         )
         return public.copy()
 
-    def inertia(self, upper: Array) -> Array:
-        """Return a symmetric matrix (nv, nv) in public order from the model's upper triangle."""
+    def fill_symmetric(self, upper: Array) -> Array:
+        """Return a symmetric matrix (nv, nv) in the order of qvel.
+
+        Args:
+            upper: Matrix (nv, nv) in the order of ``model``; only the upper triangle is read.
+        """
         symmetric: Array = upper.take(self._upper_triangle)
         return symmetric
 
-    def square(self, matrix: Array) -> Array:
+    def sort_matrix(self, matrix: Array) -> Array:
         """Sort rows and columns of a Pinocchio matrix, shape (nv, nv), into the order of qvel."""
         if self._public_to_model is None:
             return matrix.copy()
         return matrix.take(self._public_to_model, axis=0).take(self._public_to_model, axis=1)
 
-    def velocity(self, qvel: Array) -> Array:
-        """Sort a velocity or force, shape (nv,), from public order into Pinocchio's order."""
+    def to_model_order(self, qvel: Array) -> Array:
+        """Sort a vector, shape (nv,), from the order of qvel into the order of ``model``.
+
+        For velocities, accelerations and generalised forces.
+        """
         if self._public_to_model is None:
             return qvel
         result = np.empty(self.nv)
@@ -182,7 +198,7 @@ class Structure:
 
 
 def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.Model:
-    """Return the Pinocchio model of the robot, without armature, in public coordinates.
+    """Return a Pinocchio model without armature, whose velocities have the axes of MuJoCo's qvel.
 
     A free flyer becomes a translation, with velocity in world axes, and a spherical joint, with
     velocity in body axes, as in MuJoCo's free joint. Quantities that Pinocchio computes then need
@@ -233,7 +249,7 @@ def _sort_depth_first(model: pin.Model, preferred_order: Sequence[int]) -> Itera
 
 
 Place = tuple[Array, Array]
-"""Rotation (3, 3) and position (3,) [m]."""
+"""Pose: rotation matrix (3, 3) and position (3,) [m]."""
 
 
 class Kinematics:
@@ -247,8 +263,8 @@ class Kinematics:
         com: CoM (x, y, z) [m] in the world.
         feet: {foot: centre (x, y, z) [m]} in the world.
         links: {link: rotation (3, 3) and origin (3,) [m]} in the world. The arrays are views of
-            Pinocchio's memory, and change with the next ``move``, unless memory sharing is disabled
-            (see ``is_pinocchio_memory``).
+            Pinocchio's memory, and change with the next ``update``, unless memory sharing is
+            disabled (see ``is_pinocchio_memory``).
     """
 
     qpos: Array
@@ -263,8 +279,10 @@ class Kinematics:
         self._feet: dict[str, Array] = {}
         self._com = np.zeros(0)
 
-    def move(self, qpos: ArrayLike) -> None:
+    def update(self, qpos: ArrayLike) -> None:
         """Compute the positions of CoM, feet and links in the world frame at a configuration.
+
+        The results are stored in ``qpos``, ``com``, ``feet`` and ``links``.
 
         Args:
             qpos: Configuration, shape (nq,); the quaternion is normalised in a copy.
@@ -281,12 +299,15 @@ class Kinematics:
         if not is_pinocchio_memory(self._com):
             self._update_views()
         state.flags.writeable = False
-        com = self._structure.centre(self._com) if self._structure.fixed else self._com
+        com = self._structure.total_com(self._com) if self._structure.fixed else self._com
         self.qpos, self.com = state, com.tolist()
         self.feet = {foot: place.tolist() for foot, place in self._feet.items()}
 
     def _update_views(self) -> None:
-        """Store views of Pinocchio's memory; reading views is faster than Pinocchio's accessors."""
+        """Store views of the positions in Pinocchio's memory: of CoM, feet and links.
+
+        Reading a view is faster than Pinocchio's accessors.
+        """
         places, structure = self._data.oMf, self._structure
         self._com = self._data.com[0]
         self._feet = {

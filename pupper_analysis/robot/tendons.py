@@ -18,15 +18,19 @@ SUPPORTED_EQUALITIES = frozenset(
         mujoco.mjtEq.mjEQ_TENDON,
     }
 )
-"""Equality constraints of joints that stances satisfy (see ``closure``)."""
+"""Types of equality constraints that computed stances satisfy (see ``closure``)."""
 
 _DISABLING_FLAGS = (
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
 )
+"""MuJoCo's disable flags with which ranges of tendons have no effect."""
 
 
 def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report the types of active equality constraints that stances ignore, such as flexes."""
+    """Report the types of active equality constraints that the stance solver ignores.
+
+    For example, constraints of flexible bodies (``flex``) act in MuJoCo's simulation only.
+    """
     kinds = [mujoco.mjtEq(int(kind)) for kind in model.eq_type[model.eq_active0.astype(bool)]]
     ignored = sorted(
         {
@@ -39,7 +43,11 @@ def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
 
 
 def report_ignored_tendon_ranges(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report the tendons with a range, which MuJoCo enforces and stances ignore."""
+    """Report the tendons with a range, which the stance solver ignores.
+
+    Empty if the MJCF disables limits or constraints, because MuJoCo then ignores the ranges as
+    well.
+    """
     messages = []
     for tendon in model.tendon_limited.nonzero()[0].tolist():
         lower, upper = model.tendon_range[tendon].tolist()

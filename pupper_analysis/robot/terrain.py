@@ -31,9 +31,9 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     parameters of the floor; the parameters of a plane with own friction come from `Robot.contacts`.
     A foot on a step does not collide with the floor, because the foot would sink into the floor
     through a low step, and the floor covers a step down. A flat foot collides with a plane on top
-    of the box, which no other geom touches: MuJoCo's contacts of a sole with a plane differ from
-    those with a box, and the contact points are those with a plane. Only the ball of a hand
-    collides with the hand's plane, because the hand's shapes surround the ball.
+    of the box, which no other geom touches, because MuJoCo places the contacts of a sole with a box
+    at other points than the contacts with a plane. Only the contact sphere of a hand collides with
+    the plane of the hand, because the shapes of the hand surround the sphere.
 
     A welded part collides with none of these geoms; the weld to the world is initially inactive
     (see ``close_welds``).
@@ -41,7 +41,8 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     Args:
         robot: Robot whose MJCF has a floor.
         ground: Slope and steps.
-        places: {contact point: centre (3,) [m] on rigid ground, lifted or not}, for the steps.
+        places: {contact point: sphere centre (3,) [m] in the world frame}, also of lifted feet,
+            for rigid ground; determines the positions of the steps.
 
     Raises:
         ModelError: If the MJCF has not enough unused bits of ``contype``.
@@ -82,14 +83,15 @@ def close_welds(
 ) -> None:
     """Activate the welds of a model at a configuration, in place.
 
-    MuJoCo's constraints are soft. Each weld is offset by the static deflection (nanometres), so
-    that the configuration is an equilibrium.
+    MuJoCo's constraints are soft. The target pose of each weld or grip is offset by the static
+    deflection (nanometres), so that the configuration is an equilibrium.
 
     Args:
         robot: Robot ``build_on_ground``.
         model: Model of the robot, or a copy with servos.
         qpos: Configuration (nq,).
-        pushes: {welded part: generalised force (nv,) of the weld}.
+        pushes: {welded or gripping part: generalised force (nv,) [N, N m] of the weld on the
+            robot, in the order of qvel}.
     """
     welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
     if not welds:
@@ -132,14 +134,14 @@ def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
 
 
 def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened: Array) -> None:
-    """Set the target of a weld to the pose of the body, minus an opening.
+    """Set the target of a weld so that the present pose of the body violates it by ``opened``.
 
     Args:
         model: Model to modify.
         data: Data with kinematics.
-        number: Id of the weld, or of the grip (connect).
-        opened: Opening (6,): translation [m] and half of the rotation vector [rad]. For a grip,
-            only the translation is used.
+        number: Id of the equality constraint: a weld, or a ``connect`` for a grip.
+        opened: Constraint violation (6,): translation [m], and half of the rotation vector [rad],
+            the vector part of a quaternion. For a grip, only the translation is used.
     """
     body, relative_quaternion, inverse_quaternion = (
         int(model.eq_obj1id[number]),
@@ -161,7 +163,7 @@ def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened:
 def _add_ground(
     robot: Robot, spec: mujoco.MjSpec, ground: Ground, places: Mapping[str, Array]
 ) -> None:
-    """Tilt the floor, and add a step below each foot on its own level or plane, in place.
+    """Tilt the floor, and add the box or cylinder under each foot (`Ground.steps`), in place.
 
     Args:
         robot: Robot.
@@ -187,7 +189,7 @@ def _add_ground(
             type=mujoco.mjtGeom.mjGEOM_CYLINDER if step.round else mujoco.mjtGeom.mjGEOM_BOX,
             size=np.take(step.half, (0, 2, 2)) if step.round else step.half,
             pos=step.centre,
-            quat=step.turn,
+            quat=step.quaternion,
             contype=contype,
             conaffinity=conaffinity,
             rgba=(0.6, 0.62, 0.66, 1.0),
@@ -202,7 +204,7 @@ def _add_ground(
                 type=mujoco.mjtGeom.mjGEOM_PLANE,
                 size=(*step.half[:2], 0.01),
                 pos=step.top,
-                quat=step.turn,
+                quat=step.quaternion,
                 contype=0,
                 conaffinity=exclusive_bits[foot],
                 rgba=(0.0, 0.0, 0.0, 0.0),
@@ -238,14 +240,14 @@ def _separate_from_floor(
     feet: Container[str],
     alone: Sequence[str],
 ) -> dict[str, int]:
-    """Keep the contacts of the floor, except with the geoms of some feet.
+    """Disable the contacts between the floor and some feet, by new contact bits, in place.
 
     Args:
         robot: Robot.
         spec: Spec to modify.
-        floor: Floor of the spec.
+        floor: Floor of the spec; its contacts with all other geoms remain.
         feet: Feet that must not collide with the floor.
-        alone: Feet that get a separate contact bit.
+        alone: Feet that get a contact bit of their own, for a geom that no other foot touches.
 
     Returns:
         {foot in ``alone``: bit of ``contype`` that only geoms of this foot have}.

@@ -26,15 +26,16 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 _MIN_ARM_JOINTS = 3
-"""Minimum number of joints of an arm below the hand. The tool of an arm with a hand is the link
-that carries the fingers."""
+"""Minimum number of joints that move the link with the fingers, for the link to count as a hand
+(the default tool). The two joints of a free base in Pinocchio's model count. Chosen, not tuned."""
 
 _MAX_FINGER_JOINTS = 4
-"""Maximum number of joints of a finger."""
+"""Maximum number of joints of a finger: a branch of the tree with more joints is no finger. Chosen,
+not tuned."""
 
 
 _NUM_FRAMED_VALUES = 4
-"""Number of elements of a place in a frame: name, x, y, z."""
+"""Number of elements of a position in a frame: name of the frame, x, y, z."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +56,22 @@ class Tool(Result):
     offset: Array = field(metadata={"unit": "m"})
     chain: tuple[str, ...]
 
-    def moved(self, way: ArrayLike) -> Tool:
-        """Return a copy of the tool, translated by a vector, shape (3,) [m], in link axes."""
+    def translated(self, way: ArrayLike) -> Tool:
+        """Return a copy of this point, translated by ``way``, shape (3,) [m], in link axes."""
         return replace(self, offset=self.offset + check_point(way))
 
     def position(self, config: Configuration) -> Array:
-        """Return the position (3,) [m] of the point in the world."""
+        """Return the position (3,) [m] of this point in the world frame."""
         rotated_offset = config.frame_rotation(self.link) @ self.offset
         position: Array = config.frame_position(self.link) + rotated_offset
         return position
 
-    def in_mjcf(self, robot: Robot) -> tuple[str, Array]:
-        """Return the MJCF body that carries the point, and the position (3,) [m] in this body."""
-        model, data = robot.mj_model, robot.placed()
+    def locate_in_mjcf(self, robot: Robot) -> tuple[str, Array]:
+        """Return the MJCF body that moves with this point, and the position in the body, (3,) [m].
+
+        The body is that of the last joint that moves the point, or the base.
+        """
+        model, data = robot.mj_model, robot.compute_kinematics()
         body = model.body(robot.mj_base).id
         if self.chain:
             body = int(model.jnt_bodyid[model.joint(self.chain[-1]).id])
@@ -76,18 +80,22 @@ class Tool(Result):
         return str(model.body(body).name), position
 
     def jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian (3, nv) of the point, in world axes."""
+        """Return the Jacobian (3, nv) of the velocity of this point [m/s], in world axes."""
         return self.twist_jacobian(config)[:3]
 
     def twist_jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian (6, nv) of the point's velocity and the link's angular velocity.
+        """Return the Jacobian (6, nv) of the velocity of this point, and of its link's rotation.
 
-        Both velocities are expressed in world axes.
+        Rows: velocity of the point [m/s], angular velocity [rad/s], both in world axes.
         """
         return config.frame_jacobian(self.link, config.frame_rotation(self.link) @ self.offset)
 
     def load_per_mass(self, config: Configuration) -> Array:
-        """Return the generalised load (nv,) [N/kg, N m/kg] of a mass at the point: -J^T g."""
+        """Return the generalised load of a point mass at this point, per mass: -J^T g.
+
+        Shape (nv,) [N/kg, N m/kg], with g the gravity vector: the forces that must support the
+        mass.
+        """
         load: Array = -config.robot.gravity @ self.jacobian(config)
         return load
 
@@ -112,7 +120,7 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     link = _find_end_link(robot) if name is None else name
     if link in robot.structure.links:
         return Tool(link, link, np.zeros(3), _find_chain(robot, link))
-    model, data = robot.mj_model, robot.placed()
+    model, data = robot.mj_model, robot.compute_kinematics()
     for kind, places, bodies in (
         (mujoco.mjtObj.mjOBJ_SITE, data.site_xpos, model.site_bodyid),
         (mujoco.mjtObj.mjOBJ_BODY, data.xpos, range(model.nbody)),
@@ -130,7 +138,7 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
 
 
 def find_place(robot: Robot, point: Place) -> Tool:
-    """Return a point of a robot as a tool.
+    """Convert a position in the frame of a link, site, body or geom to a `Tool`.
 
     Args:
         robot: The robot.
@@ -139,12 +147,12 @@ def find_place(robot: Robot, point: Place) -> Tool:
 
     Raises:
         ConfigurationError: If the point is not valid.
-        UnknownNameError: If the robot has no such frame, or lacks the link of the tool.
+        UnknownNameError: If the robot has no such frame, or no link with the name of the tool's.
     """
     if not isinstance(point, Tool):
         frame, at = split_place(point)
         if frame:
-            return find_tool(robot, frame).moved(at)
+            return find_tool(robot, frame).translated(at)
         return Tool(robot.base, robot.base, check_point(at), ())
     if point.link not in robot.structure.links:
         raise UnknownNameError(robot.name, "link", point.link, tuple(robot.structure.links))
@@ -152,7 +160,7 @@ def find_place(robot: Robot, point: Place) -> Tool:
 
 
 def split_place(point: Any) -> tuple[str, Any]:
-    """Split a place into the name of the frame ("" for the base) and the coordinates.
+    """Split a position into the name of the frame ("" for the base) and the coordinates.
 
     Args:
         point: (frame, x, y, z) [m], or coordinates (x, y, z) [m] in the base frame.
@@ -273,7 +281,7 @@ def with_payload(
     if tool.link == robot.base:
         robot.check_floating()
     link, offset = tool.link, tool.offset
-    body, mj_offset = tool.in_mjcf(robot)
+    body, mj_offset = tool.locate_in_mjcf(robot)
     (urdf, mjcf), name = robot.description.trees(), _PAYLOAD_NAME
     sides: tuple[tuple[ModelTree, str, Array], ...] = (
         (urdf, link, offset),

@@ -1,7 +1,7 @@
 """Robot with the contacts of a task: hands, welds, and the friction of planes.
 
 Input: a robot and the contacts {foot or frame: contact}. Output: a robot with contact points for
-hands (massless balls), with the friction of the planes, and with a free base if a fixed base is
+hands (massless spheres), with the friction of the planes, and with a free base if a fixed base is
 welded by the task.
 """
 
@@ -37,22 +37,22 @@ from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.robot.tool import Tool, find_tool
 
 _CACHE_SIZE = 8
-"""Maximum number of cached robots with contacts, the same as for borrowed objects."""
+"""Maximum number of cached robots with contacts; the least recently used are dropped. Chosen, not
+tuned."""
 
 
 _BASE_ARMATURE_FACTOR = 1e4
-"""Armature of the free joint of a welded base [total masses of the robot]. This armature represents
-the environment to which the base is fixed: MuJoCo's welds are soft, and a light base would
-oscillate.
-"""
+"""Armature [kg, kg m^2] of the free joint of a welded base, relative to the mass of the robot [kg].
+The armature represents the environment to which the base is fixed: MuJoCo's welds are soft, and a
+light base would oscillate. Chosen, not tuned."""
 
 
 def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     """Return a robot that can make the contacts of a task; often the robot itself.
 
-    A part other than a foot gets a contact point: a massless ball that collides only with its
-    plane. The friction of a plane is that of the contact. Welded parts do not collide. A base that
-    the file fixes to the world becomes free, and is held by the weld.
+    A part other than a foot (hand) gets a contact point: a massless sphere that collides only with
+    its plane. The friction of a plane is that of the contact. Welded parts do not collide. A base
+    that the file fixes to the world becomes free, and is held by the weld.
 
     Args:
         robot: Robot, which may already be the result of this function.
@@ -60,10 +60,16 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
 
     Raises:
         UnknownNameError: If there is no such foot or frame.
-        ConfigurationError: If a part is a foot with another name, a foot has arguments of hands,
-            two welded parts move together, a sole touches a bar or grips, a contact other than a
-            weld is on the base, a fixed base cannot be made free, or the robot was changed after it
-            got other contacts.
+        ConfigurationError: For each of these conflicts:
+
+            * a named frame moves with a foot, but is not the foot;
+            * the contact of a foot has ``offset`` or ``radius``, or the weld of a foot ``place`` or
+              ``offset``, which are options of hands;
+            * a foot with several contact points touches a bar, or grips;
+            * a contact other than a weld is on the base;
+            * two welds are on links that move with the same joint;
+            * a fixed base cannot be made free;
+            * the robot was changed after it got other contacts.
     """
     if not contacts and not robot.touching:
         return robot
@@ -92,7 +98,13 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
 
 
 def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
-    """Convert a contact or weld of a foot or hand to the required changes of a robot."""
+    """Convert a contact or weld to the changes of the robot that it requires.
+
+    Args:
+        name: Name of the part, for messages.
+        contact: Contact or weld of the part.
+        foot: Whether the part is a foot; otherwise a hand.
+    """
     if isinstance(contact, Weld):
         _require_hand(name, not foot or not any(contact.offset), "offset")
         return Touching(offset=None if foot else contact.offset, welded=True)
@@ -160,8 +172,9 @@ def _find_frame(robot: Robot, name: str) -> Tool:
 def _free_base(robot: Robot) -> Robot:
     """Return a robot with a free base instead of a base fixed by the file or the caller.
 
-    A robot without feet starts in the default posture of the fixed robot, as ``find_posture``
-    returns the posture. A floor that the file lacks cannot touch: the fixed robot has none.
+    Without feet, ``home`` has the default posture of the fixed robot (`default_positions`), with
+    closed loops. If the file has no floor, the added floor does not collide, because a robot with a
+    fixed base may extend below it.
     """
     description, model = robot.description, robot.mj_model
     spec, base = description.mjcf.copy(), model.body(robot.mj_base).id
@@ -212,12 +225,12 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
     geom_names = (str(robot.mj_model.geom(geom).name) for geom in robot.foot_geoms)
     model_geom = next(filter(None, geom_names), None)
     for name, touching in hands.items():
-        tool = _find_frame(robot, name).moved(touching.offset or (0.0, 0.0, 0.0))
+        tool = _find_frame(robot, name).translated(touching.offset or (0.0, 0.0, 0.0))
         _refuse_foot_link(robot, name, tool)
         frame = f"{name} (contact)"
         while frame in used_names or frame in urdf.links:
             frame += "_"
-        body, place = tool.in_mjcf(robot)
+        body, place = tool.locate_in_mjcf(robot)
         urdf.add_link(frame, tool.link, f"to {frame}", tool.offset)
         mjcf.spec.body(body).add_site(name=frame, pos=place)
         carrier = model.frames[model.getFrameId(tool.link, pin.FrameType.BODY)]
@@ -248,18 +261,23 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
 
 
 _PROBE_RADIUS = 1e-4
-"""Radius [m] of a small ball whose distance from shapes is computed: the ball represents the
-contact point of a hand, of which coal needs a volume. Chosen, not tuned."""
+"""Radius [m] of the sphere that represents the contact point of a hand when its depth inside the
+collision shapes is computed: the library (coal) requires a body with a volume. Chosen, not
+tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
-"""Radius [m] of the contact ball of a hand whose contact point is not inside a collision shape of
+"""Radius [m] of the contact sphere of a hand whose contact point is not inside a collision shape of
 the link. Chosen, not tuned."""
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:
-    """Return the radius [m] of the largest ball at a point inside a collision shape of the link."""
+    """Return the radius [m] of a contact sphere: the largest that fits into a collision shape.
+
+    The centre is the tool. If the tool is not inside a shape of its moving link, the result is
+    ``_DEFAULT_BALL_RADIUS``.
+    """
     kinematics, probe = Kinematics(robot.structure), coal.Sphere(_PROBE_RADIUS)
-    kinematics.move(robot.neutral())
+    kinematics.update(robot.neutral())
     rotation, position = kinematics.links[tool.link]
     probe_pose = coal.Transform3s(np.eye(3), rotation @ tool.offset + position)
     depths = [0.0]
@@ -276,11 +294,7 @@ def _inscribed_radius(robot: Robot, tool: Tool) -> float:
 
 
 def _refuse_foot_link(robot: Robot, name: str, tool: Tool) -> None:
-    """Raise an error if a hand moves with a foot, or with the base.
-
-    Raises:
-        ConfigurationError: If so.
-    """
+    """Raise a ConfigurationError if a hand moves with a foot, or with the base."""
     if not tool.chain:
         raise ConfigurationError("contacts", diagnose("contact-is-on-the-base", name=name))
     structure = robot.structure

@@ -139,7 +139,7 @@ def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) ->
     for foot, force in prediction.contact_forces.items():
         normal = stand.normals[foot]
         tangential = float(np.linalg.norm(force - (force @ normal) * normal))
-        viscosity = GroundLaw.of(robot, foot).viscosity(stand.depths[foot])
+        viscosity = GroundLaw.of_contact(robot, foot).viscosity(stand.depths[foot])
         speeds[foot] = tangential / viscosity if viscosity > 0 else np.inf
     return speeds
 

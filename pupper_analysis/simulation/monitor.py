@@ -147,11 +147,11 @@ class StandReference:
         """
         lost = (
             0.0
-            if self.robot.bolted
+            if self.robot.is_base_fixed
             else float(self.com_position[2] - self._locate_com_point(state)[2])
         )
         return StandCheck(
-            tilt=0.0 if self.robot.bolted else self.tilt(state),
+            tilt=0.0 if self.robot.is_base_fixed else self.tilt(state),
             height=self.com_height - lost,
             expected_height=self.com_height,
             touching=tuple(sorted(touching)),
@@ -168,7 +168,7 @@ class StandReference:
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS): time, qpos, qvel, ...
         """
-        if self.robot.bolted:
+        if self.robot.is_base_fixed:
             return False
         lost = self.com_position[2] - self._locate_com_point(state)[2]
         return self.tilt(state) > FALLEN_TILT or bool(
@@ -185,7 +185,7 @@ class StandReference:
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
         """
-        if self.robot.bolted:
+        if self.robot.is_base_fixed:
             joints = state[1 + self.robot.mj_convention.qpos_index[-self.robot.nu :]]
             return not bool((np.abs(joints - self.joints) < MIN_POSTURE_DEVIATION).all())
         position = self._locate_com_point(state)
@@ -458,7 +458,7 @@ def record_contacts(
     carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.contact_points}
     count, touching, pressed = 0, set[tuple[str, str]](), set[tuple[str, str]]()
-    is_footless = robot.bolted and not stand.stance_feet
+    is_footless = robot.is_base_fixed and not stand.stance_feet
     min_force = MIN_PUSH_RATIO * robot.usual_weight
     last_second = range(settling - round(MEASURING_TIME / model.opt.timestep), settling)
     # Backwards, so that the earliest time overwrites later ones. Both parts include their last

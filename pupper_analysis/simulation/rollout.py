@@ -159,7 +159,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         return float(normal @ generalized_force[robot.mj_convention.qvel_index[:3]])
 
     # Deep feet on walls hold the robot by friction alone; a fixed robot cannot be lowered.
-    if robot.bolted or robot.welds or (on_planes and any(stand.depths.values())):
+    if robot.is_base_fixed or robot.welds or (on_planes and any(stand.depths.values())):
         return rest_state(robot, drive, stand.qpos, data.ctrl)
     low, high = 0.0, _MIN_DROP
     while (over := surplus(high)) <= 0 and high < _MAX_DROP:

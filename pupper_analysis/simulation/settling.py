@@ -110,7 +110,7 @@ def comes_to_rest(
         return False
     model, state = held.drive.model, last_second[-1]
     spectrum, settled = find_final_spectrum(held.drive, held.start, state, held.ctrl)
-    if not (spectrum.at_rest or spectrum.lasts()):
+    if not (spectrum.at_rest or spectrum.is_stable_for()):
         return False
     slowest = spectrum.least_damped
     decay_time = _DECAY_TIME_CONSTANTS * (0.0 if slowest is None else slowest.time_constant)
@@ -130,7 +130,7 @@ def comes_to_rest(
     if not reference.check_stand(nudged_states[-1], touching).stands:
         return False
     # The simulation of growing modes takes up to `LONGEST_TRIAL`, the nudge a few seconds.
-    return confirm_growth(spectrum, model, settled, held.ctrl).lasts()
+    return confirm_growth(spectrum, model, settled, held.ctrl).is_stable_for()
 
 
 def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) -> Array | None:

@@ -232,7 +232,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
         stand: The stand, solved for the simulated ground.
         statics: Statics of the stand.
     """
-    if statics.com_margin is None or robot.bolted:  # a base that no nudge moves
+    if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves
         return False
     com_displacement = BASE_NUDGE_SPEED * math.sqrt(
         com_height_above_contacts(robot, stand) / float(np.linalg.norm(robot.gravity))

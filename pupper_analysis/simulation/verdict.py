@@ -268,7 +268,7 @@ def predict_verdict(
         stability: Stability with feed-forward; None if not evaluated.
     """
     overloaded_motors = find_overloaded_motors(statics)
-    leaves = stability is not None and not stability.lasts()
+    leaves = stability is not None and not stability.is_stable_for()
     code = VerdictCode.UNSTABLE if leaves else VerdictCode.IN_BALANCE
     doubling_time = _min_doubling_time(stability)
     return Verdict(

@@ -300,7 +300,12 @@ def verify_stand(
     if feedforward:
         failures += _find_deviations(robot, stand, record, result)
         failures += _describe_height_loss(result, reference.com_height)
-    elif settled is not None and not settled.failures and robot.bolted and not stand.stance_feet:
+    elif (
+        settled is not None
+        and not settled.failures
+        and robot.is_base_fixed
+        and not stand.stance_feet
+    ):
         failures += _compare_with_equilibrium(robot, result, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
     notes = [
@@ -551,7 +556,7 @@ def _find_standing_failures(
     if reference.has_fallen(states[-1]):
         height = float(monitor.base_heights(robot, states[-1]))
         failures.insert(0, monitor.describe_fall(reference.tilt(states[-1]), height))
-    if robot.bolted and reference.has_collapsed(states[-1]):
+    if robot.is_base_fixed and reference.has_collapsed(states[-1]):
         failures.append(diagnose("posture-left"))
     if not result.height_deviation < STABLE_DEVIATION:
         deviation = Quantity(result.height_deviation, "m")

@@ -132,7 +132,7 @@ class ClearanceShapes:
         Returns:
             ``kinematics``, which the next call overwrites.
         """
-        self.kinematics.move(qpos)
+        self.kinematics.update(qpos)
         return self.kinematics
 
     @functools.cached_property
@@ -360,7 +360,7 @@ class ClearanceShapes:
             number = model.getFrameId(frame, pin.FrameType.BODY)
             name = model.names[model.frames[number].parentJoint]
             joint = name if name in robot.joint_names else ""
-            if foot in robot.feet and foot in robot.bearing:
+            if foot in robot.feet and foot in robot.bearing_points:
                 feet[joint] = foot
             else:
                 flat.add(joint)
@@ -375,7 +375,7 @@ class ClearanceShapes:
 
     def _intersects_foot(self, shape: CarriedShape, foot: str) -> bool:
         """Return True if a shape on the link of a foot intersects the foot sphere."""
-        self.kinematics.move(self.robot.neutral())
+        self.kinematics.update(self.robot.neutral())
         turn, place = self.kinematics.links[shape.link]
         centre = turn.T @ (np.array(self.kinematics.feet[foot]) - place)
         ball = coal.Sphere(self.robot.contact_radius[foot])

@@ -382,7 +382,7 @@ def evaluate_constraints(
         elif not isinstance(constraint, SupportMargin):  # the CoM margin is a result
             violation[constraint.name] = constraint.violation(goal, at)
     x, y, _ = at.com
-    margin = math.inf if shapes.robot.welded else margin_of_place((x, y), goal.corners)
+    margin = math.inf if shapes.robot.is_welded else margin_of_place((x, y), goal.corners)
     return ConstraintEvaluation(violation, margin, near)
 
 
@@ -402,7 +402,7 @@ def make_constraints(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint
     elif goal.task.com != "inside":
         yield PlaceConstraint(shapes, goal)
     limits_com = goal.task.com_margin > 0.0 or not (goal.by_base or _has_fixed_com_on_planes(goal))
-    if limits_com and not shapes.robot.welded:
+    if limits_com and not shapes.robot.is_welded:
         yield SupportMargin(shapes, goal)
     yield JointLimits(shapes, goal)
     yield GroundClearance(shapes, goal)

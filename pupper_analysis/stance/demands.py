@@ -160,7 +160,7 @@ class DemandVector:
         """Convert numbers [m, rad] of a field, or of a foot in a field, to a value of the task."""
         contact = self._task.contacts.get(foot)
         if FIELDS[field].kind == "contact" and contact is not None:
-            return contact.moved(parts)
+            return contact.with_parameters(parts)
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def clip(self, values: Array) -> Array:
@@ -174,7 +174,7 @@ def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
     elif isinstance(value, Contact | Weld):  # distance or position of the surface
-        yield from zip("xyz", value.numbers, nominal.numbers, strict=False)
+        yield from zip("xyz", value.parameters, nominal.parameters, strict=False)
     else:
         yield "", value, nominal
 
@@ -192,16 +192,16 @@ def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> An
     """Return the value of a field [m, rad], for a foot or joint, in the stand of a default task."""
     if field.kind == "contact":
         contact = task.contacts[foot]
-        if not contact.numbers:
+        if not contact.parameters:
             return contact
         place = default_contact_position(robot, foot)
         if isinstance(contact, Weld):
-            return contact.moved(place.tolist())
+            return contact.with_parameters(place.tolist())
         if isinstance(contact.plane, Slope):
-            return contact.at(0.0)
+            return contact.with_plane_parameter(0.0)
         if isinstance(contact.plane, Bar):
             below = contact.plane.radius + robot.contact_radius[robot.feet[foot][0]]
-            return contact.moved((place - (0.0, 0.0, below)).tolist())
+            return contact.with_parameters((place - (0.0, 0.0, below)).tolist())
         if foot in robot.hands:  # the position is that of the hand's sphere
             place -= robot.contact_radius[robot.feet[foot][0]] * np.array(contact.plane.normal)
         x, y, z = place.tolist()

@@ -75,7 +75,7 @@ def can_move_com(robot: Robot) -> bool:
     one plane cannot move the CoM sideways, unless arms or a waist do. Also True for a robot without
     contact points.
     """
-    return robot.once(_compute_com_mobility)
+    return robot.compute_once(_compute_com_mobility)
 
 
 def _compute_com_mobility(robot: Robot) -> bool:
@@ -94,7 +94,7 @@ def _compute_com_mobility(robot: Robot) -> bool:
 
 def _count_com_directions(robot: Robot, joints: Array) -> int:
     """Count the horizontal directions in which the CoM can move at joint positions (nu,)."""
-    config = Configuration(robot, robot.posed(joints))
+    config = Configuration(robot, robot.make_qpos(joints))
     held = np.eye(4, robot.nv, k=2)  # base height and orientation
     feet = np.vstack(list(config.foot_jacobians().values()))
     free = lapack.null_space(np.vstack([held, feet]), rcond=1e-9)
@@ -220,7 +220,7 @@ def make_goal(
         ConfigurationError: If the base is fixed, the robot has no feet, or the task is rejected.
         UnknownNameError: If the task contains an unknown foot or joint.
     """
-    com, nominal, limits = robot.once(_make_defaults)
+    com, nominal, limits = robot.compute_once(_make_defaults)
     # A caller may have changed the limits of the model.
     if like is None and not depths and limits == _list_limits(robot):
         like = nominal
@@ -294,7 +294,7 @@ def _build_goal(
         stated = stated_forces(robot, stance_feet)
         held = gripped_places(robot, targets) if robot.grips else None
         support = Support(contacts, np.array([*normals.values()]), grip, stated, held)
-        if checked and not robot.welded:  # a weld holds any CoM
+        if checked and not robot.is_welded:  # a weld holds any CoM
             _check_support_area(robot, np.array(support.corners), stance_feet)
         centre = feet_centre(robot, task.ground, contact_by_foot, targets)
     task = _fill_task(robot, task, com)
@@ -312,7 +312,7 @@ def _build_goal(
         place = np.array(task.com)
     # The centre is inside the support region.
     at_centre = by_base or (isinstance(task.com, str) and task.com_margin == 0.0)
-    if checked and not at_centre and not robot.welded:
+    if checked and not at_centre and not robot.is_welded:
         _check_com_place(task, place, support.corners)
     return Goal(
         task=task,
@@ -467,7 +467,7 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
         robot.points_of(foot)
     swinging = {point for foot in task.swing for point in robot.feet[foot]}
-    stance_feet = tuple(foot for foot in robot.bearing if foot not in swinging)
+    stance_feet = tuple(foot for foot in robot.bearing_points if foot not in swinging)
     if robot.welds:
         return stance_feet
     if len(robot.contact_points) < 3:
@@ -504,12 +504,12 @@ def nominal_point_positions(robot: Robot) -> dict[str, Array]:
     Positions are in the world frame, for the base upright at the origin and the joints at
     ``robot.nominal``.
     """
-    return {point: place.copy() for point, place in robot.once(_compute_nominal_points)}
+    return {point: place.copy() for point, place in robot.compute_once(_compute_nominal_points)}
 
 
 def _compute_nominal_points(robot: Robot) -> tuple[tuple[str, Array], ...]:
     """Compute the sphere centres at the nominal joint positions."""
-    qpos = robot.posed(robot.nominal)
+    qpos = robot.make_qpos(robot.nominal)
     return tuple(Configuration(robot, qpos).foot_positions().items())
 
 
@@ -580,7 +580,7 @@ def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> d
     translated from there by the swing height, along the normal of the plane.
     """
     points = robot.feet[foot]
-    on = task.ground.planes[foot].nearest(_requested_position(robot, task, foot, place))
+    on = task.ground.planes[foot].project(_requested_position(robot, task, foot, place))
     out = task.ground.normal(foot)
     radii = np.array([robot.contact_radius[point] for point in points])
     on += task.swing.get(foot, 0.0) * out
@@ -607,7 +607,7 @@ def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) 
         near[:2] += place - nominal_foot_positions(robot)[foot]
         return near
     if isinstance(bar := task.contacts[foot].plane, Bar):
-        return np.array(bar.top(*place.tolist()))
+        return np.array(bar.point_above(*place.tolist()))
     return np.array((*place, task.ground.height(place, foot)))
 
 
@@ -617,7 +617,9 @@ def _add_planes(robot: Robot, task: StandTask) -> StandTask:
     for foot, place in foot_positions_of_task(robot, task).items():
         plane = task.contacts[foot].plane if foot in task.contacts else None
         if plane is not None:
-            planes[foot] = plane.through(_requested_position(robot, task, foot, place).tolist())
+            planes[foot] = plane.contact_plane(
+                _requested_position(robot, task, foot, place).tolist()
+            )
     return task.replace_unchecked(ground=task.ground.with_planes(planes))
 
 
@@ -628,13 +630,13 @@ def default_contact_position(robot: Robot, foot: str) -> Array:
     its sphere centre in the home pose at the default base height.
     """
     if foot in robot.hands:
-        return robot.once(_compute_home_points)[robot.feet[foot][0]].copy()
+        return robot.compute_once(_compute_home_points)[robot.feet[foot][0]].copy()
     return np.array((*nominal_foot_positions(robot)[foot], 0.0))
 
 
 def _compute_home_points(robot: Robot) -> dict[str, Array]:
     """Compute the sphere centres (3,) [m] of the home pose at the default base height."""
-    qpos = robot.posed(robot.home[robot.nq - robot.nu :])
+    qpos = robot.make_qpos(robot.home[robot.nq - robot.nu :])
     qpos[2] = robot.base_height
     return Configuration(robot, qpos).foot_positions()
 

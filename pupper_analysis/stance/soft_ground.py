@@ -95,7 +95,7 @@ def solve_stand_on_soft_ground(
     if requested_task.com == "inside":
         x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
         task = replace(task, com=(float(x), float(y)), com_margin=0.0)
-    laws = {foot: GroundLaw.of(robot, foot) for foot in stand.stance_feet}
+    laws = {foot: GroundLaw.of_contact(robot, foot) for foot in stand.stance_feet}
     give = np.zeros(0 if robot.closure is None else 1)
     least, stalled = math.inf, 0
     for _ in range(_MAX_ITERATIONS):
@@ -165,7 +165,7 @@ def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
         return qpos
-    give = closure.static_deflection(qpos, Configuration(robot, qpos).load())
+    give = closure.static_deflection(qpos, Configuration(robot, qpos).static_load())
     moving = np.isin(np.arange(robot.nu), closure.dependent_joints).astype(float)
     opened = closure.close_loops(qpos, moving, give)
     return qpos if opened is None else opened
@@ -224,7 +224,7 @@ def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) 
     pushed = np.concatenate(
         [*forces, *wrenches[:grips], *(wrench[:3] for wrench in wrenches[grips:])]
     )
-    left = config.load() - carrying.jacobian(config) @ pushed
+    left = config.static_load() - carrying.transposed_jacobian(config) @ pushed
     return robot.closure.static_deflection(stand.qpos, left[robot.nv - robot.nu :])
 
 
@@ -243,7 +243,7 @@ def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[
             across = places - places.mean(axis=0)
             across -= np.outer(across @ normal, normal)
             table = np.column_stack([np.ones(len(points)), across / np.abs(across).max()])
-            laws = [GroundLaw.of(robot, point) for point in points]
+            laws = [GroundLaw.of_contact(robot, point) for point in points]
             given = [depths[point] for point in points]
             sole_depths |= dict(zip(points, _fit_plane(table, laws, given).tolist(), strict=True))
     return sole_depths

@@ -120,7 +120,7 @@ def stand_statics(
     def compute() -> GravityCompensation:
         """Compute the statics without the cache of the stand."""
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
-        return balance_load(config, config.load(), carrying, distribution=distribution)
+        return balance_load(config, config.static_load(), carrying, distribution=distribution)
 
     return stand.cached_statics(robot, distribution, compute)
 

@@ -116,7 +116,7 @@ class StandTask:
                 raise ConfigurationError("feet", message)
         for name in self.contacts:
             contact = self.contacts[name]
-            on_step = contact.turns and contact.place is None
+            on_step = contact.has_angle and contact.place is None
             if name in self.ground.heights and not on_step:
                 problem = diagnose("two-grounds-of-a-foot", name=name)
                 raise ConfigurationError("contacts", problem)

@@ -191,7 +191,7 @@ def solve_posture(
         names = [robot.joint_names[i] for i in np.flatnonzero(robot.pin_convention.unbounded)]
         raise ConfigurationError("tasks", diagnose("clearance-of-continuous", joints=names))
     initial = Configuration(robot, robot.home if start is None else start)
-    kept = tuple(robot.bearing if contacts is None else contacts)
+    kept = tuple(robot.bearing_points if contacts is None else contacts)
     if kept and not robot.floating:
         problem = diagnose("fixed-base-carries", robot=robot.name)
         raise ConfigurationError("contacts", problem)
@@ -472,14 +472,14 @@ class _MujocoBody(_PinocchioBody):
 
     def __init__(self, robot: Robot, qpos: Array, collision: _LazyShapes) -> None:
         super().__init__(robot, qpos, collision)
-        self._robot, self._data = robot, robot.placed(qpos)
+        self._robot, self._data = robot, robot.compute_kinematics(qpos)
 
     def pose(self, frame: str) -> tuple[Array, Array]:
         """Return rotation (3, 3) and position (3,) [m] of a link in the world."""
         robot, model = self._robot, self._robot.mj_model
-        name, offset = find_tool(robot, frame).in_mjcf(robot)
+        name, offset = find_tool(robot, frame).locate_in_mjcf(robot)
         body = model.body(name).id
-        neutral, still = robot.placed(), Configuration(robot, robot.neutral())
+        neutral, still = robot.compute_kinematics(), Configuration(robot, robot.neutral())
         relative = neutral.xmat[body].reshape(3, 3).T @ still.frame_rotation(frame)
         rotation = self._data.xmat[body].reshape(3, 3)
         return rotation @ relative, self._data.xpos[body] + rotation @ offset

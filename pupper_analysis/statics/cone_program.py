@@ -28,8 +28,7 @@ Array = NDArray[np.float64]
 
 BALANCE_TOLERANCE = 1e-9
 """Largest norm of the residual of the base's balance that counts as zero, relative to the norm of
-the base load (N and N m mixed). Chosen, not tuned; agreement between engines is tested to
-it."""
+the base load (N and N m mixed). Chosen, not tuned."""
 
 
 _CONE_MARGIN = 1e-6
@@ -39,8 +38,8 @@ the solver's rounding stays inside the true cones."""
 
 _LARGE_FRICTION = 10.0
 """Friction coefficient above which the rows of a cone are divided by the coefficient. Without
-scaling, Clarabel fails for coefficients of 1,000 and more. Chosen: far above real coefficients,
-whose rows stay unscaled."""
+scaling, Clarabel fails for coefficients of 1,000 and more. Chosen: far above the coefficients of
+real materials, whose rows stay unscaled."""
 
 
 _TANGENTIAL_WEIGHT = 1e3
@@ -49,8 +48,9 @@ Chosen: large enough that normal forces matter only where tangential forces are 
 
 
 _PEAK_SLACK = 1e-7
-"""Relative amount by which the second program of `Balance.min_max_torque` may exceed the minimum
-peak that the first program found: ten times the rounding of the first program."""
+"""Relative increase of the peak utilisation that the second cone program of
+`Balance.min_max_torque` may accept over the minimum found by the first program. The value is ten
+times the rounding error of the first program."""
 
 
 _BOUND_TOLERANCE = 1e-6
@@ -118,9 +118,10 @@ class Balance:
             metric: Weighted norm that is minimised.
 
         Returns:
-            Forces, shape (size,) [N, N m], or None if no forces satisfy balance and friction.
+            Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
+            forces satisfy balance and friction.
         """
-        forces = metric.shortest(self.base_rows, self.base_load)
+        forces = metric.solve_min_norm(self.base_rows, self.base_load)
         if forces is not None:
             feasible = friction is None or self._largest_violation(forces, friction) <= 0
             if feasible and self._is_balanced(forces):
@@ -128,7 +129,7 @@ class Balance:
         return self.solve(friction, metric, np.zeros(self.base_rows.shape[1]))
 
     def solve_normal_only(self) -> Array | None:
-        """Compute contact forces without tangential components, beside welds or grips.
+        """Compute forces of equilibrium without tangential contact forces, for welds or grips.
 
         A weld or a grip carries the rest of the load, so contacts need no tangential force, and
         MuJoCo's regularised friction does not creep. With a weld the motor torques |tau| are
@@ -136,7 +137,8 @@ class Balance:
         put the load on the edge of a sole.
 
         Returns:
-            Forces, shape (size,) [N, N m], or None if no such forces exist.
+            Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
+            such forces satisfy balance, non-negative normal forces, and grip limits.
         """
         count, size = len(self.normals), self.base_rows.shape[1]
         # Columns: n normal directions, then the unchanged columns of welds and grips.
@@ -178,18 +180,19 @@ class Balance:
         return None if found is None else directions @ found
 
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
-        """Compute the forces with the smallest peak utilisation max |tau| / limit.
+        """Compute the forces with the smallest peak motor utilisation max |tau| / limit.
 
-        Without cones (``friction`` None), the norm of the utilisations is minimised. Motors without
-        a finite, positive limit are ignored. If no motor has such a limit, the peak torque is
-        minimised instead.
+        Of these, the forces with the smallest norm of all utilisations are selected. Without cones
+        (``friction`` None), only this norm is minimised. Motors without a finite, positive limit
+        are ignored. If no motor has such a limit, torques replace utilisations.
 
         Args:
             friction: Shape (n,); friction coefficients. None removes cones and unilateral limits.
             limits: Shape (nu,) [N m]; effort limits.
 
         Returns:
-            Forces, shape (size,) [N, N m], or None if no forces satisfy balance and friction.
+            Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
+            forces satisfy balance and friction.
         """
         rated = np.isfinite(limits) & (limits > 0)
         weights = np.where(rated, 1 / np.where(rated, limits, 1.0), 0.0) if rated.any() else None
@@ -200,14 +203,15 @@ class Balance:
     def maximize(self, linear: Array, friction: Array, rows: Array, upper: Array) -> Array | None:
         """Compute the forces that maximise a linear function within the friction cones.
 
-        Args:
-            linear: Shape (size,); coefficients of the maximised function ``linear @ f``.
+        Args: linear: Coefficients of the maximised function ``linear @ f``, shape (size,) in the
+            order
+                contacts (3 n,), welds (6 w,), grips (3 g,).
             friction: Shape (n,); friction coefficients.
             rows: Shape (m, size); coefficients of the inequality ``rows @ f <= upper``.
             upper: Shape (m,); upper bounds.
 
         Returns:
-            Forces, shape (size,) [N, N m], or None if no forces satisfy balance, friction and the
+            Forces f, shape (size,) [N, N m]. None if no forces satisfy balance, friction and the
             inequality.
         """
         particular, free = self._particular_and_null_space
@@ -234,18 +238,21 @@ class Balance:
         *,
         peak: bool = False,
     ) -> Array | None:
-        """Compute the forces with the smallest residual |cost @ f - target|.
+        """Compute the forces f in equilibrium with the smallest norm |cost @ f - target|.
+
+        f has the shape (size,) [N, N m] in the order contacts (3 n,), welds (6 w,), grips (3 g,).
 
         Args:
             friction: Shape (n,); friction coefficients. None removes cones and unilateral limits:
                 feet may pull and slip.
-            cost: Shape (m, size), or an operator with the same product.
+            cost: Matrix, shape (m, size), or a `TangentialMetric`, which provides the product
+                ``cost @ f``.
             target: Shape (m,).
-            peak: Minimise the largest absolute element of the residual first, then the norm. Has no
-                effect if ``friction`` is None.
+            peak: Minimise the largest absolute element of cost @ f - target first, then the norm.
+                Has no effect if ``friction`` is None.
 
         Returns:
-            Forces, shape (size,) [N, N m], or None if no forces satisfy balance and friction.
+            Forces, shape (size,), or None if no forces satisfy balance and friction.
         """
         if not peak or friction is None:
             forces = self._solve_linear(cost, target)
@@ -274,8 +281,9 @@ class Balance:
     def _solve_by_gqr(self, cost: Array, target: Array) -> Array | None:
         """Minimise |cost @ f - target| subject to balance by LAPACK's ``gglse``.
 
-        ``gglse`` takes a third of the time of a singular value decomposition. Returns None if the
-        equations of balance are linearly dependent, or the minimum is not unique.
+        ``gglse`` solves equality-constrained least squares by a generalised QR factorisation, in a
+        third of the time of a singular value decomposition. Returns None if the equations of
+        balance are linearly dependent or nearly dependent, or the minimum is not unique.
         """
         count, size = self.base_rows.shape
         if not count < size <= count + len(cost):
@@ -304,13 +312,15 @@ class Balance:
         return forces[: self.normals.size].reshape(-1, 3)
 
     def _is_balanced(self, forces: Array) -> bool:
+        """Return True if forces (size,) balance the base load, up to `BALANCE_TOLERANCE`."""
         error = math.hypot(*(self.base_rows @ forces - self.base_load).tolist())
         return error < BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
 
     def _largest_violation(self, forces: Array, friction: Array) -> float:
-        """Return the largest force beyond the friction cone or grip limit [N].
+        """Return the largest violation of a friction cone or grip limit [N].
 
-        Negative if all forces are strictly inside; NaN if a force is NaN.
+        The violation of a contact is |f_t| - mu f_n, of a grip |f| - limit. Negative if all forces
+        are strictly inside; NaN if a force is NaN.
         """
         excess = []
         for force, normal, coefficient in zip(
@@ -327,9 +337,10 @@ class Balance:
         return _nan_or_max(excess)
 
     def _cone_rows(self, friction: Array) -> Array:
-        """Return the rows of all cones, shape (4 n + 4 g, size).
+        """Return the rows of the second-order cones of n contacts and g grips, (4 n + 4 g, size).
 
-        Four rows per contact: mu f_n and the tangential force; four per grip: zero and the force.
+        The product of four rows with f is, for a contact, (mu f_n, tangential force), both divided
+        by mu above `_LARGE_FRICTION`; for a grip, (0, grip force).
         """
         normals, count = self.normals, len(self.normals)
         rows, index = np.zeros((count, 4, count, 3)), np.arange(count)
@@ -349,7 +360,10 @@ class Balance:
     def _minimize_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
     ) -> Array | None:
-        """Minimise max |cost @ z - target|, then the squares, with the forces in the cones."""
+        """Minimise max |cost @ z - target|, then the squares, with the forces in the cones.
+
+        z are null-space coordinates: the forces are particular + free @ z. None if infeasible.
+        """
         size = len(target)
         scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))
         scale = max(scale, float(np.abs(target).max(initial=0.0)), 1e-300)
@@ -380,7 +394,11 @@ class Balance:
         friction: Array,
         bounds: tuple[Array, Array] | None = None,
     ) -> Array | None:
-        """Minimise |cost @ z - target|^2 with the forces in the cones, and A z <= b."""
+        """Minimise |cost @ z - target|^2 with the forces in the cones, and A z <= b.
+
+        z are null-space coordinates: the forces are particular + free @ z; ``bounds`` is (A, b).
+        None if infeasible.
+        """
         quadratic = cost.T @ cost
         # In singular leg configurations some forces need no torque: select the smallest of them.
         quadratic += 1e-10 * np.trace(quadratic) * np.eye(len(quadratic))
@@ -399,8 +417,9 @@ class Balance:
     ) -> Array | None:
         """Minimise z^T quadratic z / 2 + linear z with ``particular + free @ z`` in the cones.
 
-        ``bounds`` contains A and b of the inequality A z <= b. Returns None if the problem is
-        infeasible, or the solution violates a cone by more than 1e-9 of the weight.
+        ``bounds`` contains A and b of the inequality A z <= b. Returns None if Clarabel finds the
+        problem infeasible, or if the solution violates a friction cone or grip limit by more than
+        1e-9 times the norm of the first three elements of the base load (1 N if that is zero).
         """
         scale = np.linalg.norm(self.base_load[:3]) or 1.0  # a robot in free fall has no weight
         rows = self._cone_rows(friction)
@@ -440,7 +459,8 @@ class TangentialMetric:
 
     Args:
         normals: Shape (n, 3); unit vectors out of the ground.
-        grip: Shape (n,); viscosities of the contacts, relative to each other. Equal by default.
+        viscosity: Shape (n,); viscosities of the contacts, relative to each other. Equal by
+            default.
     """
 
     def __init__(self, normals: Array, grip: Array | None = None) -> None:
@@ -462,6 +482,7 @@ class TangentialMetric:
         return self._scale_tangential(self._weights, forces)
 
     def _apply_inverse(self, forces: Array) -> Array:
+        """Return W^-1 @ forces, for forces of shape (size,) or (size, k)."""
         if len(forces) > self._normals.size:
             contacts, others = np.split(forces, [self._normals.size])
             return np.concatenate([self._apply_inverse(contacts), others])
@@ -470,20 +491,22 @@ class TangentialMetric:
         return self._scale_tangential(1 / self._weights, forces)
 
     def _scale_tangential(self, weights: Array, forces: Array) -> Array:
+        """Multiply tangential parts of contact forces (3 n,) or (3 n, k) by weights (n, 1)."""
         columns = forces.reshape(len(self._normals), 3, -1)
         normals = self._normals[:, :, None]
         along_normals = normals * (normals * columns).sum(axis=1, keepdims=True)
         product: Array = along_normals + weights[:, :, None] * (columns - along_normals)
         return product.reshape(forces.shape)
 
-    def shortest(self, rows: Array, right: Array) -> Array | None:
+    def solve_min_norm(self, rows: Array, right: Array) -> Array | None:
         """Solve ``rows @ f = right`` for the f with the smallest |W f|.
 
         With u the minimum-norm solution of (rows W^-1) u = right, f = W^-1 u. This form avoids
         W^T W, which would square the condition number of W.
 
         Returns:
-            Shape (size,), or None if the rows are dependent or nearly dependent.
+            Shape (size,). None if there are more rows than unknowns, or the rows are linearly
+            dependent or nearly dependent (``_MIN_RECIPROCAL_CONDITION``).
         """
         count, size = rows.shape
         if size < count:
@@ -514,4 +537,5 @@ def _to_csc(matrix: Array) -> SimpleNamespace:
 
 
 def _nan_or_max(values: list[float]) -> float:
+    """Return NaN if a value is NaN, otherwise the maximum; -inf for an empty list."""
     return math.nan if math.isnan(sum(values)) else max(values, default=-math.inf)

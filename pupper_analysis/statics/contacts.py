@@ -1,6 +1,6 @@
 """Contacts of a robot with the ground: positions, normals, friction, and Jacobian.
 
-`make_contacts` validates the contacts that a caller requests. `Contacts.jacobian` and
+`make_contacts` validates the contacts that a caller requests. `Contacts.transposed_jacobian` and
 `Contacts.balance` provide the equations of static equilibrium that `cone_program.Balance` solves.
 """
 
@@ -73,12 +73,13 @@ class Contacts:
     def com_margin(self, place: Array, config: Configuration, points: Array) -> float:
         """Compute the horizontal distance from a point to the edge of the support region.
 
-        The support region contains the horizontal CoM positions for which contact forces exist.
+        The support region contains the horizontal CoM positions for which forces of these contacts
+        exist, within friction and grip limits, that balance the weight.
 
         Args:
             place: Shape (2,) or (3,) [m]; the CoM or zero-moment point in the world frame.
-            config: State of the robot, for the positions of grips.
-            points: Shape (n, 3) [m]; positions of the contacts in the world frame.
+            config: State of the robot, from which the positions of grips are computed.
+            points: Shape (n, 3) [m]; positions of these contacts in the world frame.
 
         Returns:
             Distance [m]: positive inside, negative outside. Minus infinity if ``place`` is not
@@ -89,7 +90,7 @@ class Contacts:
         x, y, *_ = place.tolist()
         grips = None
         if self.welds:
-            grip_points = config.foot_places([str(point) for point in self.welds.values()])
+            grip_points = config.foot_centres([str(point) for point in self.welds.values()])
             grips = np.column_stack([grip_points, self.grips / self.weight])
         if self.level and self.stated is None and grips is None:  # the usual case, without a cache
             corners = tuple([(a, b) for a, b, _ in points.tolist()])
@@ -118,28 +119,32 @@ class Contacts:
 
     def points(self, config: Configuration) -> Array:
         """Return the contact positions, shape (n, 3) [m], in the world frame."""
-        return config.foot_places(self.feet) + self.offsets
+        return config.foot_centres(self.feet) + self.offsets
 
-    def jacobian(self, config: Configuration) -> Array:
-        """Compute the transposed contact Jacobian.
+    def transposed_jacobian(self, config: Configuration) -> Array:
+        """Compute the transposed Jacobian J^T of n contacts, w welds and g grips.
 
         Returns:
             Shape (nv, 3 n + 6 w + 3 g). The product with contact forces [N], weld wrenches [N, N m]
-            and grip forces [N], all in world axes, is the generalised force dual to ``qvel``.
+            and grip forces [N], in this order and in world axes, is the generalised force dual to
+            ``qvel``.
         """
-        twists = config.foot_twists(self.feet).reshape(-1, self.nv)
+        twists = config.foot_twist_jacobians(self.feet).reshape(-1, self.nv)
         contacts = (self._twist_to_velocity @ twists).T
         if not self.welds:
             return contacts
         return np.hstack([contacts, *self.weld_columns(config).values()])
 
     def weld_columns(self, config: Configuration) -> dict[str, Array]:
-        """Compute the transposed Jacobian of each weld, (nv, 6), and of each grip, (nv, 3)."""
+        """Return {part: transposed Jacobian} of each weld, (nv, 6), and of each grip, (nv, 3).
+
+        Columns: force [N] and moment [N m], in world axes, on the base, foot or hand centre.
+        """
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()
         sizes = [6] * (len(self.welds) - len(self.grips)) + [3] * len(self.grips)
         return {
-            name: (base if point is None else config.foot_twists((point,))[0]).T[:, :size]
+            name: (base if point is None else config.foot_twist_jacobians((point,))[0]).T[:, :size]
             for (name, point), size in zip(self.welds.items(), sizes, strict=True)
         }
 
@@ -191,8 +196,8 @@ def make_contacts(
 
     Args:
         robot: Robot.
-        contacts: Contact points that carry load. Default: `Robot.bearing` for a free base, none for
-            a fixed base.
+        contacts: Contact points that carry load. Default: `Robot.bearing_points` for a free base,
+            none for a fixed base.
         friction: Friction coefficient, for all contact points or per contact point.
         normals: {contact point: direction out of the ground, shape (3,), in the world frame}.
         depths: {contact point: penetration into the ground [m]}.
@@ -203,9 +208,9 @@ def make_contacts(
             not a direction, a foot is named twice, the ground's friction is unknown, or a robot
             with a fixed base has contacts.
     """
-    feet = tuple(robot.bearing if contacts is None and robot.floating else contacts or ())
+    feet = tuple(robot.bearing_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
-        return robot.once(_make_default_contacts, feet)
+        return robot.compute_once(_make_default_contacts, feet)
     return _make_contacts(robot, feet, friction, normals, depths)
 
 
@@ -224,6 +229,7 @@ def _make_contacts(
     normals: Mapping[str, ArrayLike] | None,
     depths: Mapping[str, float] | None,
 ) -> Contacts:
+    """Create the contacts of named contact points; see `make_contacts` for checks and errors."""
     for foot in feet:
         robot.check_foot(foot)
     if len(set(feet)) != len(feet):
@@ -268,16 +274,16 @@ def _make_contacts(
 
 
 def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | None:
-    """Return the total normal forces that the task states for feet.
+    """Return the normal forces that the task prescribes for feet, as linear equations.
 
     Args:
         robot: Robot with the contacts of a task.
         feet: Names of the n contact points that carry load.
 
     Returns:
-        Groups, shape (k, n), 1.0 if a contact point belongs to the group of a stated force; and
-        forces, shape (k,), in units of the robot's weight. None if the task states no force for
-        such feet.
+        Groups, shape (k, n): 1.0 if a contact point belongs to the foot of prescribed force k, else
+        0.0; and forces, shape (k,): total normal force of each group, in units of the robot's
+        weight. None if no force of these feet is prescribed.
     """
     forces = {
         name: contact.force for name, contact in robot.touching.items() if contact.force is not None
@@ -311,6 +317,7 @@ def gripped_places(robot: Robot, places: Mapping[str, Array]) -> Array | None:
 
 
 def _to_unit_vector(foot: str, normal: ArrayLike) -> Array:
+    """Return the normalised direction (3,); ConfigurationError if it is zero or not a vector."""
     vector = real_array("normals", normal)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         problem = diagnose("normal-not-a-direction", subject=("foot", foot), given=repr(normal))
@@ -320,6 +327,11 @@ def _to_unit_vector(foot: str, normal: ArrayLike) -> Array:
 
 
 def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
+    """Return the friction coefficient of a contact point; None means that of MuJoCo's model.
+
+    Raises:
+        ConfigurationError: If the coefficient is missing, or not in [0, ``MAX_FRICTION``].
+    """
     if friction is None:
         if foot not in robot.contacts:
             raise ConfigurationError("friction", diagnose("ground-missing", robot=robot.name))

@@ -61,6 +61,9 @@ def friction_utilisation_of(
         normal: Unit vector out of the ground, in the same frame.
         friction: Friction coefficient.
         tiny: Tangential force [N] below which the utilisation is 0.
+
+    Returns:
+        Utilisation [1]; negative if the normal force is negative (the contact pulls).
     """
     pressing, tangential = split_force(force, normal)
     return 0.0 if tangential < tiny else tangential / (friction * pressing)
@@ -116,9 +119,9 @@ class FootLoads(Mapping[str, FootLoad]):
 
 
 _MIN_LOAD_RATIO = 1e-3
-"""Smallest normal force, relative to the largest force component, for which a contact's viscosity
-is evaluated. Smaller normal forces are replaced by this bound, since the viscosity of an unloaded
-contact is zero. Chosen, not tuned."""
+"""Lower bound of the normal force at which the viscosity of a contact (tangential force / creep
+velocity, `GroundLaw.viscosity`) is evaluated, relative to the largest force component. Without it,
+the viscosity of an unloaded contact could be zero. Chosen, not tuned."""
 
 
 _MAX_VISCOSITY_ITERATIONS = 50
@@ -134,7 +137,7 @@ class ForceDistribution(StrEnum):
     sustains these forces without creep: regularised friction lets feet creep until tangential
     forces that act against each other have vanished. On level ground and steps no tangential force
     remains; on a slope all feet creep downhill together. The criterion is the minimum of
-    sum f_t^2 / c, with c the viscosity of `GroundLaw`; the optimality condition is
+    sum f_t^2 / c, with c the viscosity (`GroundLaw.viscosity`); the optimality condition is
     f_t = c (v + omega x r). Use these torques for a robot or a simulator.
     Beside a weld, contacts have no tangential force: the weld carries the rest of the load. The
     normal forces minimise the sum of squared motor torques, or equal the stated forces. Beside
@@ -180,6 +183,7 @@ class Equilibrium(Tabular):
     residual_torque: float = field(metadata={"unit": "N m"})
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return {column: values} of the table of joints, torques and utilisations."""
         return {
             "joint": self.joint_names,
             "torque": self.joint_torques,
@@ -223,15 +227,15 @@ def gravity_compensation(
 ) -> GravityCompensation:
     """Compute motor torques and contact forces in static equilibrium.
 
-    Solves g(q) = J^T f + S^T tau. S selects the joints. J is the Jacobian of the contact points.
-    f are contact forces in world axes [N]. tau are torques at the joints [N m]. g(q), shape (nv,),
-    is the generalised force of gravity minus the passive forces of the MJCF, which are springs,
-    gravity compensation and wind (`Configuration.load`). The six base rows determine the total
-    wrench of f; ``distribution`` selects a force vector f in the friction cones. Without contacts
-    and welds, an external wrench holds the base, and tau is the joint part of g.
+    Solves g(q) = J^T f + S^T tau. S selects the joints. J is the Jacobian of the contact points. f
+    are contact forces in world axes [N]. tau are torques at the joints [N m]. g(q), shape (nv,), is
+    the generalised force of gravity minus the passive forces of the MJCF, which are springs,
+    gravity compensation and wind (`Configuration.static_load`). The six base rows determine the
+    total wrench of f; ``distribution`` selects a force vector f in the friction cones. Without
+    contacts and welds, an external wrench holds the base, and tau is the joint part of g.
 
     In closed loops and couplings, joints without a motor have no torque: the constraints transfer
-    the load of such joints to the motors (`Configuration.by_motors`).
+    the load of such joints to the motors (`Configuration.transfer_to_motors`).
 
     A second-order cone program is solved if the optimum without friction cones violates the cones,
     and always for ``MIN_MAX_TORQUE``. Balance holds to rounding, independent of the tolerance of
@@ -261,7 +265,7 @@ def gravity_compensation(
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     carrying = make_contacts(config.robot, contacts, friction, normals, depths)
-    return balance_load(config, config.load(), carrying, distribution=distribution)
+    return balance_load(config, config.static_load(), carrying, distribution=distribution)
 
 
 def balance_load(
@@ -285,9 +289,10 @@ def balance_load(
         point: Shape (3,) [m]; zero-moment point of a motion. Default: the centre of mass, which is
             the zero-moment point at rest. ``com_margin`` of the result refers to this point.
         distribution: Selection among feasible forces, as in ``gravity_compensation``.
-        tipping: Reason in the error if ``point`` is outside the support region.
-        held: Remove friction cones and unilateral limits, as if feet were glued to the ground.
-            Beside welds, minimum tangential forces keep the unilateral limits.
+        tipping: Reason that the error states if ``point`` is outside the support region.
+        held: If True, the friction cones and unilateral limits do not apply, as if the feet were
+            glued to the ground. If the robot has welds and the distribution is minimum tangential,
+            the unilateral limits apply in any case.
 
     Raises:
         ConfigurationError: If ``distribution`` is unknown, or a closed loop is open or singular.
@@ -296,10 +301,10 @@ def balance_load(
     robot, criterion = config.robot, to_distribution(distribution)
     if not (carrying.feet or carrying.welds):
         check_loops(config, load)
-        motor_load = config.by_motors(load)
+        motor_load = config.transfer_to_motors(load)
         return _make_result(config, motor_load, motor_load, carrying, np.zeros(0))
-    full_load, contacts = load, carrying.jacobian(config)
-    load, transposed = config.by_motors(load), config.by_motors(contacts)
+    full_load, contacts = load, carrying.transposed_jacobian(config)
+    load, transposed = config.transfer_to_motors(load), config.transfer_to_motors(contacts)
     problem = carrying.balance(transposed, load)
     friction = None if held else carrying.friction
     if criterion is ForceDistribution.MIN_MAX_TORQUE:
@@ -331,9 +336,9 @@ def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple
     Raises:
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
-    transposed = config.by_motors(carrying.jacobian(config))
+    transposed = config.transfer_to_motors(carrying.transposed_jacobian(config))
     forces, torques = [], []
-    for load in map(config.by_motors, loads):
+    for load in map(config.transfer_to_motors, loads):
         problem = carrying.balance(transposed, load)
         found = _solve_minimum_tangential(config.robot, problem, carrying, carrying.friction)
         if found is None:
@@ -345,14 +350,16 @@ def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple
 
 
 def check_loops(config: Configuration, left: Array) -> None:
-    """Check that closed loops and joint couplings are closed, up to the compliance.
+    """Check that loops and joint couplings are closed, up to their static deflection.
 
     Args:
         config: State of the robot.
-        left: Shape (nv,) [N, N m]; load minus contact forces, carried by motors and loops.
+        left: Generalised force that motors and loop constraints must exert together, shape (nv,)
+            [N, N m]: static load minus the generalised contact forces.
 
     Raises:
-        ConfigurationError: If a loop or coupling is open, or the configuration is singular.
+        ConfigurationError: If a constraint violation exceeds the static deflection, see
+            `Closure.check`, or the configuration is singular.
     """
     closure, robot = config.robot.closure, config.robot
     if closure is not None:
@@ -396,15 +403,16 @@ def _iterate_viscosities(
 ) -> Array | None:
     """Repeat the minimum-tangential solution with viscosities of the previous normal forces.
 
-    Stops when no force component changes by more than `BALANCE_TOLERANCE` times the largest
-    component, after `_MAX_VISCOSITY_ITERATIONS`, or if a contact has no viscosity. On level ground
-    the viscosities have no influence, and ``forces`` are returned.
+    The iteration ends if no force component changes by `BALANCE_TOLERANCE` times the largest
+    component or more, or after `_MAX_VISCOSITY_ITERATIONS`. If the viscosity of a contact is zero,
+    the last forces are returned. On level ground the viscosities have no influence, and ``forces``
+    is returned. None if an iteration finds no feasible forces.
     """
     if carrying.level:
         return forces
     friction = carrying.friction
     scale = np.abs(forces).max()
-    laws = [GroundLaw.of(robot, foot) for foot in carrying.feet]
+    laws = [GroundLaw.of_contact(robot, foot) for foot in carrying.feet]
     for _ in range(_MAX_VISCOSITY_ITERATIONS):
         loads = np.maximum(problem.normal_forces(forces), _MIN_LOAD_RATIO * scale)
         viscosities = np.array(
@@ -428,12 +436,12 @@ def utilise(robot: Robot, torques: Array) -> Array:
         torques: Shape (..., nu) [N m].
 
     Returns:
-        Shape (..., nu). NaN for an unknown limit. For a limit of zero: infinite if the torque is
-        more than rounding, else zero.
+        Shape (..., nu). NaN for an unknown (infinite) limit. For a limit of zero: infinite if the
+        torque exceeds ``MIN_TORQUE_PER_MASS`` times the robot's mass, else zero.
     """
     limits, magnitudes = robot.effort_limits, np.abs(torques)
     # `errstate` takes longer than the division, and is needed only for zero and unknown limits.
-    if robot.once(_has_only_positive_limits):
+    if robot.compute_once(_has_only_positive_limits):
         return magnitudes / limits
     loaded = magnitudes > MIN_TORQUE_PER_MASS * robot.total_mass
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -442,11 +450,16 @@ def utilise(robot: Robot, torques: Array) -> Array:
 
 
 def _has_only_positive_limits(robot: Robot) -> bool:
+    """Return True if all effort limits are finite and positive."""
     return bool(((robot.effort_limits > 0) & np.isfinite(robot.effort_limits)).all())
 
 
 def peak_utilisation(shares: Array) -> float:
-    """Compute the largest utilisation of motors with a stated limit; NaN without any."""
+    """Return the largest utilisation, without unknown utilisations; NaN if all are unknown.
+
+    Args:
+        shares: Utilisations of the motors, any shape; NaN if the limit is unknown.
+    """
     known = shares[~np.isnan(shares)]
     return float(known.max()) if known.size else math.nan
 
@@ -466,8 +479,11 @@ def _make_result(
 
     Args:
         config: State of the robot.
-        remainder: Shape (nv,) [N, N m]; load minus the generalised force of ``forces``.
-        load: Shape (nv,) [N, N m]. Without contacts, the base part is the external base wrench.
+        remainder: Shape (nv,) [N, N m]; ``load`` minus the generalised force of ``forces``. The
+            joint part are the motor torques, the base part is the residual.
+        load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce. Its
+            scale is the tolerance of friction utilisations; without contacts, its base part is the
+            external base wrench.
         carrying: Contacts that carry load.
         forces: Contact forces, weld wrenches and grip forces, as in `Balance`.
         point: Shape (3,) [m]; zero-moment point. Default: the centre of mass.
@@ -609,7 +625,7 @@ def _find_threshold(holds: Callable[[float], bool]) -> float:
 
 
 def _round_up(minimum: float) -> float:
-    """Round up to three decimals, so that the printed minimum suffices if it is typed back."""
+    """Round up to three decimals, so that the printed minimum suffices if a user enters it."""
     return math.ceil(1e3 * minimum) / 1e3
 
 
@@ -632,10 +648,10 @@ def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibl
 
 
 def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Return an error with the feasible range if a stated contact force is out of this range.
+    """Return an error with the feasible range if a prescribed contact force is out of this range.
 
-    None if no force is stated, the load cannot be balanced without the stated forces, or each
-    stated force is feasible alone.
+    None if no force is prescribed, if the load cannot be balanced without the prescribed forces, or
+    if each prescribed force is within the range that is feasible without the others.
     """
     if carrying.stated is None:
         return None
@@ -673,7 +689,8 @@ def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeas
 
 _REPORTED_FORCE_MARGIN = 1e-3
 """Relative reduction of the largest feasible force in a message. The support region is a polygon
-inside the true region (`support_corners`), so the exact limit would be refused if typed back."""
+inside the true region (`support_corners`), so the exact limit would be refused if a user enters
+it."""
 
 _MAX_TOTAL_NORMAL_FORCE = 10.0
 """Upper bound of the sum of normal forces, in units of the robot's weight, while the feasible range

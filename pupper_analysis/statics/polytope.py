@@ -29,9 +29,9 @@ MIN_LEVER_ARM = 1e-9
 motor does not bear the force (rounding)."""
 
 _PARALLEL_TOLERANCE = 1e-9
-"""Smallest triple product of unit normals of three faces that meet in one vertex, and smallest
-singular value of all unit normals with which the polytope is bounded. Rounding is 1e-16; chosen,
-not tuned."""
+"""Lower bound that separates parallel normals from independent normals: of the triple product of
+the unit normals of three faces, for the faces to meet in one vertex; and of the third singular
+value of all unit normals, for the polytope to be bounded. Rounding is 1e-16; chosen, not tuned."""
 
 _VERTEX_RTOL = 1e-9
 """Distance up to which a vertex may be outside of a face, or two vertices are equal, relative to
@@ -94,7 +94,9 @@ class ForcePolytope(Tabular):
         return self.largest_force(-real_array("direction", direction))
 
     def limiting_joint(self, direction: ArrayLike) -> str | None:
-        """Return the joint of the motor that limits ``largest_force``; None if none does.
+        """Return the joint whose motor limits ``largest_force`` along a direction.
+
+        None if that force is infinite or unknown.
 
         Args:
             direction: Direction (3,) of the external force, in world axes.
@@ -106,7 +108,10 @@ class ForcePolytope(Tabular):
         return self.joints[index] if index >= 0 else None
 
     def _limit_along(self, direction: ArrayLike) -> tuple[float, int]:
-        """Return the largest force [N] along a direction, and the index of the limiting motor."""
+        """Return the largest force [N] along a direction, and the index of the limiting motor.
+
+        The index refers to ``joints``; it is -1 if the force is infinite or NaN.
+        """
         vector = real_array("direction", direction)
         if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
             problem = diagnose("direction-not-a-vector", given=repr(direction))
@@ -118,10 +123,12 @@ class ForcePolytope(Tabular):
         return float(forces[0]), int(limiting[0])
 
     def _inequalities(self) -> tuple[Array, Array]:
+        """Return rows (2 n, 3) and bounds (2 n,) of ``rows @ f <= bounds``, for a force f [N]."""
         room = np.concatenate([self.limits + self.load, self.limits - self.load])
         return np.concatenate([self.rows, -self.rows]), room
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return {"x", "y", "z": coordinates of the vertices [N]}, the columns of the table."""
         vertices = np.zeros((0, 3)) if self.vertices is None else self.vertices
         return dict(zip(("x", "y", "z"), vertices.T, strict=True))
 
@@ -145,8 +152,8 @@ def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
     robot = config.robot
     tool = _find_point(config, point)
     first = robot.nv - robot.nu
-    load = config.by_motors(config.load())[first:]
-    rows = config.by_motors(tool.jacobian(config).T)[first:]
+    load = config.transfer_to_motors(config.static_load())[first:]
+    rows = config.transfer_to_motors(tool.jacobian(config).T)[first:]
     bearing = np.linalg.norm(rows, axis=1) > MIN_LEVER_ARM
     moving = np.array([name in tool.chain for name in robot.joint_names])
     if robot.closure is not None:
@@ -180,11 +187,11 @@ def _find_point(config: Configuration, point: str | Place) -> Tool:
     tool = find_tool(robot, robot.contact_frames[points[0]])
     places = config.contact_points(points)
     gap = np.mean(list(places.values()), axis=0) - tool.position(config)
-    return tool.moved(config.frame_rotation(tool.link).T @ gap)
+    return tool.translated(config.frame_rotation(tool.link).T @ gap)
 
 
 def force_inequalities(config: Configuration, tool: Tool) -> tuple[Array, Array]:
-    """Return the inequalities ``rows @ f <= room`` of the forces on a tool that are withstood.
+    """Return the inequalities ``rows @ f <= room`` of forces on a tool that the motors withstand.
 
     Args:
         config: State of a robot with a fixed base.
@@ -196,8 +203,8 @@ def force_inequalities(config: Configuration, tool: Tool) -> tuple[Array, Array]
         The force f is expressed in world axes [N].
     """
     limits = config.robot.effort_limits
-    load = config.by_motors(config.load())
-    rows = config.by_motors(tool.jacobian(config).T)
+    load = config.transfer_to_motors(config.static_load())
+    rows = config.transfer_to_motors(tool.jacobian(config).T)
     room = np.concatenate([limits + load, limits - load])
     return np.concatenate([rows, -rows]), room
 

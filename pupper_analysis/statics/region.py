@@ -28,8 +28,9 @@ from pupper_analysis.statics.support_polygon import (
 Array = NDArray[np.float64]
 
 _MIN_DEPTH = 1e-7
-"""Smallest distance [m] of a corner from the line between its neighbours. The cone program returns
-any point of a side that is perpendicular to its direction, and is accurate to about 1e-8 m."""
+"""Distance [m] of a corner from the line between its neighbours, up to which the corner is removed.
+Such points are no corners: for a direction perpendicular to a side of the region, the cone program
+returns any point of this side. Its solutions are accurate to about 1e-8 m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,7 @@ class SupportRegion(Tabular):
     torque_limits: bool
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return {"x", "y": coordinates of the corners [m]}, the columns of the table."""
         return dict(zip(("x", "y"), self.corners.T, strict=True))
 
 
@@ -68,10 +70,11 @@ def support_region(
 ) -> SupportRegion:
     """Compute the horizontal CoM positions for which the contacts can carry the robot.
 
-    The joints and the weight are those of the configuration, and the CoM moves as if mass moved
-    inside the base: the load of the joints behind the base is unchanged. A CoM position belongs to
-    the region if contact forces f in the friction cones exist with sum f = m g e_z and
-    sum p x f = m g com x e_z, and with ``|l - J^T f| <= limits`` if ``torque_limits`` is True.
+    The joint positions and the weight are those of the configuration. Only the CoM is varied, as by
+    a displacement of mass inside the base, which does not change the loads of the joints. A CoM
+    position belongs to the region if contact forces f in the friction cones exist with sum f = m g
+    e_z and sum p x f = m g com x e_z, and with ``|l - J^T f| <= limits`` if ``torque_limits`` is
+    True.
 
     On level ground without torque limits, the region is the convex hull of the contact points.
     Otherwise it is the convex hull of its extreme points in 48 directions, which lies inside.
@@ -138,8 +141,11 @@ def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Ar
     unknown = [robot.joint_names[index] for index in np.flatnonzero(motors & np.isinf(limits))]
     if unknown:
         raise ConfigurationError("torque_limits", diagnose("region-limits-unknown", joints=unknown))
-    load = config.by_motors(config.load())[first:][motors]
-    rows = robot.weight * config.by_motors(carrying.jacobian(config))[first:][motors]
+    load = config.transfer_to_motors(config.static_load())[first:][motors]
+    rows = (
+        robot.weight
+        * config.transfer_to_motors(carrying.transposed_jacobian(config))[first:][motors]
+    )
     kept = limits[motors]
     upper = np.concatenate([kept + load, kept - load])
     # In units of the limits, so that all rows have the same size.

@@ -54,6 +54,7 @@ def margin_of_place(place: Corner, points: tuple[Corner, ...]) -> float:
 
 
 def _corner(point: Array) -> Corner:
+    """Return the horizontal coordinates (x, y) of a position."""
     x, y, *_ = point.tolist()
     return x, y
 
@@ -142,8 +143,9 @@ def support_corners(
         grips: Shape (g, 4): position [m] and force limit in units of the weight; None without.
 
     Returns:
-        Corners (x, y) [m]. The projected contact points also if no CoM position allows equilibrium,
-        or if the friction is unknown and there are no grips.
+        Points (x, y) [m] whose convex hull is the support region. These are the projected contact
+        points in the first case above, if the friction is unknown and there are no grips, or if no
+        CoM position allows equilibrium.
     """
     is_one_plane = bool((np.abs(normals - normals[:1]) < _NORMAL_TOLERANCE).all())
     corners = None
@@ -258,8 +260,8 @@ def polygon_sides(contacts: Array, count: int = 0) -> Array:
 
     Returns:
         Shape (count, 3): (a, b, c), so that a x + b y + c is the distance [m] from the side to the
-        point (x, y), positive inside. If the polygon has fewer sides (a moving contact can enter
-        the polygon of the other contacts), the last row is repeated.
+        point (x, y), positive inside. If the polygon has fewer sides than ``count``, because a
+        contact is inside the polygon of the other contacts, the last row is repeated.
     """
     sides = _hull_sides(tuple([_corner(point) for point in contacts]))
     rows = [

@@ -143,11 +143,11 @@ def test_torque_derivatives_equal_finite_differences(tmp_path: Path) -> None:
     qpos = pa.solve_stand(robot).qpos
     config = pa.Configuration(robot, qpos)
     wrenches = {foot: random.normal(size=6) for foot in robot.contact_points}
-    rates = config.static_rates(wrenches)
+    rates = config.static_load_derivative(wrenches)
 
     def left(joints: np.ndarray) -> np.ndarray:
         there = pa.Configuration(robot, np.concatenate([qpos[:7], joints]))
-        load = there.load()
+        load = there.static_load()
         for foot, wrench in wrenches.items():
             load = load - there.frame_jacobian(robot.contact_frames[foot]).T @ wrench
         return load

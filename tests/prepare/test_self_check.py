@@ -115,7 +115,7 @@ def test_robot_that_slides_away_counts_as_collapsed(tmp_path: Path) -> None:
     assert run.end_height == pytest.approx(run.height, rel=0.1)
     assert run.away == pytest.approx(0.5 * (0.6 - 0.01 * 9.81) * run.duration**2, rel=0.05)
     assert run.collapses
-    assert run.gone
+    assert run.has_left_place
     assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 
@@ -130,7 +130,7 @@ def test_robot_that_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
     assert own is not None
     assert own.end_height == pytest.approx(0.195, abs=0.01)  # of the com; the base is at 0.23 m
     assert own.collapses
-    assert not own.gone
+    assert not own.has_left_place
     assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 

@@ -51,7 +51,7 @@ def test_law_is_mujocos(name: str, change: object) -> None:
         assert len(touches) == 4
         for touch in touches:
             foot = robot.foot_geoms[max(touch.geom)]
-            law = GroundLaw.of(robot, foot)
+            law = GroundLaw.of_contact(robot, foot)
             row = touch.efc_address
             r, aref = data.efc_R[row], data.efc_aref[row]
             depth = -touch.dist

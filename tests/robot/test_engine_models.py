@@ -346,7 +346,7 @@ def test_visualizer_of_pinocchio_shows_both_models_at_q_pin() -> None:
     shown.initViewer(open=False, loadModel=True)
     try:
         shown.display(stand.q_pin)
-        data = robot.placed(stand.qpos)
+        data = robot.compute_kinematics(stand.qpos)
         found = {
             name.rpartition("/")[2]: np.array(frame.position)
             for name, frame in shown.frames.items()

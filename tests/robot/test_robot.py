@@ -129,11 +129,15 @@ def test_derived_values_are_computed_once_per_robot() -> None:
         return robot.total_mass + more
 
     robot = pa.load_variant("v3")
-    assert robot.once(mass_and, 1.0) == robot.once(mass_and, 1.0) == robot.total_mass + 1.0
-    assert robot.once(mass_and, 2.0) == robot.total_mass + 2.0
+    assert (
+        robot.compute_once(mass_and, 1.0)
+        == robot.compute_once(mass_and, 1.0)
+        == robot.total_mass + 1.0
+    )
+    assert robot.compute_once(mass_and, 2.0) == robot.total_mass + 2.0
     assert made == [robot, robot]
     other = replace(robot, name="other")
-    assert other.once(mass_and, 1.0) == robot.total_mass + 1.0
+    assert other.compute_once(mass_and, 1.0) == robot.total_mass + 1.0
     assert made == [robot, robot, other]
     assert not vars(pickle.loads(pickle.dumps(robot))).keys() & {"_cache"}
 

@@ -135,13 +135,13 @@ def test_spectrum_of_a_robot_that_still_sinks_is_marked_as_not_at_rest() -> None
     assert not found.at_rest
     rest = pa.simulation.stand_stability(robot, stand, feedforward=False, kp=2.5, kd=0.4)
     assert rest.at_rest
-    assert rest.lasts()
+    assert rest.is_stable_for()
 
 
 def test_that_a_base_drifts_on_level_ground_is_no_growth(variant: str) -> None:
     found = pa.simulation.stand_stability(load(variant), stand_of(variant))
     assert found.stable
-    assert found.lasts()
+    assert found.is_stable_for()
     assert found.speed < 1e-3
 
 
@@ -205,7 +205,7 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
     assert set(mode.joints) <= set(robot.joint_names)
     assert any("it shakes at 250 Hz" in str(reason) for reason in found.failures)
     finer = pa.verify_stand(robot, stand, kp=40.0, kd=4.0, integrator="implicitfast")
-    assert finer.stability.lasts()
+    assert finer.stability.is_stable_for()
 
 
 @pytest.mark.slow

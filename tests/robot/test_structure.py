@@ -104,5 +104,5 @@ def test_rates_of_joints_in_another_order(tiny: pa.Robot) -> None:
             for foot, wrench in wrenches.items()
         )
 
-    rates = config.static_rates(wrenches)
+    rates = config.static_load_derivative(wrenches)
     np.testing.assert_allclose(rates, differences(left, tiny.nv, 1e-4), rtol=0, atol=1e-8)

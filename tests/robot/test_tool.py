@@ -19,7 +19,7 @@ from tests.support.variants import NAMES, load
 def test_payload_on_a_link_adds_the_torque_of_virtual_work_in_both_models(frame: str) -> None:
     """Reference: virtual work, m g times the vertical Jacobian of the point."""
     robot, mass, place = load("v3"), 0.3, np.array([0.01, -0.02, 0.03])
-    loaded = with_payload(robot, mass, find_tool(robot, frame).moved(place))
+    loaded = with_payload(robot, mass, find_tool(robot, frame).translated(place))
     random = np.random.default_rng(4)
     qpos = robot.home + random.uniform(-0.3, 0.3, robot.nq)
     qpos[3:7] /= np.linalg.norm(qpos[3:7])
@@ -33,12 +33,12 @@ def test_payload_on_a_link_adds_the_torque_of_virtual_work_in_both_models(frame:
             [(one.frame_position(link) + one.frame_rotation(link) @ place)[2] for one in placed]
         )
     rises = (np.array(heights[0]) - heights[1]) / (2 * step)
-    added = Configuration(loaded, qpos).load() - Configuration(robot, qpos).load()
+    added = Configuration(loaded, qpos).static_load() - Configuration(robot, qpos).static_load()
     weight = mass * float(np.linalg.norm(robot.gravity))
     assert added[2] == pytest.approx(weight)
     assert added[6:] == pytest.approx(weight * rises, abs=1e-8)
     assert np.abs(added[6:]).max() > 1e-3
-    ours = Configuration(loaded, qpos).load()
+    ours = Configuration(loaded, qpos).static_load()
     assert load_by_mujoco(loaded, qpos) == pytest.approx(ours, abs=1e-9)
     assert loaded.total_mass == pytest.approx(robot.total_mass + mass)
     with pytest.raises(pa.UnknownNameError, match="no frame 'hand'") as caught:

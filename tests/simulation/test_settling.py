@@ -69,7 +69,7 @@ def test_growing_modes_are_simulated_last_and_decide(
 
     def refuted(*given: Any) -> Stability:
         found = confirm(*given)
-        confirmed.append(found.lasts())
+        confirmed.append(found.is_stable_for())
         assert found.least_damped is not None
         growing = replace(found.least_damped, doubling_time=1.0)
         return replace(found, unstable=(growing,))

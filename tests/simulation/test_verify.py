@@ -260,7 +260,7 @@ def test_stability_of_each_sweep_cell_equals_stand_stability() -> None:
             found = pa.simulation.stand_stability(
                 robot, stand, feedforward=False, integrator="implicitfast", **gains
             )
-            assert found.lasts()
+            assert found.is_stable_for()
     assert result.lasts.tolist() == [[False, False], [True, True]]
 
 

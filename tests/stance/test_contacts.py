@@ -272,7 +272,7 @@ def test_hand_is_a_massless_ball_that_touches_only_its_plane(armed: pa.Robot) ->
     assert robot.total_mass == armed.total_mass
     assert robot.mj_model.body_mass.sum() == armed.mj_model.body_mass.sum()
     random = np.random.default_rng(0)
-    qpos = robot.posed(random.uniform(-1, 1, robot.nu))
+    qpos = robot.make_qpos(random.uniform(-1, 1, robot.nu))
     config = pa.Configuration(robot, qpos)
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
@@ -325,7 +325,7 @@ def test_a_sole_neither_grips_nor_stands_on_a_bar(tmp_path: Path) -> None:
 
 
 def test_hand_contact_is_at_its_home_position_or_at_the_given_place(armed: pa.Robot) -> None:
-    home = armed.posed(armed.home[7:])
+    home = armed.make_qpos(armed.home[7:])
     home[2] = armed.stand_height
     robot = touching(armed, table())
     there = pa.Configuration(robot, home).foot_positions()[HAND]
@@ -410,7 +410,7 @@ def test_study_varies_the_position_of_a_plane() -> None:
     assert found["c"] == wall
     moved = np.array(found["b"].plane.point) - slanted.plane.point
     np.testing.assert_allclose(moved, 0.14 * np.array(slanted.plane.normal), atol=1e-15)
-    assert found["b"].plane.number == pytest.approx(0.5, abs=1e-15)
+    assert found["b"].plane.parameter == pytest.approx(0.5, abs=1e-15)
     design = {"robot": "v3", "measure": ["stands"], "vary": {"contacts:X": {"values": [1, 2]}}}
     with pytest.raises(pa.UnknownNameError, match="contact 'X'"):
         Study.of(design)
@@ -439,7 +439,10 @@ def plane(**more: object) -> pa.Contact:
         (lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.0), r"bar\.radius: 0"),
         (lambda: plane(grip=0), "grip: 0 is not more than 0"),
         (lambda: plane(grip=5.0, force=3.0), "no force is stated"),
-        (lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.1).through((0, 3, 0)), "in the middle of the bar"),
+        (
+            lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.1).contact_plane((0, 3, 0)),
+            "in the middle of the bar",
+        ),
         (lambda: pa.Slope(0.1, friction=-1), "friction: -1"),
         (lambda: pa.StandTask.of({"contacts": {"FL": {"plane": {"angle": 4}}}}), r"slope\.angle"),
         (
@@ -567,7 +570,7 @@ def needed_on_slope(error: Any) -> float:
             "armed",
             lambda of, x: held(of, contacts=hand_on(pa.Plane((x, 0, 0), (-1, 0, 0), 0.6))),
             0.9,
-            lambda error: given(HAND)(error).plane.number,
+            lambda error: given(HAND)(error).plane.parameter,
             5e-4,
             True,
             id="a wall out of reach",
@@ -576,7 +579,7 @@ def needed_on_slope(error: Any) -> float:
             "armed",
             lambda of, z: held(of, contacts=hand_on(pa.Plane((0, 0, z), (0, 0, 1)))),
             0.9,
-            lambda error: given(HAND)(error).plane.number,
+            lambda error: given(HAND)(error).plane.parameter,
             5e-4,
             True,
             id="a table out of reach",
@@ -584,10 +587,10 @@ def needed_on_slope(error: Any) -> float:
         pytest.param(
             "armed",
             lambda of, d: held(
-                of, contacts=hand_on(pa.Plane((0.9, 0, 0), (-0.8, 0, 0.6)).moved(d))
+                of, contacts=hand_on(pa.Plane((0.9, 0, 0), (-0.8, 0, 0.6)).with_parameter(d))
             ),
             -0.72,
-            lambda error: given(HAND)(error).plane.number,
+            lambda error: given(HAND)(error).plane.parameter,
             5e-4,
             False,
             id="a slanted plane out of reach",
@@ -622,7 +625,7 @@ def needed_on_slope(error: Any) -> float:
                 },
             ),
             (0.1, -0.1),
-            lambda error: [given(foot)(error).plane.number for foot in ("FL", "FR")],
+            lambda error: [given(foot)(error).plane.parameter for foot in ("FL", "FR")],
             1e-3,
             True,
             id="tables that contradict",

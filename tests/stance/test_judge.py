@@ -29,7 +29,7 @@ def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
     there = Kinematics(robot.structure)
     for qpos in random_states(robot, 5):
         config = pa.Configuration(robot, qpos)
-        there.move(config.qpos)
+        there.update(config.qpos)
         np.testing.assert_array_equal(there.com, config.center_of_mass())
         for foot, place in config.foot_positions().items():
             np.testing.assert_array_equal(there.feet[foot], place)

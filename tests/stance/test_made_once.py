@@ -109,7 +109,7 @@ def test_fields_shared_by_default_stands_are_read_only() -> None:
 
 def test_contact_depth_is_independent_of_the_initial_guess() -> None:
     robot = load("v3")
-    law = GroundLaw.of(robot, robot.contact_points[0])
+    law = GroundLaw.of_contact(robot, robot.contact_points[0])
     for force in np.geomspace(1e-3, 1e3, 13):
         depth = law.depth(force)
         for near in (0.0, 0.1 * depth, 0.999 * depth, depth, 3 * depth, 1.0, -1.0):

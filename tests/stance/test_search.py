@@ -152,7 +152,9 @@ def test_foot_depths_on_a_slope_balance_the_weight() -> None:
     stand = pa.stance.solve_stand_on_soft_ground(
         robot, pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)
     )
-    pressing = sum(GroundLaw.of(robot, foot).force(depth) for foot, depth in stand.depths.items())
+    pressing = sum(
+        GroundLaw.of_contact(robot, foot).force(depth) for foot, depth in stand.depths.items()
+    )
     weight = robot.total_mass * np.linalg.norm(robot.gravity)
     assert pressing == pytest.approx(weight * math.cos(slope), rel=1e-6)
 
@@ -200,7 +202,7 @@ def test_contact_sag_off_the_centre_equals_mujocos_at_the_base(offset: tuple[flo
     pose = pa.steady_state(robot, stand, feedforward=True, kp=200.0)
     run = pa.verify_stand(robot, stand, kp=200.0, kd=2.0, duration=3.0, nudged=0)
     forces = pose.contact_forces.items()
-    depths = [GroundLaw.of(robot, foot).depth(force[2]) for foot, force in forces]
+    depths = [GroundLaw.of_contact(robot, foot).depth(force[2]) for foot, force in forces]
     assert np.ptp(depths) > 1e-3  # read at the feet's centre it would be elsewhere
     assert abs(pose.servo_sag) < 2e-5
     assert abs(run.servo_sag) < 2e-5

@@ -261,4 +261,4 @@ def test_stated_limit_of_a_slope_is_solvable() -> None:
     typed = parse_contact("contact", f"{limit:.7g}", "")
     assert ask(typed).solved
     with pytest.raises(pa.StanceUnreachableError, match="FR_calf"):
-        ask(typed.at(typed.plane.number + math.radians(0.2)), explain=False)
+        ask(typed.with_plane_parameter(typed.plane.parameter + math.radians(0.2)), explain=False)

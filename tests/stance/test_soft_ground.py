@@ -30,7 +30,7 @@ def test_simulation_confirms_the_predicted_stand(name: str, what: str) -> None:
     run = pa.verify_stand(robot, stand)
     # The tallest of the soft ones buckles on three legs, and falls 40 s after a nudge.
     buckles = (name, what) == ("v3-long-leg", "three legs")
-    assert run.stability.lasts() is not buckles
+    assert run.stability.is_stable_for() is not buckles
     assert run.passed is not buckles, run.failures
     assert run.torque_error < 0.3 * FORCE_TOLERANCE
     assert run.force_error < 0.3 * FORCE_TOLERANCE
@@ -57,7 +57,7 @@ def test_the_stand_on_soft_ground_is_the_equilibrium_that_feedforward_holds(
 
 def test_fitted_plane_of_random_corner_depths_has_the_same_force_and_moments() -> None:
     """Reference: force and moments of the ground law at the four depths, some of which are zero."""
-    law, random = GroundLaw.of(load("v3"), "FL"), np.random.default_rng(0)
+    law, random = GroundLaw.of_contact(load("v3"), "FL"), np.random.default_rng(0)
     corners = np.array([(1.0, 1.0, 0.3), (1.0, 1.0, -0.3), (1.0, -1.0, 0.3), (1.0, -1.0, -0.3)])
 
     def load_of(depths: np.ndarray) -> np.ndarray:

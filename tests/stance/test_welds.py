@@ -175,7 +175,7 @@ def test_welded_hand_is_at_its_place_or_its_home_position(
     stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts={"hand": pa.Weld(place)}))
     found = proven(armed, stand)
     robot = stand.check(armed)
-    home = armed.posed(armed.home[7:])
+    home = armed.make_qpos(armed.home[7:])
     home[2] = armed.stand_height
     there = pa.Configuration(robot, home).foot_positions()["hand"]
     at = pa.Configuration(robot, stand.qpos).foot_positions()["hand"]

@@ -105,7 +105,7 @@ def test_axis_points_at_a_point_in_mujoco() -> None:
     posture = pa.solve_posture(
         robot, [AxisAlignTask("base_link", (2, 0, 0), point=point)], start=qpos
     )
-    data = robot.placed(posture.qpos)
+    data = robot.compute_kinematics(posture.qpos)
     body = robot.mj_model.body(robot.mj_base).id
     axis, line = data.xmat[body].reshape(3, 3)[:, 0], point - data.xpos[body]
     assert np.linalg.norm(np.cross(axis, line)) < 1e-6
@@ -127,7 +127,7 @@ def test_relative_position_orientation_and_single_axes_hold_in_mujoco() -> None:
     ]
     others = [foot for foot in robot.contact_points if foot != "FR"]
     posture = pa.solve_posture(robot, tasks, start=qpos, contacts=others)
-    data, model = robot.placed(posture.qpos), robot.mj_model
+    data, model = robot.compute_kinematics(posture.qpos), robot.mj_model
     base = model.body(robot.mj_base).id
     rotation = data.xmat[base].reshape(3, 3)
     np.testing.assert_allclose(rotation, turn, atol=1e-6)

@@ -313,7 +313,7 @@ def test_minimum_tangential_forces_let_all_feet_creep_as_one_body(name: str) -> 
     along = np.linalg.qr(np.column_stack([normal, np.eye(3)[:, :2]]))[0][:, 1:]  # (3, 2)
     rows, velocities = [], []
     for foot, force in result.contact_forces.items():
-        law = GroundLaw.of(robot, foot)
+        law = GroundLaw.of_contact(robot, foot)
         viscosity = law.viscosity(law.depth(float(force @ normal)))
         velocities.append(along.T @ force / viscosity)
         turn = along.T @ np.cross(normal, result.contact_points[foot])

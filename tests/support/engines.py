@@ -74,7 +74,7 @@ def mujoco_at(
 
 
 def load_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
-    """``Configuration.load`` of the other engine, from the other file."""
+    """``Configuration.static_load`` of the other engine, from the other file."""
     data = mujoco_at(robot, qpos)
     return (data.qfrc_bias - data.qfrc_passive)[addresses(robot)[1]]
 

@@ -72,7 +72,7 @@ def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     Returns:
         Points of each leg and corners of the boxes, expressed in the world frame [m].
     """
-    model, data = robot.mj_model, robot.placed(qpos)
+    model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
     legs: dict[str, Array] = {}
     for foot, (_, frame) in robot.description.contact_points.items():

@@ -114,7 +114,7 @@ def _serialise_stand(scene: StandScene) -> dict[str, Any]:
             {
                 "centre": round_values(step.centre),
                 "half": round_values(step.half),
-                "quat": round_values(step.turn),
+                "quat": round_values(step.quaternion),
                 "pit": step.height < 0,
                 "round": step.round,
             }
@@ -153,7 +153,7 @@ def _serialise_robot(
     robot: Robot, qpos: Array, motions: Iterable[Motion], axes: Iterable[JointAxis]
 ) -> dict[str, Any]:
     """Convert a robot's bodies, shapes, joints and motions, and the extent at ``qpos``."""
-    model, data = robot.mj_model, robot.placed(qpos)
+    model, data = robot.mj_model, robot.compute_kinematics(qpos)
     low, high = compute_extent(model, data)
     geoms, meshes = serialise_geoms(model)
     kinds = joint_motions(robot)

@@ -176,13 +176,13 @@ class Difference(Stated, Result):
         return (
             self.tier,
             -self._max_ranked_effect,
-            -self.weight[1],
+            -self.relative_effects[1],
             kind,
             KIND_ORDER.index(self.kind),
         )
 
     @property
-    def weight(self) -> tuple[float, float]:
+    def relative_effects(self) -> tuple[float, float]:
         """Largest relative effects of the difference on the dynamics [1].
 
         First element: on mass matrix, gravity, and positions of joints and feet; second element:
@@ -216,7 +216,7 @@ class Difference(Stated, Result):
         if self.kind in _STRUCTURE_KINDS:
             return 0
         is_mass = self.kind == "mass" and self._relative_mass_difference >= _MIN_RELATIVE_MASS
-        if max(self.weight) >= _MIN_RELATIVE_EFFECT or is_mass:
+        if max(self.relative_effects) >= _MIN_RELATIVE_EFFECT or is_mass:
             return 1
         return 2 if self.kind in LIMIT_KINDS else 3
 

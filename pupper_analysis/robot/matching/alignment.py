@@ -23,8 +23,9 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 Array = NDArray[np.float64]
 
 _MIN_SAVED_BITS = 0.5
-"""Minimum decrease of the deviation [bits, see `measure_deviation_bits`] with which another frame
-of a body is accepted. The minimum excludes rounding errors. Chosen, not tuned."""
+"""Minimum decrease of the deviation between two trees, in the logarithmic measure of
+`measure_deviation_bits` [bits], with which a transformed frame of a body is accepted. The minimum
+excludes rounding errors. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +49,16 @@ def align_frames(
     fixed: Collection[str] = (),
     only: Iterable[str] | None = None,
 ) -> Alignment:
-    """Transform the link frames of a tree to the frames of another tree.
+    """Express the tree ``second`` in link frames as near as possible to those of ``first``.
+
+    A link frame may have any position along a hinge axis, and any orientation, without changing the
+    robot. The frames that minimise the deviation are selected joint by joint.
 
     Args:
-        second: Tree whose frames are transformed.
+        second: Tree whose link frames are transformed.
         first: Tree with the target frames, and with the same names of joints.
         tolerances: Tolerances of the comparison.
-        fixed: Slides whose origin must not be moved.
+        fixed: Prismatic joints whose origin must not be moved.
         only: Joints whose frames are transformed; all by default.
     """
     # Smaller tolerances, because a difference could be distributed to parts below the tolerance.
@@ -88,9 +92,10 @@ def _align_by_cost(
         second: Tree whose frames are transformed.
         first: Tree with the target frames.
         tolerances: Tolerances of the comparison.
-        fixed: Slides whose origin must not be moved.
+        fixed: Prismatic joints whose origin must not be moved.
         names: Joints whose frames are transformed.
-        as_the_first: Whether to rotate each frame to the first's at zero angles, at any cost.
+        as_the_first: Rotate each frame to the orientation in ``first`` at zero angles, even if this
+            increases the deviation.
     """
     result, moved = second, {}
     for name in names:
@@ -139,7 +144,10 @@ def measure_deviation_bits(size: float, tolerance: float) -> float:
 def measure_joint_deviation(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation [bits] of a joint, the moved body, and the child placements."""
+    """Return the deviation [bits] of a joint, with the moved body, its frames and child joints.
+
+    Child joints count with their placements on the body.
+    """
     total = _joint_bits(first, second, name, tolerances)
     for child in first.children(name):
         if second.joints[child].parent == name:
@@ -150,14 +158,14 @@ def measure_joint_deviation(
 def measure_tree_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> float:
-    """Return the deviation [bits] of all joints and moved bodies."""
+    """Return the sum of the deviations [bits] of all joints, moved bodies and frames."""
     return sum(_joint_bits(first, second, name, tolerances) for name in first.joints)
 
 
 def _joint_bits(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation [bits] of a joint, the moved body and the frames on this body."""
+    """Return the deviation [bits] of a joint, moved body and frames, without child joints."""
     total = _placement_bits(first.joints[name], second.joints[name], tolerances)
     total += measure_deviation_bits(
         _angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
@@ -196,10 +204,10 @@ def _angle_between(first: Array, second: Array) -> float:
 
 
 def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[Array]:
-    """Yield candidate rotations (3, 3) of a body frame.
+    """Yield rotations (3, 3) of a body frame of the second tree that may match the first tree.
 
-    The identity; the rotation to the other frame; and, if the limits show that the zero angles
-    differ, the rotation to a frame that differs from the other by the joint angle only.
+    First the identity, then the rotation to the orientation in the first tree. If the joint limits
+    of a hinge indicate another zero angle, the second rotation is also combined with this angle.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     yield np.eye(3)
@@ -227,7 +235,7 @@ def _matching_points(
 
 
 def find_limit_offset(first: TreeJoint, second: TreeJoint) -> float:
-    """Return the limits of the first joint minus the limits of the second [rad, m].
+    """Return the offset of the joint limits, first joint minus second joint [rad, m].
 
     0 if the offsets of lower and upper limit differ, or a limit is infinite.
     """
@@ -242,8 +250,9 @@ def _candidate_steps(
 ) -> Iterator[Array]:
     """Yield candidate displacements (3,) [m] of the origin of a joint, in the axes of the body.
 
-    The origin of a hinge may move along the axis, that of a slide in any direction: to the other's
-    origin, or so that the median of the points on the body agrees.
+    First zero. The origin of a hinge may move along the joint axis, the origin of a slide in any
+    direction, unless ``still`` forbids it. Candidates are the origin in the first tree, and the
+    median displacement of the points on the body (`_matching_points`).
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]

@@ -39,12 +39,12 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 Array = NDArray[np.float64]
 
 _MIN_SAVED_BITS = 3.0
-"""Minimum decrease of the deviation [bits, see `measure_deviation_bits`] with which another frame
-of the base is accepted, if the frame explains the whole deviation. Chosen, not tuned."""
+"""Minimum decrease of the deviation of the base [bits, see `measure_deviation_bits`] with which a
+displaced base frame is accepted, if no deviation remains with this frame. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
-"""Largest number of joints on the base whose frames are tried as candidates for the pose between
-the two base frames. Chosen, to bound the time."""
+"""Largest number of joints on the base from whose placements a candidate for the pose between the
+two base frames is computed. Chosen, to bound the computing time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Conventions:
     zeros: Mapping[str, float] = field(default_factory=dict)
 
     def convert_to_mjcf(self, values: MultibodyTree) -> MultibodyTree:
-        """Convert a robot from the conventions of the URDF to the conventions of the MJCF."""
+        """Return a tree, expressed in the URDF's conventions, in the conventions of the MJCF."""
         if self.base is not None:
             values = with_base(values, self.base)
         for name, offset in self.zeros.items():
@@ -103,7 +103,11 @@ def find_conventions(
 
 
 def _is_base_displaced(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> bool:
-    """Return True if the base frame is displaced, and not the zero of a single base joint."""
+    """Return True if a displaced base frame is confirmed by more than the zero of one base joint.
+
+    It is confirmed if several joints are on the base, if both files state the mass of the base, or
+    if the limits of the single joint are equal and less than a full turn apart.
+    """
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
     if len(names) > 1 or all(body.mass for body in bodies):
@@ -157,7 +161,7 @@ def _find_zero_offset(
 
 
 def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
-    """Express a robot with q' = q - offset of a joint, without changing the pose."""
+    """Return a tree of the same robot with a joint coordinate q' = q - offset [rad, m]."""
     joint = values.joints[name]
     position, rotation = joint.position, joint.rotation
     if joint.slides:
@@ -179,7 +183,8 @@ def _find_base_pose(
 ) -> pin.SE3 | None:
     """Return the pose of the base frame of the first tree in that of the second tree.
 
-    None if both frames are equal, or the pose cannot be determined.
+    None if a joint has the same placement in both trees (the frames are equal), if the joints on
+    the base do not correspond, or if no pose decreases the deviation enough.
     """
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):
@@ -227,7 +232,8 @@ def _find_pose_of_joints(
 
     Returns:
         Pose; None if the frames are equal, if fewer than two joints with different positions are on
-        the base, or if a joint is off by more than the tolerances.
+        the base, if anchors and axes are on one line, or if a joint deviates by more than the
+        tolerances.
     """
     names = first.children(first.base)
     anchors, axes = _list_anchors_and_axes(first, names)
@@ -315,10 +321,10 @@ def apply_conventions(
     """Convert a URDF to the conventions of the MJCF, in place: base frame and zeros.
 
     Args:
-        root: Root element.
+        root: Root element of the URDF; modified.
         link: Root link.
-        conventions: Conventions.
-        first: Tree of the URDF before the conversion.
+        conventions: Base frame and joint zeros of the MJCF, relative to the URDF.
+        first: Tree of the URDF before the conversion, which provides joint axes and types.
     """
     tree = UrdfTree(root)
     if conventions.base is not None:

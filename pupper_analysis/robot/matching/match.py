@@ -83,7 +83,13 @@ class RemovablePart:
 
 
 def report_part(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
-    """Return the diagnostic of a part that only one file contains."""
+    """Return the diagnostic of a part that only one file contains.
+
+    Args:
+        part: The part.
+        has: Type of the file with the part, "URDF" or "MJCF".
+        lacks: Type of the file without the part, "MJCF" or "URDF".
+    """
     return diagnose(
         "part-of-one-file",
         subject=("link" if has == "URDF" else "body", part.root),
@@ -96,14 +102,16 @@ def report_part(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
 
 
 Removals = list[tuple[str, list[list[RemovablePart]]]]
-"""(carrier, alternative lists of removable parts, from small to large) of each carrier."""
+"""[(parent joint, alternatives)]: an alternative is a list of parts that are removed together; the
+alternatives are sorted from small to large."""
 
 
 def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
-    """Return the carriers of joints that the other file lacks, and alternatives for the removal.
+    """Return the parts that could be removed because the other file lacks their joints.
 
-    The first alternative of a carrier contains the moving parts; further alternatives include more
-    of the fixed parts between the moving parts and the carrier.
+    The parts are grouped by the moving joint that carries them ("" for the base). The first
+    alternative of a group consists of the moving parts; each further alternative includes more of
+    the fixed parts between the moving parts and this joint.
 
     Args:
         tree: Tree of the file.
@@ -162,8 +170,9 @@ def remove_parts(
 ) -> list[Diagnostic]:
     """Remove parts that the other file lacks, in place; return the diagnostics.
 
-    For each carrier, the alternative (or no removal) is selected for which the carrier's mass is
-    nearest to that in the other file.
+    For each body that carries such parts, one of the alternatives, or no removal, is selected: that
+    for which the mass of the body, with the remaining parts fixed to it, is nearest to its mass in
+    the other file.
 
     Args:
         trees: Trees of URDF and MJCF.
@@ -282,8 +291,10 @@ def match_models(
         urdf: The URDF.
         mjcf: The MJCF.
         names: {name in the URDF: name in the MJCF} of joints or frames.
-        feet: Frames, as named in the MJCF, that are compared as feet.
-        complete: Whether to keep the URDF's shapes, and parts that only one file contains.
+        feet: Frames, as named in the MJCF, whose positions are compared; all common frames by
+            default.
+        complete: Whether the URDF's shapes, and parts that only one file contains, are kept in the
+            robot.
         tolerances: Tolerances of the comparison.
         strict: Whether missing damping and friction in the URDF are 0; otherwise the MJCF's values.
 
@@ -405,7 +416,7 @@ def _compare_conventions(
 
 
 def _shift_mimics(mimics: Mimics, conventions: Conventions) -> Mimics:
-    """Return the couplings q = m q' + c in coordinates with other zeros."""
+    """Return mimic couplings of the URDF's joint coordinates in the MJCF's joint coordinates."""
     zeros = conventions.zeros
     return {
         name: (
@@ -455,7 +466,7 @@ def _unify_joints(
     """Fix the joints that one file lacks, and rename the URDF's joints as in the MJCF, in place.
 
     Returns:
-        The URDF's mimic joints, in the new names; without coupling.
+        The URDF's mimic couplings, in the new names; they are removed from the URDF.
     """
     mjcf_names = {*pairs.values(), *only_mjcf}
     mimics = {
@@ -485,9 +496,9 @@ def copy_unstated_values(
 
     Args:
         root: Root element of the URDF, with the MJCF's joint names.
-        theirs: Joints of the MJCF.
-        unknown: Unknown values of the URDF, see `UrdfFile.unknown`; unknown efforts are copied,
-            too.
+        theirs: {name: joint of the MJCF}.
+        unknown: Unknown values of the URDF, see `UrdfFile.unknown`. Unknown efforts are copied as
+            well, but are not part of the result.
         pairs: {joint in the URDF file: joint in the MJCF}.
 
     Returns:
@@ -564,7 +575,7 @@ def copy_unknown_values(
 
 
 def list_hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], list[Diagnostic]]:
-    """Return the names of hinges and slides, and of ball joints, which are deleted, in place.
+    """Delete the ball joints of an MJCF, in place; return the names of all joints by type.
 
     A URDF has no ball joints; the bodies on ball joints are compared in the zero pose.
 
@@ -595,16 +606,19 @@ def drop_other_objects(
 ) -> list[Diagnostic]:
     """Delete the objects of a scene that do not belong to the robot, the largest tree of joints.
 
-    A table or a wall beside a robot with fixed base would count as part of the base, and is deleted
-    unless it contains a link name of the URDF. Beside a robot with a free base, static bodies
-    without a plane would affect the CoM. Limbs directly on the world, because the base was merged
-    with the world, belong to the robot. Without a URDF (two versions of an MJCF), neither link
-    names nor limbs are known.
+    Deleted are bodies of the world with joints, other than the robot, and static bodies:
+
+    * beside a robot with a fixed base (table, wall), unless the body or a descendant has the name
+      of a link of the URDF, because static bodies count as part of the base;
+    * beside a robot with a free base, unless the body has a plane.
+
+    Limbs directly on the world belong to the robot: MuJoCo merges a fixed base with the world. They
+    are identified by the joint names of the URDF. The mass of mocap bodies is set to zero.
 
     Args:
         spec: Spec to modify.
         source: File, for messages.
-        urdf: Root element of the URDF, or None.
+        urdf: Root element of the URDF; None if two versions of an MJCF are compared.
 
     Returns:
         Diagnostics of the deleted bodies.
@@ -724,10 +738,10 @@ _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:
-    """Raise an error for loops, and for couplings with joints that the URDF lacks, if any.
+    """Raise an error if constraints of the MJCF would block joints when other joints are fixed.
 
-    With the latter fixed at zero, the constraints would block other joints: a rod at zero would
-    block the ankle that it drives.
+    The fixed joints are joints that the URDF lacks. For example, a fixed rod would block the ankle
+    that it drives. Refused are loops, and couplings between a fixed joint and another joint.
     """
     for equality in spec.equalities if fixed_joints else ():
         names = {equality.name1, equality.name2} - {""}

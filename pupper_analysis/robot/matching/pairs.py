@@ -57,8 +57,8 @@ def match_joints(
             names.
 
     Raises:
-        ModelError: If no joint matches, or fewer than half of the joints match, more than the
-            requested.
+        ModelError: If no joint is matched, or if fewer than half of the joints are matched and not
+            all of these pairs were requested by the user.
     """
     urdf_joints, mjcf_joints = joints
     pairs = {old: new for old, new in wanted.items() if old in urdf_joints and new in mjcf_joints}
@@ -142,7 +142,11 @@ def match_without_affixes(
 
 
 def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
-    """Return {words of a name without affixes: name} of the names whose words are unique."""
+    """Return {remaining words: name} of names from which common prefix and suffix are removed.
+
+    Names whose remaining words are not unique are omitted. ``names`` are the unmatched names,
+    ``every`` are all names of the file, which determine prefix and suffix.
+    """
     words = {name: _split_words(name) for name in every}
     affixes = [
         _find_common_prefix(list(words.values())),
@@ -203,8 +207,8 @@ def common_frames(
     """Return {site or body: (link, site or body)} of the frames in both files.
 
     Frames are links on fixed joints of the URDF, and sites or bodies without joints of the MJCF.
-    The bodies of a fixed base are excluded, because the frames of these bodies are a convention.
-    With ``fusestatic`` all bodies are excluded, because MuJoCo merges fixed bodies.
+    The bodies of a fixed base are excluded, because each file may choose the frame of the base
+    freely. With ``fusestatic`` all bodies are excluded, because MuJoCo merges fixed bodies.
 
     Args:
         root: Root element of the URDF.
@@ -231,7 +235,7 @@ def common_frames(
 
 
 def _find_base_bodies(spec: mujoco.MjSpec) -> set[str]:
-    """Return the names of static bodies that carry joints: the bodies of a fixed base."""
+    """Return the names of static bodies with joints below: the bodies of a fixed base."""
     names, pending = set(), list(spec.worldbody.bodies)
     while pending:
         body = pending.pop()
@@ -255,11 +259,11 @@ class Guess:
 
 
 def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
-    """Match the unmatched joints of two trees by structure.
+    """Match the unmatched joints of two trees by position and axis below matched parents.
 
-    Joints match below the same parent, with parallel axes at zero angles, if each is the nearest of
-    the other. If no pairs are given, and not all joints match, the base frame may be rotated in one
-    file, and legs may be exchanged: the matches are then returned as ``choices``.
+    If no pairs are given, and not all joints can be matched, the base frame of one file may be
+    rotated, so that legs are exchanged. All matches are then returned as candidates
+    (`Guess.choices`) instead of pairs.
 
     Args:
         urdf: Tree of the URDF.
@@ -281,7 +285,11 @@ def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
 
 
 def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
-    """Match the unmatched joints of two trees by position and axis at zero angles."""
+    """Match unmatched joints of two trees at zero angles, from the base outwards.
+
+    Two joints match if their parents match, their axes are parallel, and each is by far the nearest
+    of the other (at most half the distance of the next joint).
+    """
     unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
     urdf_places, mjcf_places = list_joint_axes_at_zero(urdf), list_joint_axes_at_zero(mjcf)
     size = max(float(np.linalg.norm(place[0])) for place in urdf_places.values())

@@ -194,18 +194,23 @@ Sources = UrdfSources | MjcfSources
 
 
 def _find_heaviest(members: Sequence[tuple[str, float]]) -> str:
+    """Return the name with the largest mass of (name, mass [kg])."""
     return max(members, key=lambda member: member[1])[0]
 
 
 def _find_stated(
     file: MjcfFile, kind: str, candidates: Sequence[tuple[str, str, str | None]]
 ) -> Place:
-    """Return the location at which a kind of value is set, or the first existing candidate.
+    """Return the location at which a kind of value is set in an MJCF.
+
+    If no candidate without ``child`` sets the value, the first existing candidate is returned; if
+    none exists, the location of the first candidate, without line.
 
     Args:
         file: The MJCF.
         kind: Kind of the value.
-        candidates: (tag, name, child) of the elements that may set the value.
+        candidates: (tag, name, child) of elements that may set the value; child is the tag of a
+            descendant, or None.
     """
     attribute = BY_KIND.get(kind)
     words = attribute.mjcf if attribute is not None else (kind,) if kind == "axis" else ()

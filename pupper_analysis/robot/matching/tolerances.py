@@ -62,7 +62,10 @@ class Tolerances:
 
     @staticmethod
     def fine() -> Tolerances:
-        """Return ``strict`` tolerances, but the default for gravity, which no URDF specifies."""
+        """Return tolerances of 1e-9, except for gravity, which has the default tolerance.
+
+        A URDF does not specify gravity.
+        """
         return replace(Tolerances.strict(), gravity=Tolerances().gravity)
 
     def changed(self, changes: Mapping[str, float]) -> Tolerances:

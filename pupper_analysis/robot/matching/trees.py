@@ -33,7 +33,11 @@ Array = NDArray[np.float64]
 
 
 def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
-    """Return the trees of URDF and MJCF with equal names; of a fixed base, in the world frame."""
+    """Return the multibody trees of a robot's URDF and MJCF, with equal names.
+
+    The tree of a robot with a free base is expressed in the base frame, with a fixed base in the
+    world frame.
+    """
     frames = {**robot.description.contact_points, **robot.description.frames}
     urdf = multibody.from_pinocchio(
         robot.pin_model,
@@ -109,7 +113,10 @@ class Reference:
         return [*base_joints, *(self.names.joint(name).id for name in self.joint_names)]
 
     def convention(self) -> MujocoConvention:
-        """Return the addresses of the public coordinates; the model may have other free bodies."""
+        """Return the addresses of the robot's coordinates in this model.
+
+        The model may contain other bodies with joints, such as objects of a scene.
+        """
         model, joints = self.model, self.joints()
         num_free = len(joints) - len(self.joint_names)
         starts = zip(model.jnt_qposadr[joints], model.jnt_dofadr[joints], strict=True)
@@ -148,8 +155,8 @@ def strip_roots(
 ) -> tuple[etree._Element, list[Diagnostic]]:
     """Remove massless root links with a single fixed or floating joint.
 
-    For a floating base, the number of removed links is that with the smallest distance between the
-    joints of both files.
+    For a floating base, that number of links is removed with which the joints of both files are
+    nearest: the sum of the distances between joints with equal names is minimised.
 
     Args:
         root: Root element of the URDF; not modified.
@@ -214,7 +221,7 @@ def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
 
 
 def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
-    """Return hinges and slides, and other movable joints, which are changed to fixed, in place.
+    """Fix movable joints of a URDF other than hinges and slides, in place; list all by type.
 
     The other joints are floating or planar joints inside the tree.
 
@@ -235,7 +242,7 @@ def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diag
 
 
 def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
-    """Return {base or joint: moved link}."""
+    """Return {base or joint of the robot: link of the URDF that it moves}."""
     tree = UrdfTree(root)
     links = {name: link for name, link in tree.moved_links.items() if name in robot.joint_names}
     return {robot.base: tree.base.name, **links}
@@ -261,11 +268,14 @@ def urdf_tree(
 
 
 Mimics = Mapping[str, tuple[str, float, float]]
-"""{joint: (leader, multiplier, offset)}: q = multiplier q_leader + offset."""
+"""{joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader + offset."""
 
 
 def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
-    """Return the joints with ``<mimic>`` of a parsed URDF, except fixed joints."""
+    """Return the couplings of the joints with ``<mimic>`` of a parsed URDF, except fixed joints.
+
+    {joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader + offset.
+    """
     mimics = {}
     for name, joint in UrdfTree(root).joints.items():
         mimic = joint.mimic

@@ -121,7 +121,7 @@ class ContactKinematics:
         # MuJoCo places the contact point at half the penetration.
         self._reach = (np.array([radius[foot] for foot in feet]) - deep / 2)[:, None]
         self._offsets = self._reach[:, None] * crosses  # arms from the contact to the centre
-        self._twists = config.foot_twists(feet)
+        self._twists = config.foot_twist_jacobians(feet)
         self._centre, self.turning = self._twists[:, :3], self._twists[:, 3:]
         self.jacobians = frames @ (self._centre + self._offsets @ self.turning)
         before = np.array([anchor.rotation for anchor in held]).reshape(-1, 3, 3)
@@ -184,7 +184,7 @@ class ContactKinematics:
                 np.concatenate([twists, held[0]]),
                 np.concatenate([wrenches, held[1]]),
             )
-        rates = self.config.pushed_rates(twists, wrenches)
+        rates = self.config.loaded_points_derivative(twists, wrenches)
         # The contact approaches the centre as the penetration increases.
         moved = (across[:, None] @ self.turning)[:, 0]
         change: Array = rates + moved.T @ (self._depth_rates / 2)
@@ -229,7 +229,7 @@ class EquilibriumScales:
     def of(robot: Robot, stand: Stand) -> EquilibriumScales:
         """Return the weight [N] and height [m] that scale the equations of a robot in a stand."""
         weight = robot.usual_weight
-        if robot.bolted or robot.welds:
+        if robot.is_base_fixed or robot.welds:
             length = robot.stand_height or float(robot.mj_model.stat.extent)
             return EquilibriumScales(weight, length, 3 if robot.floating else 0)
         lowest = min(float(stand.foot_targets[foot][2]) for foot in stand.stance_feet)
@@ -357,7 +357,7 @@ class SagEquilibrium:
             (robot.contact_radius[foot], *frame[2].tolist(), under[foot].tolist())
             for foot, frame in self.frames.items()
         ]
-        self.laws = {foot: GroundLaw.of(robot, foot) for foot in self._points}
+        self.laws = {foot: GroundLaw.of_contact(robot, foot) for foot in self._points}
         self._commands = command_ranges(robot).T
         self.command(stand.joint_positions(robot))
         self._sole = {point: sole for sole, points in robot.feet.items() for point in points}
@@ -435,7 +435,7 @@ class SagEquilibrium:
         anchors, seen = tuple(self.anchors.items()), self._contact_cache
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
             config, feet = Configuration(self.robot, qpos), self._points
-            places = config.foot_places(feet)
+            places = config.foot_centres(feet)
             if self._ground_frame_cache[0] != (held := tuple(self.anchors)):
                 frames = np.array([self.frames[foot] for foot in held]).reshape(-1, 3, 3)
                 rows = [feet.index(foot) for foot in held]
@@ -487,7 +487,7 @@ class SagEquilibrium:
         contacts, shape (n, 3) [N], in the ground frames.
         """
         touch, places = self.contacts_at(qpos), self.slips(qpos, forces)
-        balance = touch.config.load() - touch.push(forces)
+        balance = touch.config.static_load() - touch.push(forces)
         balance[self._joints] -= self.torques(qpos)
         if self.robot.closure is not None:
             balance[self._joints] -= self.robot.closure.constraint_torques(qpos)
@@ -719,7 +719,7 @@ class SagEquilibrium:
         Returns:
             {contact point: pulling force [N] or penetration [m]}.
         """
-        feet = self.robot.bearing
+        feet = self.robot.bearing_points
         return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}
 
     def violation_of(self, foot: str, solution: Solution) -> float:
@@ -893,7 +893,7 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
     for foot, points in robot.feet.items():
         if foot in ground.planes:
             own = np.array([stand.rigid_targets[point] for point in points])
-            on = ground.middle(foot, own)[0]
+            on = ground.foot_ground_point(foot, own)[0]
         else:  # parallel to the plane through the origin
             on = np.array([0.0, 0.0, ground.heights.get(foot, 0.0)])
         found |= dict.fromkeys(points, on)

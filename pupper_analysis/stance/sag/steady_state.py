@@ -233,7 +233,7 @@ class HomotopyPath:
         forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
         sunk = system.equilibrium_depths(np.array(list(forces.values())).reshape(-1, 3))
         qpos = stand.qpos.copy()
-        if not (system.robot.bolted or system.robot.welds):
+        if not (system.robot.is_base_fixed or system.robot.welds):
             qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
         self._set_command(0.0)
         when = diagnose("as-it-stands-fed")
@@ -584,7 +584,7 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
     """
-    stands = robot.bolted or robot.welds or (robot.floating and robot.contacts)
+    stands = robot.is_base_fixed or robot.welds or (robot.floating and robot.contacts)
     if not stands or (stand.stance_feet and not robot.floating) or len(stand.qpos) != robot.nq:
         raise ConfigurationError("robot", diagnose("robot-cannot-stand", robot=robot.name))
     for foot in stand.foot_targets:
@@ -596,7 +596,7 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
         raise ConfigurationError("seconds", problem)
     if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.planes):
         raise ConfigurationError("feet", diagnose("sliding-on-slope"))
-    slippery = [foot for foot in robot.bearing if robot.contacts[foot].sliding_friction <= 0]
+    slippery = [foot for foot in robot.bearing_points if robot.contacts[foot].sliding_friction <= 0]
     if feet == "pinned" and slippery:
         raise ConfigurationError("feet", diagnose("feet-without-friction", feet=slippery))
 
@@ -709,7 +709,7 @@ def find_sag_failure(
         pose = steady_state(robot, stand, kp=kp, feet=feet)
     except NoEquilibriumError as error:
         return error.diagnostic
-    if pose.base_height <= 0.5 * float(stand.qpos[2]) and not (robot.bolted or robot.welds):
+    if pose.base_height <= 0.5 * float(stand.qpos[2]) and not (robot.is_base_fixed or robot.welds):
         return diagnose("base-sags", height=Quantity(pose.base_height, "m"))
     if len(pose.failures) > 1:
         return diagnose("failures-together", failures=pose.failures)

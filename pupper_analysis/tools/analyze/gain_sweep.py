@@ -64,8 +64,8 @@ class GainSweep(Tabular):
         height_deviation: Standard deviation of the base height in the last second, shape (n, m)
             (m); infinite if the robot fell or the simulation diverged.
         fell: True if the robot fell or the simulation diverged, shape (n, m).
-        lasts: True if the undisturbed robot comes to rest and ``Stability.lasts`` holds there,
-            shape (n, m): no mode grows so fast that the robot leaves the rest within 12 s.
+        lasts: True if the undisturbed robot comes to rest and ``Stability.is_stable_for`` holds
+            there, shape (n, m): no mode grows so fast that the robot leaves the rest within 12 s.
         amplitude: Amplitude of the force on the base (N).
         frequency: Frequency of the force (Hz).
         duration: Simulated time (s).
@@ -242,7 +242,7 @@ class _SweepTrial:
             rest = rests.get(cell[0])
             return deviation, rest is not None and evaluate_stability(
                 drive, rest, ctrl, CONTACT_SETTLING_TIME
-            ).lasts()
+            ).is_stable_for()
 
         with ThreadPoolExecutor(min(len(cells), os.cpu_count() or 1)) as pool:
             list(pool.map(place, dict.fromkeys(kp for kp, _ in cells)))
@@ -264,7 +264,7 @@ class _SweepTrial:
         if not self._stands(watcher, states):
             return False
         stability = evaluate_stability(drive, states[-1], ctrl, 0.0)
-        return stability.speed <= MAX_RESTING_SPEED and stability.lasts()
+        return stability.speed <= MAX_RESTING_SPEED and stability.is_stable_for()
 
     def _deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
         """Compute the standard deviation of the base height in the last second [m].

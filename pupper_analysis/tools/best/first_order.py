@@ -49,7 +49,7 @@ class SmallPayload:
         self._robot, self._point, self._kp = robot, point, kp
         self.mass = SMALL_PAYLOAD_RATIO * robot.total_mass
         loaded = with_payload(robot, self.mass, point)
-        self._laws = {foot: GroundLaw.of(loaded, foot) for foot in robot.contact_points}
+        self._laws = {foot: GroundLaw.of_contact(loaded, foot) for foot in robot.contact_points}
 
     def compute_rows(self, stand: Stand) -> Array | None:
         """Compute the constraints a + b m >= 0 of a stand on the payload mass m [kg].
@@ -76,7 +76,7 @@ class SmallPayload:
         """
         robot, mass = self._robot, self.mass
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
-        load = config.load()
+        load = config.static_load()
         loads = np.array([load, load + mass * self._point.load_per_mass(config)])
         (forces, loaded_forces), (torques, loaded_torques) = hold_loads(config, loads, carrying)
         force_rates, limits = (loaded_forces - forces) / mass, robot.effort_limits
@@ -169,7 +169,7 @@ def _compute_buckling_modes(
     robot, feet = config.robot, stand.stance_feet
     rotations = [pin.Quaternion.FromTwoVectors(stand.normals[foot], UP) for foot in feet]
     frames = np.array([rotation.matrix() for rotation in rotations])
-    centres = config.foot_places(feet)
+    centres = config.foot_centres(feet)
     poses = zip(feet, centres, config.foot_rotations(feet), strict=True)
     anchors = {foot: Anchor(position, rotation) for foot, position, rotation in poses}
     depths = dict(zip(feet, penetrations.tolist(), strict=True))
@@ -184,9 +184,9 @@ def _compute_buckling_modes(
     geometric = kinematics.balance_rates(forces)  # without servos and ground
     softening = geometric - kinematics.balance_rates(forces + force_rates)  # -G, for 1 kg
     twists, weight = point.twist_jacobian(config)[None], np.zeros((1, 6))
-    softening += config.pushed_rates(twists, weight)
+    softening += config.loaded_points_derivative(twists, weight)
     weight[0, :3] = robot.gravity
-    softening -= config.pushed_rates(twists, weight)
+    softening -= config.loaded_points_derivative(twists, weight)
     stiffness = geometric + normal.T @ (stiffnesses[:, None] * normal)
     stiffness[6:, 6:] += np.diag(kp)
     basis = linalg.null_space(tangential)

@@ -121,7 +121,7 @@ def _stand_in_pose(
     """
     home_angles = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))
     pose = np.array([angles.get(joint, home_angles[joint]) for joint in robot.joint_names])
-    config = Configuration(robot, robot.posed(pose))
+    config = Configuration(robot, robot.make_qpos(pose))
     lowest = [
         min(
             float(config.foot_positions()[point][2]) - robot.contact_radius[point]
@@ -129,7 +129,7 @@ def _stand_in_pose(
         )
         for points in robot.feet.values()
     ]
-    height = float(robot.posed(pose)[2]) - float(np.mean(lowest))
+    height = float(robot.make_qpos(pose)[2]) - float(np.mean(lowest))
     home = np.concatenate([robot.home[:7], pose])
     posed = replace(robot, nominal=pose, home=home, stand_height=height)
     result = Pose(name, height, None, None, None, None)

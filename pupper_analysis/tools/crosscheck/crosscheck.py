@@ -397,7 +397,7 @@ def evaluate_in_mujoco(
         {quantity: values}, in the units of `QUANTITIES`.
     """
     data = mujoco.MjData(model)
-    convention = MujocoConvention.of(model, robot.joint_names)
+    convention = MujocoConvention.from_model(model, robot.joint_names)
     convention.set_state(data, robot.neutral())
     mujoco.mj_forward(model, data)
     dofs = convention.qvel_index[robot.nv - robot.nu :]
@@ -808,7 +808,7 @@ def _evaluate_all(
         mjcf_robot = replace(
             robot,
             pin_model=mjcf_in_pinocchio,
-            pin_convention=PinocchioConvention.of(mjcf_in_pinocchio, robot.joint_names),
+            pin_convention=PinocchioConvention.from_model(mjcf_in_pinocchio, robot.joint_names),
             base=base,
             contact_frames=mjcf_frames,
         )

@@ -305,7 +305,7 @@ def _tabulate_differences(comparison: Comparison) -> doc.Table:
     """Create the table of all differences: values, largest relative effect [%] and lines."""
     rows: list[tuple[doc.Cell, ...]] = []
     for order, difference in enumerate(comparison.differences, start=1):
-        effect = difference.weight[1]
+        effect = difference.relative_effects[1]
         rows.append(
             (
                 doc.number_cell(order, "g"),

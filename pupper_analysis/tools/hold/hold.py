@@ -97,7 +97,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
         config = Configuration(robot, qpos)
         position = tool.position(config)
         centre = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
-        peak = peak_utilisation(utilise(robot, config.by_motors(config.load())))
+        peak = peak_utilisation(utilise(robot, config.transfer_to_motors(config.static_load())))
         samples.append((float(np.hypot(*(position - centre)[:2])), float(position[2]), peak))
     distances, heights, utilisation = np.array(samples).T
     return ReachLoad(distances, heights, utilisation)
@@ -264,8 +264,8 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
         - infinite, with "" for the joint, above `UNLIMITED_MASS_RATIO` times the robot's mass.
     """
     config, limits = Configuration(robot, qpos), robot.effort_limits
-    empty = config.by_motors(config.load())
-    rates = config.by_motors(tool.load_per_mass(config))
+    empty = config.transfer_to_motors(config.static_load())
+    rates = config.transfer_to_motors(tool.load_per_mass(config))
     if (np.abs(empty) > limits).any():
         return 0.0, robot.joint_names[int(np.argmax(np.abs(empty) - limits))]
     mass = borne_by_motors(empty, rates, limits)
@@ -305,8 +305,13 @@ def servo_payload(
     config, closure = Configuration(robot, posture.qpos), robot.closure
     basis = np.eye(robot.nu) if closure is None else closure.null_space(posture.qpos)
     gains = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
-    empty, wrench_per_mass = config.static_rates({}), np.append(robot.gravity, np.zeros(3))
-    loaded = config.pushed_rates(tool.twist_jacobian(config)[None], wrench_per_mass[None])
+    empty, wrench_per_mass = (
+        config.static_load_derivative({}),
+        np.append(robot.gravity, np.zeros(3)),
+    )
+    loaded = config.loaded_points_derivative(
+        tool.twist_jacobian(config)[None], wrench_per_mass[None]
+    )
     stiffness = basis.T @ (empty + np.diag(gains)) @ basis
     added = basis.T @ (loaded - empty) @ basis
     stiffness, added = (stiffness + stiffness.T) / 2, (added + added.T) / 2
@@ -315,8 +320,8 @@ def servo_payload(
     # Largest softening per mass [1/kg]; rounding if the mass stiffens all motions.
     softening = float(linalg.eigh(-added, stiffness, eigvals_only=True)[-1])
     stable = 1 / softening if softening > _MIN_SOFTENING / robot.total_mass else math.inf
-    lead = compute_command_lead(config.by_motors(config.load()), gains)
-    borne = config.by_motors(tool.load_per_mass(config))
+    lead = compute_command_lead(config.transfer_to_motors(config.static_load()), gains)
+    borne = config.transfer_to_motors(tool.load_per_mass(config))
     rates = compute_command_lead(np.where(np.abs(borne) > MIN_TORQUE_PER_MASS, borne, 0.0), gains)
     low, high = command_ranges(robot).T - posture.qpos
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -156,7 +156,7 @@ class TorqueSearch:
         """
         config = Configuration(self._robot, qpos)
         try:
-            return config.by_motors(self._compute_load(config))
+            return config.transfer_to_motors(self._compute_load(config))
         except ConfigurationError:
             return np.zeros(len(qpos))
 
@@ -197,7 +197,7 @@ class TorqueSearch:
 
     def _compute_load(self, config: Configuration) -> Array:
         """Return the static load of the joints with the payload, shape (nu,) [N m, N]."""
-        load = config.load()
+        load = config.static_load()
         return load + self._payload * self._tool.load_per_mass(config) if self._payload else load
 
     def _evaluate_torque(self, joint: int, sign: float, qpos: Array) -> float:
@@ -207,7 +207,7 @@ class TorqueSearch:
         if self._motions.constant[joint]:
             return sign * float(self._motions.shares[joint] @ load)
         try:
-            return sign * float(config.by_motors(load)[joint])
+            return sign * float(config.transfer_to_motors(load)[joint])
         except ConfigurationError:  # singular: nothing holds the loop
             return -_UNDEFINED_TORQUE
 

@@ -168,7 +168,7 @@ class Controls:
         if field.kind == "contact":
             if not isinstance(current, Contact):  # the foot is on the ground
                 return state
-            new_value: Any = current.at(value / find_contact_factor(current))
+            new_value: Any = current.with_plane_parameter(value / find_contact_factor(current))
         elif control.axis is not None:
             numbers = list(current or (0.0,) * len(field.axes))
             numbers[control.axis - len(field.axes)] = value  # the name of a frame may precede
@@ -438,11 +438,13 @@ class Control:
                 degrees), or a contact or weld in SI units.
 
         Returns:
-            Number in the units of the page. For a contact it is ``plane.number`` [mm, or degrees
+            Number in the units of the page. For a contact it is ``plane.parameter`` [mm, or degrees
             for a slope]; 0 for a contact without a plane, and for a weld.
         """
         if isinstance(value, Contact | Weld):
-            return 0.0 if value.plane is None else find_contact_factor(value) * value.plane.number
+            return (
+                0.0 if value.plane is None else find_contact_factor(value) * value.plane.parameter
+            )
         if self.axis is None:
             return float(value)  # type: ignore[arg-type]
         return float(value[self.axis - len(self.field.axes)])  # type: ignore[index]  # behind a frame

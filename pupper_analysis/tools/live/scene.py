@@ -371,7 +371,7 @@ class Scene:
                 box = self._get_node(f"steps/{number}", "add_box")
                 box.dimensions = tuple(2 * half)
             box.color = PIT_COLOUR if pit else STEP_COLOUR
-            box.wxyz, box.position = step.turn, step.centre - rise * normal
+            box.wxyz, box.position = step.quaternion, step.centre - rise * normal
 
     def _draw_support(self, described: StandingScene, *, held: bool) -> None:
         """Draw the support polygon."""

@@ -153,7 +153,7 @@ def find_contact_factor(contact: Contact | Weld) -> float:
 
     From rad to degrees if the number is an angle, else from m to mm.
     """
-    return PAGE_UNITS["angle" if contact.turns else "length"][1]
+    return PAGE_UNITS["angle" if contact.has_angle else "length"][1]
 
 
 def find_default_value(field: Field) -> Any:

@@ -104,7 +104,7 @@ def inverse_dynamics(
         raise ConfigurationError("qacc", diagnose("acceleration-too-fast", most=MAX_ACCELERATION))
     carrying = make_contacts(robot, contacts, friction, normals, depths)
     feet, ground = carrying.feet, dict(zip(carrying.feet, carrying.normals, strict=True))
-    load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive()
+    load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive_forces()
     levers: dict[str, Array] = {}
     if resistance:
         load += joint_resistance(robot, config.qvel, acceleration)
@@ -243,7 +243,7 @@ def rolling_levers(
         parameters = robot.contacts.get(foot)
         if parameters is None or parameters.condim < 4 or not parameters.sliding_friction:
             continue
-        law = GroundLaw.of(robot, foot)
+        law = GroundLaw.of_contact(robot, foot)
         impedance = law.impedance(law.depth(mean_load))
         softness = (1 - impedance) / impedance * law.tangential
         turning = config.frame_jacobian(robot.contact_frames[foot])[3:] @ config.qvel

@@ -171,7 +171,7 @@ def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
 
     normal_of = ground_normals(robot, path.stances[0].task.ground)
     normals = np.array([normal_of[foot] for foot in path.feet])
-    laws = [GroundLaw.of(robot, foot) for foot in path.feet]
+    laws = [GroundLaw.of_contact(robot, foot) for foot in path.feet]
     radius = np.array([robot.contact_radius[foot] for foot in path.feet])
     pressing = np.maximum((path.forces * normals).sum(axis=-1), 0.0)
     depths = np.array(
@@ -183,9 +183,9 @@ def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
     rows = []
     for qpos, depth in zip(path.qpos, depths, strict=True):
         config = Configuration(robot, qpos)
-        targets = config.foot_places(path.feet) - depth[:, None] * normals
+        targets = config.foot_centres(path.feet) - depth[:, None] * normals
         for _ in range(_NEWTON_STEPS):
-            error = (targets - config.foot_places(path.feet)).ravel()
+            error = (targets - config.foot_centres(path.feet)).ravel()
             jacobians = config.foot_jacobians()
             legs = np.concatenate([jacobians[foot][:, 6:] for foot in path.feet])
             step = np.concatenate([np.zeros(7), np.linalg.lstsq(legs, error, rcond=1e-6)[0]])
@@ -201,7 +201,9 @@ def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
         # MuJoCo's contact point is at half the penetration.
         touching = -(radius - depths[index] / 2)[:, None] * normals
         contacts = config.point_jacobians(path.feet, touching)
-        left = config.mass_matrix() @ path.qacc[index] + config.bias_forces() - config.passive()
+        left = (
+            config.mass_matrix() @ path.qacc[index] + config.bias_forces() - config.passive_forces()
+        )
         left += joint_resistance(robot, qvel[index], qacc[index])
         left -= np.einsum("nij,ni->j", contacts, path.forces[index])
         for foot, moment in zip(path.feet, path.moments[index], strict=True):

@@ -413,7 +413,7 @@ class PushBench:
         if self.upright.has_fallen(end):
             return False
         spectrum = evaluate_spectrum(self.drive, end, self.ctrl, settle=0.0)
-        return spectrum.lasts() and self._will_rest(states, spectrum)
+        return spectrum.is_stable_for() and self._will_rest(states, spectrum)
 
     def peak_torques(self, direction: int, impulse: float) -> Array:
         """Simulate a push, and return the largest |torque| of each motor, shape (nu,) [N m].
@@ -432,7 +432,7 @@ class PushBench:
 
     def point(self) -> Array:
         """Return the point of application in the world: CoM of the base body, shape (3,) [m]."""
-        data = self.robot.placed(self.stand.qpos)
+        data = self.robot.compute_kinematics(self.stand.qpos)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
     def settings(self) -> dict[str, Any]:

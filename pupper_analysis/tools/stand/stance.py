@@ -214,7 +214,9 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
     if robot.welds:
         return ()
     config, limits = Configuration(robot, stand.qpos), robot.effort_limits
-    load, transposed = map(config.by_motors, (config.load(), carrying.jacobian(config)))
+    load, transposed = map(
+        config.transfer_to_motors, (config.static_load(), carrying.transposed_jacobian(config))
+    )
     problem, rated = carrying.balance(transposed, load), np.isfinite(limits)
     joints, torques = problem.joint_rows[rated], problem.joint_load[rated]
     upper = np.concatenate([limits[rated] + torques, limits[rated] - torques])

@@ -298,7 +298,7 @@ def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float
     inertia, data = robot.pin_model.inertias[number], robot.pin_model.createData()
     pin.forwardKinematics(robot.pin_model, data, robot.pin_convention.q(robot.neutral()))
     yield float(inertia.mass), data.oMi[number].act(inertia.lever)
-    model, data = robot.mj_model, robot.placed()
+    model, data = robot.mj_model, robot.compute_kinematics()
     welded = model.body_weldid == model.body_weldid[model.body(body).id]
     mass = model.body_mass[welded]
     yield float(mass.sum()), mass @ data.xipos[welded] / mass.sum()

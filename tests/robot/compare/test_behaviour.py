@@ -51,21 +51,21 @@ def written(tmp_path: Path) -> Written:
 def workspaces(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The degrees of freedom of each set of Pinocchio's data that is made."""
     made: list[int] = []
-    workspace = Structure.workspace
+    workspace = Structure.acquire_workspace
 
     def counted(self: Structure) -> object:
         if not self._spare:
             made.append(self.model.nv)
         return workspace(self)
 
-    monkeypatch.setattr(Structure, "workspace", counted)
+    monkeypatch.setattr(Structure, "acquire_workspace", counted)
     return made
 
 
 def in_pinocchio(robot: pa.Robot, values: MultibodyTree, states: States) -> dict[str, np.ndarray]:
     """What `Behaviour` evaluates, by Pinocchio's algorithms."""
     model, base = to_pinocchio(values), robot.nv - robot.nu
-    convention = PinocchioConvention.of(model, robot.joint_names)
+    convention = PinocchioConvention.from_model(model, robot.joint_names)
     own = replace(robot, pin_model=model, pin_convention=convention, contact_frames={})
     damping = np.full(robot.nv, values.base_damping)
     damping[base:] = [values.joints[name].damping for name in robot.joint_names]

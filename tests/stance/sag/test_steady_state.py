@@ -58,7 +58,9 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
         mujoco.mj_jac(robot.mj_model, data, jacobian, None, touch.pos, body)
         force = pose.contact_forces[foot]
         rest -= jacobian[:, robot.mj_convention.qvel_index].T @ force
-        assert GroundLaw.of(robot, foot).force(-touch.dist) == pytest.approx(force[2], rel=1e-8)
+        assert GroundLaw.of_contact(robot, foot).force(-touch.dist) == pytest.approx(
+            force[2], rel=1e-8
+        )
         if feet == "sliding":
             assert np.linalg.norm(force[:2]) < 1e-4
     assert np.abs(rest).max() < 1e-9

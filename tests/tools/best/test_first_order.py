@@ -38,7 +38,7 @@ def test_settled_pose_is_unstable_at_the_buckling_load(
     feet = np.mean(list(stand.contact_points.values()), axis=0)
     x, y = (stand.qpos[:2] - feet[:2]).tolist()
     task = replace(task, offset=(x, y))  # the base stays, as in the search for the best stance
-    place = find_tool(robot, link).moved(point) if link else find_place(robot, point)
+    place = find_tool(robot, link).translated(point) if link else find_place(robot, point)
     kp, mass, sunk = model_with_servos(robot).kp, 0.3, stand
     for _ in range(4):
         _, sunk = solve_loaded_stand(robot, task, mass, place)

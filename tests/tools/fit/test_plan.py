@@ -101,7 +101,7 @@ def test_com_uncertainty_equals_that_of_robots_drawn_from_the_priors(
     model = robot.structure.model
     data = model.createData()
     pin.forwardKinematics(
-        model, data, robot.structure.convention.unit_q(robot.posed(robot.nominal))
+        model, data, robot.structure.convention.unit_q(robot.make_qpos(robot.nominal))
     )
     masses = np.array([model.inertias[at].mass for at in numbers])
     coms = np.array([data.oMi[at].act(model.inertias[at].lever) for at in numbers])
@@ -120,7 +120,7 @@ def test_com_uncertainty_equals_that_of_robots_drawn_from_the_priors(
         asked = {f"mass:{link}": factors[one, at] for at, link in enumerate(links)}
         for at, link in enumerate(links):
             asked |= {f"com_{axis}:{link}": offsets[one, at, i] for i, axis in enumerate("xyz")}
-        drawn = Configuration(scale_robot(robot, asked), robot.posed(robot.nominal))
+        drawn = Configuration(scale_robot(robot, asked), robot.make_qpos(robot.nominal))
         assert found[one] == pytest.approx(drawn.center_of_mass(), abs=1e-12)
     aside = np.std(found, axis=0)[:2].max()
     # A twentieth: what 2000 draws leave, and that heavier robots' coms are not linear in masses.

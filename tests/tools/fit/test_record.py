@@ -79,8 +79,8 @@ def test_recorded_rows_equal_the_statics_of_the_robot_at_rest(
     np.testing.assert_allclose(read.heading, planned.heading)
     np.testing.assert_allclose(read.added["base_link"], planned.added["base_link"])
     # Servos carry it: virtual work of all joints, if it is let down on level feet, is its weight's.
-    config = Configuration(one.robot, one.robot.posed(read.position[0] - one.offset))
-    feet = config.foot_twists(tuple(robot.contact_points))[:, :3].reshape(-1, robot.nv)
+    config = Configuration(one.robot, one.robot.make_qpos(read.position[0] - one.offset))
+    feet = config.foot_twist_jacobians(tuple(robot.contact_points))[:, :3].reshape(-1, robot.nv)
     rates = np.linalg.lstsq(feet[:, 6:], feet[:, 2])[0]  # of joints, as the base comes down by 1
     torque = one.kp * (read.command - read.position)[0]
     way = np.concatenate([[0.0, 0.0, -1.0, 0.0, 0.0, 0.0], rates])
@@ -102,10 +102,10 @@ def test_balance_margin_before_a_recording_is_that_of_the_tilted_stand(
     task = StandTask(roll=roll, pitch=pitch, offset=(0.03, 0.01))
     stand = solve_stand(robot, task)
     there = Configuration(robot, stand.qpos)
-    places = dict(zip(robot.contact_points, there.foot_places(robot.contact_points), strict=True))
+    places = dict(zip(robot.contact_points, there.foot_centres(robot.contact_points), strict=True))
     expected = com_margin(there.center_of_mass(), places)
-    level = Configuration(robot, robot.posed(stand.qpos[7:]))
-    assert np.ptp(level.foot_places(robot.contact_points)[:, 2]) > 0.02  # as the base sees them
+    level = Configuration(robot, robot.make_qpos(stand.qpos[7:]))
+    assert np.ptp(level.foot_centres(robot.contact_points)[:, 2]) > 0.02  # as the base sees them
     assert _compute_com_margin(robot, stand.qpos[7:], ()) == pytest.approx(expected, abs=1e-9)
 
 

@@ -242,7 +242,7 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
         [c * down[0] + s * down[1], c * down[1] - s * down[0], down[2]]
     )
     q = robot.structure.convention.unit_q(pose.qpos)
-    whole = robot.structure.columns(
+    whole = robot.structure.sort_columns(
         pin.computeGeneralizedGravity(heavier, heavier.createData(), q)[None]
     )[0]
     forces = system._regressor.evaluate(pose, numbers)[0]
@@ -303,7 +303,7 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
 def com(one: Robot) -> Array:
     """By Pinocchio, in the base's frame, at the nominal joint positions."""
     model = one.structure.model
-    q = one.structure.convention.unit_q(one.posed(one.nominal))
+    q = one.structure.convention.unit_q(one.make_qpos(one.nominal))
     return pin.centerOfMass(model, model.createData(), q) - q[:3]
 
 

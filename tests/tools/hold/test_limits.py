@@ -63,7 +63,7 @@ def test_worst_postures_include_springs_and_gravcomp(what: str, tmp_path: Path) 
         tmp_path, mjcf=by_hand.MJCF.replace(*(spring if what == "stiffness" else lighter))
     )
     posture = find_posture(robot, POSTURE)
-    held = Configuration(robot, posture.qpos).load()
+    held = Configuration(robot, posture.qpos).static_load()
     assert load_by_mujoco(robot, posture.qpos) == pytest.approx(held, abs=1e-12)
     relief = 3 * (1.0 - POSTURE["elbow"])
     if what == "gravcomp":
@@ -83,7 +83,7 @@ def check_worst(robot: pa.Robot, posture: Posture, samples: np.ndarray | None = 
 
     def torques(qpos: np.ndarray) -> np.ndarray:
         config = Configuration(robot, qpos)
-        return config.by_motors(config.load())
+        return config.transfer_to_motors(config.static_load())
 
     most = np.abs([torques(qpos) for qpos in samples]).max(axis=0)
     found = np.abs(worst.joint_torques)
@@ -143,7 +143,7 @@ def test_payload_limit_is_equal_in_both_engines() -> None:
     payload = tool_payload(robot, posture, tool, worst)
     for share, holds in ((0.98, True), (1.02, False)):
         loaded = with_payload(robot, share * payload.mass, find_tool(robot, "tip"))
-        torques = Configuration(loaded, posture.qpos).load()
+        torques = Configuration(loaded, posture.qpos).static_load()
         assert (np.abs(torques) <= robot.effort_limits).all() == holds
         assert verify_stand(loaded, held_stand(loaded, posture), duration=4.0).passed == holds
     assert payload.worst_posture_mass < payload.mass
@@ -174,7 +174,7 @@ def test_tool_forces_equal_the_force_polytope() -> None:
     robot = arm()
     posture, tool = find_posture(robot, POSTURE), find_tool(robot)
     config = Configuration(robot, posture.qpos)
-    load, limits = config.load(), robot.effort_limits
+    load, limits = config.static_load(), robot.effort_limits
     # By finite differences of the tip's closed form: no Jacobian of either engine.
     angles, step = np.array(list(POSTURE.values())), 1e-6
     ends = [
@@ -212,7 +212,7 @@ def test_an_overloaded_posture_withstands_no_force_from_any_side() -> None:
     if a force would relieve the motor."""
     robot = arm()
     posture, tool = find_posture(robot, POSTURE), find_tool(robot)
-    load, weak = np.abs(Configuration(robot, posture.qpos).load()), replace(robot)
+    load, weak = np.abs(Configuration(robot, posture.qpos).static_load()), replace(robot)
     busiest = int(load.argmax())
     vars(weak)["effort_limits"] = np.where(
         np.arange(4) == busiest, 0.9 * load[busiest], robot.effort_limits
@@ -261,7 +261,7 @@ def test_payload_is_limited_by_the_ctrlrange_of_a_servo(tmp_path: Path) -> None:
     mass, joint = servo_payload(robot, posture, tool)
     loaded = Configuration(with_payload(robot, mass, tool), posture.qpos)
     assert joint == "elbow"
-    assert loaded.load()[ORDER.index("elbow")] == pytest.approx(-0.02 * kp, rel=1e-9)
+    assert loaded.static_load()[ORDER.index("elbow")] == pytest.approx(-0.02 * kp, rel=1e-9)
 
 
 FINGER = """<mujoco><compiler angle="radian"/><worldbody><body name="palm">

@@ -248,8 +248,8 @@ def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
     table = pa.Plane((0, 0, 0.03), (0, 0, 1), 0.7)
     wanted = {"FR": pa.Contact(slope), "RL": pa.Contact(table)}
     for foot, contact in controls.state.contacts.items():
-        assert contact.plane.number == pytest.approx(wanted[foot].plane.number, rel=1e-12)
-        assert contact == wanted[foot].at(contact.plane.number)
+        assert contact.plane.parameter == pytest.approx(wanted[foot].plane.parameter, rel=1e-12)
+        assert contact == wanted[foot].with_plane_parameter(contact.plane.parameter)
     assert controls.contacts.value.startswith("FR=slope:20deg,uphill=90deg\n")
     state = controls.state
     wait_for(lambda: page.shows(state), "not shown")

@@ -167,7 +167,7 @@ def test_a_payload_on_motors_without_effort_limits_is_unknown() -> None:
 @pytest.mark.slow
 def test_payload_on_a_leg_is_limited_by_its_motors() -> None:
     robot = load("v3")
-    tool = find_tool(robot, "leg_front_l_2").moved((0.0, 0.02, 0.06))
+    tool = find_tool(robot, "leg_front_l_2").translated((0.0, 0.02, 0.06))
     limit = check_typed_back(robot, tool)
     assert limit.link == "leg_front_l_2"
 
@@ -183,7 +183,7 @@ def test_a_loaded_stand_buckles_as_fast_as_in_bare_mujoco(mass: float, lasts: bo
     begun = make_stand_start(loaded, stand)
     model = begun.drive.model
     found = stand_stability(loaded, stand)
-    assert found.lasts() is lasts
+    assert found.is_stable_for() is lasts
     still, nudged = mujoco.MjData(model), mujoco.MjData(model)
     mujoco.mj_setState(model, still, begun.start, STATE_SPEC)
     still.ctrl[:] = begun.ctrl

@@ -94,7 +94,7 @@ def with_length(robot: Robot) -> list[str]:
 
 def placed(robot: Robot, joint: str) -> tuple[np.ndarray, np.ndarray]:
     """Returns where a joint's link is, by Pinocchio and by MuJoCo, at angles that are not zero."""
-    qpos = robot.posed(np.linspace(-0.2, 0.3, robot.nu))
+    qpos = robot.make_qpos(np.linspace(-0.2, 0.3, robot.nu))
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_kinematics(robot.mj_model, data)
@@ -144,7 +144,7 @@ def test_engines_agree_on_a_stretched_robot(own: Robot) -> None:
     assert len(factors) >= 4
     longer = scale_robot(own, factors)
     for robot in (own, longer):
-        qpos = robot.posed(np.random.default_rng(3).uniform(-0.3, 0.3, robot.nu))
+        qpos = robot.make_qpos(np.random.default_rng(3).uniform(-0.3, 0.3, robot.nu))
         ours = Configuration(robot, qpos).mass_matrix()
         data = mujoco.MjData(robot.mj_model)
         robot.mj_convention.set_state(data, qpos)

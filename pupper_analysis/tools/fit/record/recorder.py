@@ -410,14 +410,14 @@ def _compute_com_margin(robot: Robot, command: Array, swing: Sequence[str]) -> f
 
     The joints are at ``command``, shape (nu,) [rad].
     """
-    config = Configuration(robot, robot.posed(command))
+    config = Configuration(robot, robot.make_qpos(command))
     points = [
         point
         for foot, foot_points in robot.feet.items()
         if foot not in swing
         for point in foot_points
     ]
-    positions = config.foot_places(points)
+    positions = config.foot_centres(points)
     plane = np.column_stack([positions[:, :2], np.ones(len(points))])
     a, b, _ = np.linalg.lstsq(plane, positions[:, 2])[0]
     normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)

@@ -145,10 +145,10 @@ class SimulatedRobot:
         contact_points = [
             point for foot, points in robot.feet.items() if foot not in swing for point in points
         ]
-        qpos, base = robot.posed(joints), compute_level_base(robot, joints, contact_points)
+        qpos, base = robot.make_qpos(joints), compute_level_base(robot, joints, contact_points)
         qpos[2], qpos[3:7] = base[4], base[:4]
         all_points = robot.contact_points
-        lowest = Configuration(robot, qpos).foot_places(all_points)[:, 2]
+        lowest = Configuration(robot, qpos).foot_centres(all_points)[:, 2]
         lowest = lowest - [robot.contact_radius[point] for point in all_points]
         qpos[2] += _DROP_HEIGHT - min(lowest)
         mujoco.mj_resetData(self._drive.model, self._data)

@@ -190,7 +190,7 @@ class StandRows:
         robot, points = values.robot, reading.points
         self.kp = values.kp
         self._robot, self._names = robot, robot.joint_names
-        qpos = robot.posed(reading.position - values.offset)
+        qpos = robot.make_qpos(reading.position - values.offset)
         qpos[2], qpos[3:7] = base[4], base[:4]
         self.config = Configuration(robot, qpos)
         self._feet = [robot.foot_of(point) for point in points]
@@ -208,7 +208,7 @@ class StandRows:
         self._arms = np.zeros((len(points), 3))
         # MuJoCo places a contact at half of the penetration.
         self._arms[:, 2] = self._softness * self._depths / 2 - self._radius
-        self._twists = self.config.foot_twists(points)
+        self._twists = self.config.foot_twist_jacobians(points)
         rotations = self.config.foot_rotations(points)
         self._last_links = np.array(
             [t @ values.last_links[p] for t, p in zip(rotations, points, strict=True)]
@@ -344,9 +344,9 @@ class StandRows:
         moments = np.array([values.moment[foot] for foot in self._feet])
         moment_forces = self._forces[:, 2:] * moments
         wrenches = np.hstack([self._forces, np.cross(self._arms, self._forces) + moment_forces])
-        stiffness = self.config.pushed_rates(self._twists, wrenches)
+        stiffness = self.config.loaded_points_derivative(self._twists, wrenches)
         gravity, by_mass, by_com, by_slope = self._regressor.evaluate(self.config, values)
-        residual = self.config.passive() - gravity
+        residual = self.config.passive_forces() - gravity
         residual[2] -= values.unweighed_load * values.mass * values.gravity_norm
         residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
         residual[6:] += values.kp * self._servo_errors
@@ -479,7 +479,7 @@ class StandRows:
         heights = self._twists[:, 2]
         nv = self._robot.nv
         by_x, by_own, by_noise = (matrix[nv:] for matrix in (self.by_x, self.by_own, self.by_noise))
-        self.residual[nv:] = self.config.foot_places(points)[:, 2] - self._radius
+        self.residual[nv:] = self.config.foot_centres(points)[:, 2] - self._radius
         self.residual[nv:] += self._softness * self._depths
         by_own[:, :3] = heights[:, _TILT_HEIGHT_INDICES]
         by_noise[:, : self._robot.nu] -= heights[:, 6:]
@@ -618,7 +618,7 @@ def _compute_last_link(robot: Robot, point: str) -> Array:
     if not joints:
         return np.zeros(3)
     axis = config.joint_axis(joints[-1])
-    vector = config.foot_places([point])[0] - config.joint_position(joints[-1])
+    vector = config.foot_centres([point])[0] - config.joint_position(joints[-1])
     vector -= (vector @ axis) * axis
     in_contact_frame: Array = config.foot_rotations([point])[0].T @ vector
     return in_contact_frame
@@ -638,7 +638,7 @@ def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Ar
     Returns:
         Quaternion and height of the base in the world frame, shape (5,).
     """
-    positions = Configuration(robot, robot.posed(joints)).foot_places(points)
+    positions = Configuration(robot, robot.make_qpos(joints)).foot_centres(points)
     positions[:, 2] -= [robot.contact_radius[point] for point in points]
     plane = np.column_stack([positions[:, :2], np.ones(len(points))])
     (a, b, c), *_ = np.linalg.lstsq(plane, positions[:, 2])
@@ -684,7 +684,7 @@ class GravityRegressor:
             rows = pin.computeJointTorqueRegressor(
                 self._model, self._data, q, self._rest, self._rest
             )
-            rows = self._structure.columns(rows.T).T
+            rows = self._structure.sort_columns(rows.T).T
             regressors.append(rows.reshape(len(rows), -1, 10)[:, joints - 1, :4])
         forces = [np.einsum("vbm,bm->v", rows, moments) for rows in regressors]
         by_moment = regressors[0][..., 1:]
@@ -738,7 +738,7 @@ class StandEquations:
         self.noise_deadband = 0.0
         model = robot.structure.model
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in list_bodies(robot)]
-        self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
+        self._laws = {point: GroundLaw.of_contact(robot, point) for point in robot.contact_points}
         self._regressor = GravityRegressor(robot)
         self._last_links = {
             point: _compute_last_link(robot, point) for point in robot.contact_points
@@ -950,9 +950,9 @@ class StandEquations:
         for foot, points in robot.feet.items():
             if not set(points) & set(carrying):
                 radius = [robot.contact_radius[point] for point in points]
-                heights = config.foot_places(points)[:, 2] - radius
+                heights = config.foot_centres(points)[:, 2] - radius
                 lowest = int(heights.argmin())
-                gradient = config.foot_twists(points)[lowest, 2, 6:]
+                gradient = config.foot_twist_jacobians(points)[lowest, 2, 6:]
                 std = math.hypot(float(np.linalg.norm(gradient * offsets)), self.noise.flatness)
                 heights_by_foot[foot] = float(heights[lowest]), std
         return heights_by_foot

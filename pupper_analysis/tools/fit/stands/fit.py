@@ -136,7 +136,7 @@ def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     model = robot.structure.model
     data = model.createData()
     pin.forwardKinematics(
-        model, data, robot.structure.convention.unit_q(robot.posed(robot.nominal))
+        model, data, robot.structure.convention.unit_q(robot.make_qpos(robot.nominal))
     )
     table, mean = ParameterTable(posterior.parameters), posterior.mean
     masses, body_coms, gradients, stated = [], [], np.zeros((3, len(mean))), np.zeros(3)
