@@ -520,3 +520,24 @@ def find_pushing_bodies(
             first, second = sorted(model.body(body).name for body in bodies)
             pairs.add((first, second))
     return pairs
+
+
+def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
+    """Return the bodies whose contacts with the world carry less than ``LIGHT_FOOT_LOAD``.
+
+    The share of a body is the sum of its normal forces, relative to the sum over all bodies.
+
+    Args:
+        model: MuJoCo model.
+        data: Data with evaluated contacts.
+    """
+    loads: dict[int, float] = {}
+    force = np.zeros(6)
+    for number, geoms in enumerate(data.contact.geom.tolist()):
+        bodies = [int(model.geom_bodyid[geom]) for geom in geoms if geom >= 0]
+        moving = [body for body in bodies if model.body_weldid[body]]
+        if len(bodies) == 2 and len(moving) == 1:
+            mujoco.mj_contactForce(model, data, number, force)
+            loads[moving[0]] = loads.get(moving[0], 0.0) + float(force[0])
+    total = sum(loads.values())
+    return tuple(body for body, load in sorted(loads.items()) if load < LIGHT_FOOT_LOAD * total)

@@ -7,7 +7,9 @@ confirms or refutes each growing mode (`judge_stability`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -152,10 +154,10 @@ def find_final_spectrum(
         Modes, not yet tested by a simulation; and the state at which they were computed.
     """
     first = start if has_fallen else end
-    spectrum, settled = judge_settled(drive.model, _make_data(drive, first, ctrl), 0.0)
+    spectrum, settled = _find_modes(drive.model, _make_data(drive, first, ctrl), 0.0)
     if has_fallen or spectrum.speed <= MAX_RESTING_SPEED:
         return spectrum, settled
-    return judge_settled(drive.model, _make_data(drive, start, ctrl), SETTLING_TIME)
+    return _find_modes(drive.model, _make_data(drive, start, ctrl), SETTLING_TIME)
 
 
 def _make_data(drive: Servos, state: Array, ctrl: Array) -> mujoco.MjData:
@@ -191,7 +193,7 @@ def evaluate_spectrum(
         ctrl: Command of the actuators, shape (model.nu,).
         settle: Time for which the state is simulated first [s].
     """
-    return step_stability(drive.model, _make_data(drive, state, ctrl), settle=settle)
+    return _find_modes(drive.model, _make_data(drive, state, ctrl), settle)[0]
 
 
 def judge_stability(
@@ -207,8 +209,58 @@ def judge_stability(
         data: State, with ``ctrl``; not changed.
         settle: Time for which the state is simulated first [s].
     """
-    spectrum, settled = judge_settled(model, data, settle)
+    spectrum, settled = _find_modes(model, data, settle)
     return confirm_growth(spectrum, model, settled, data.ctrl.copy())
+
+
+def _find_modes(
+    model: mujoco.MjModel, data: mujoco.MjData, settle: float
+) -> tuple[Stability, mujoco.MjData]:
+    """Simulate a state for a settling time, and compute its modes, with and without light contacts.
+
+    A body that carries less than ``LIGHT_FOOT_LOAD`` of the load leaves the ground as friction
+    creeps. The modes that leave the state without the contacts of such bodies are therefore added.
+    Measured for v3 with one foot on a slope of 10 deg and 2 kg: the foot with 2e-4 of the load hid
+    a mode with a doubling time of 4.3 s, which MuJoCo's simulation shows after 12 s.
+
+    Args:
+        model: MuJoCo model. Unchanged after the call.
+        data: State, with ``ctrl``; not changed.
+        settle: Time for which the state is simulated first [s].
+
+    Returns:
+        Spectrum, and the state of the spectrum.
+    """
+    spectrum, settled = judge_settled(model, data, settle)
+    light = monitor.find_light_bodies(model, settled) if spectrum.at_rest else ()
+    if not light:
+        return spectrum, settled
+    with _without_contacts(model, light):
+        lifted = step_stability(model, settled, settle=0.0)
+    # Modes that depend on the finite-difference step may be errors, and do not count as known.
+    known = [mode.growth for mode in spectrum.unstable if mode.repeated_at_second_step]
+    fastest = max(known, default=0.0)
+    added = [mode for mode in lifted.modes_growing_within() if mode.growth > fastest]
+    unstable = sorted([*spectrum.unstable, *added], key=lambda mode: -mode.growth)
+    return replace(spectrum, unstable=tuple(unstable)), settled
+
+
+@contextlib.contextmanager
+def _without_contacts(model: mujoco.MjModel, bodies: tuple[int, ...]) -> Iterator[None]:
+    """Disable the contacts of bodies, with explicit pairs, until the context ends."""
+    geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+    pairs = np.isin(model.pair_geom1, geoms) | np.isin(model.pair_geom2, geoms)
+    kept = model.geom_contype.copy(), model.geom_conaffinity.copy(), model.pair_margin.copy()
+    model.geom_contype[geoms] = model.geom_conaffinity[geoms] = 0
+    model.pair_margin[pairs] = _NO_CONTACT_MARGIN
+    try:
+        yield
+    finally:
+        model.geom_contype[:], model.geom_conaffinity[:], model.pair_margin[:] = kept
+
+
+_NO_CONTACT_MARGIN = -1e3
+"""Margin of a contact pair that disables the pair [m]: bodies would have to overlap by 1 km."""
 
 
 MAX_JOINT_DISPLACEMENT = 1e-2
