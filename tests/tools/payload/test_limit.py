@@ -243,6 +243,23 @@ def test_failed_trial_load_is_bisected(most: float) -> None:
     assert (nothing.mass, nothing.failure) == (0.0, Failure.UNLOADED)
 
 
+@pytest.mark.parametrize("largest", [2.0, 2.7, 9.0, math.inf])
+def test_servo_bound_is_raised_to_the_largest_mass_that_stand_holds(largest: float) -> None:
+    """Reference: the mass above which the function that represents `stand` returns False."""
+    unlimited = Bound(math.inf, Failure.NOTHING, ())
+    servos = Bound(2.0, Failure.BUCKLING, ("knee",))
+    motors = Bound(8.0, Failure.MOTOR, ("hip",))
+    bounds = {"stance": unlimited, "motors": motors, "servos": servos}
+    raised = payload._raise_servo_bound(bounds, lambda mass: mass <= largest)
+    if largest == 2.0:
+        assert raised is servos
+    elif largest > motors.mass:
+        assert raised.mass == math.inf
+    else:
+        assert raised.mass == pytest.approx(largest, rel=SIMULATION_RTOL)
+        assert raised.failing_parts == ("knee",)
+
+
 @pytest.mark.parametrize(("nudged", "most"), [(38.1, 2), (36.6, 5), (34.0, 7)])
 def test_few_masses_are_simulated_if_the_bound_is_near_the_static_limit(
     nudged: float, most: int
