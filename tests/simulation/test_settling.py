@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -85,6 +86,43 @@ def test_growing_modes_are_simulated_last_and_decide(
     monkeypatch.setattr(settling, "_has_left_stand", has_left_after_nudge)
     assert not comes_to_rest(robot, stand)
     assert confirmed == [True]
+
+
+@pytest.mark.parametrize(
+    ("doubling_time", "repeated", "simulated"),
+    [(0.015, False, 0), (0.015, True, 1), (1.0, False, 1)],
+)
+def test_mode_of_one_difference_step_is_refuted_by_the_nudge(
+    standing: tuple[pa.Robot, Stand],
+    doubling_time: float,
+    repeated: bool,
+    simulated: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Atom 01 has a mode of 0.015 s with one step alone: dry friction is differentiated across its
+    kink. Each simulation of such a mode took 2 s, for nine candidates of servo gains."""
+    find, confirmed = settling.find_final_spectrum, []
+
+    def with_mode(*given: Any) -> tuple[Stability, Any]:
+        found, settled = find(*given)
+        assert found.least_damped is not None
+        mode = replace(
+            found.least_damped,
+            growth=found.timestep * math.log(2) / doubling_time,
+            time_constant=doubling_time / math.log(2),
+            doubling_time=doubling_time,
+            repeated_at_second_step=repeated,
+        )
+        return replace(found, unstable=(mode,)), settled
+
+    def confirm(spectrum: Stability, *_: Any) -> Stability:
+        confirmed.append(spectrum)
+        return replace(spectrum, unstable=())
+
+    monkeypatch.setattr(settling, "find_final_spectrum", with_mode)
+    monkeypatch.setattr(settling, "confirm_growth", confirm)
+    assert comes_to_rest(*standing)
+    assert len(confirmed) == simulated
 
 
 def test_motion_ratio_is_the_largest_share_of_its_three_bounds(
