@@ -252,18 +252,18 @@ def list_views(result: Any, robot: Robot | None = None) -> View:
 
 @list_views.register(Configuration)
 def _list_configuration(config: Configuration, robot: Robot | None = None) -> View:
-    return _single_view(robot or config.robot, config.qpos)
+    return _make_view(robot or config.robot, config.qpos)
 
 
 @list_views.register(SolvedPosture)
 def _list_posture(posture: SolvedPosture, robot: Robot | None = None) -> View:
-    return _single_view(_require_robot(posture, robot or posture.robot), posture.qpos)
+    return _make_view(_require_robot(posture, robot or posture.robot), posture.qpos)
 
 
 @list_views.register(Stand)
 def _list_stand(stand: Stand, robot: Robot | None = None) -> View:
     owner = _require_robot(stand, robot or stand.own_robot)
-    return _single_view(_place_on_ground(owner, stand), stand.qpos)
+    return _make_view(_place_on_ground(owner, stand), stand.qpos)
 
 
 @list_views.register(StandVerification)
@@ -274,7 +274,7 @@ def _list_verification(run: StandVerification, robot: Robot | None = None) -> Vi
     return View(on_ground, run.motion_time, run.motion)
 
 
-def _single_view(robot: Robot, qpos: Array) -> View:
+def _make_view(robot: Robot, qpos: Array) -> View:
     """Return the view of a robot in one configuration, shape (nq,)."""
     return View(robot, np.zeros(1), np.asarray(qpos, dtype=float)[None])
 

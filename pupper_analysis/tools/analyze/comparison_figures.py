@@ -48,10 +48,10 @@ _LOSS_WINDOW = 1.0
 
 
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draw the motor torques of each robot in percent of the effort limits.
+    """Draw the magnitudes of the motor torques of each robot in percent of the effort limits.
 
-    A panel has one row per joint of a leg, with one point per leg: the torque that Pinocchio
-    predicts, and the torque of the simulation with feed-forward.
+    A panel has a row for each joint of a leg, with two marks per leg: the torque that Pinocchio
+    predicts, and the torque of the simulation with feed-forward. Other joints have a row each.
 
     Args:
         analyses: Results; ``statics``, ``verification``, ``joints`` and ``foot_jacobians`` are
@@ -62,9 +62,9 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         ConfigurationError: If there is no robot.
         OutputError: If the file cannot be written.
     """
-    figure, panels = _panels(analyses, "Motor torque, in percent of each motor's limit", 0.42)
+    figure, panels = _make_panels(analyses, "Motor torque, in percent of each motor's limit", 0.42)
     for analysis, axes in panels:
-        rows = list(_joint_rows(analysis).items())
+        rows = list(_group_joints(analysis).items())
         limits = np.array([joint.effort for joint in analysis.joints], float)
         predicted = np.abs(np.asarray(analysis.statics.joint_torques, float))
         simulated = np.abs(np.asarray(analysis.verification.joint_torques, float))
@@ -73,7 +73,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         for row, (_, joints) in enumerate(rows):
             offsets = np.linspace(-0.24, 0.24, len(joints)) if len(joints) > 1 else np.zeros(1)
             for leg, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
-                colour, place = _leg_colour(leg) if len(joints) > 1 else "0.3", row + offset
+                colour, place = _get_leg_colour(leg) if len(joints) > 1 else "0.3", row + offset
                 axes.plot(percent[joint] * predicted[joint], place, "o", color=colour, ms=5)
                 axes.plot(percent[joint] * simulated[joint], place, "|", color="k", ms=8)
             peak = max(joints, key=lambda joint: predicted[joint])
@@ -85,7 +85,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_xlabel("torque (% of the limit)", size=drawing.FONT_SIZE)
         axes.grid(axis="x", color=drawing.GRID_COLOUR)
-        drawing.title_panel(axes, f"{analysis.name}: limit {_range_text(limits[limited])} N m")
+        drawing.title_panel(axes, f"{analysis.name}: limit {_format_range(limits[limited])} N m")
         _write_feet(axes, list(analysis.foot_jacobians))
         # Room for the values at the right end of the axis.
         axes.set_xlim(0, 1.75 * max(1e-3, np.nanmax(np.append(percent * predicted, 0.0))))
@@ -111,7 +111,9 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         ConfigurationError: If there is no robot.
         OutputError: If the file cannot be written.
     """
-    figure, panels = _panels(analyses, "Height of the simulated base, relative to the task", 0.5)
+    figure, panels = _make_panels(
+        analyses, "Height of the simulated base, relative to the task", 0.5
+    )
     for analysis, axes in panels:
         task = float(analysis.stand.qpos[2])
         for run, name, style in (
@@ -156,7 +158,7 @@ def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         OutputError: If the file cannot be written.
     """
     sweeps = [analysis.sweep for analysis in analyses]
-    figure, panels = _panels(analyses, _sweep_title(sweeps), 0.6)
+    figure, panels = _make_panels(analyses, _make_sweep_title(sweeps), 0.6)
     shown = np.concatenate([1e3 * sweep.height_deviation.ravel() for sweep in sweeps])
     shown = np.append(shown[np.isfinite(shown)], MIN_SHOWN_DEVIATION)
     # At least one decade, so that the scale has two ends.
@@ -183,7 +185,7 @@ _COLOUR_MAP = "viridis"
 """Matplotlib colour map of the deviation of the base height in the heat maps of servo gains."""
 
 
-def _panels(
+def _make_panels(
     analyses: Sequence[Analysis], title: str, aspect: float
 ) -> tuple[Figure, list[tuple[Analysis, Axes]]]:
     """Return a titled figure and a panel for each analysis; ``aspect`` is height by width."""
@@ -199,7 +201,7 @@ def _panels(
     return figure, list(zip(analyses, grid[: len(analyses)], strict=True))
 
 
-def _joint_rows(analysis: Analysis) -> dict[str, list[int]]:
+def _group_joints(analysis: Analysis) -> dict[str, list[int]]:
     """Return the joint indices of each row: corresponding joints of the legs, then other joints."""
     names = [joint.name for joint in analysis.joints]
     by_depth: defaultdict[int, list[int]] = defaultdict(list)
@@ -208,14 +210,16 @@ def _joint_rows(analysis: Analysis) -> dict[str, list[int]]:
             index = names.index(name)
             if all(index not in row for row in by_depth.values()):
                 by_depth[depth].append(index)
-    rows = {_shared_name([names[index] for index in row]): row for row in by_depth.values() if row}
+    rows = {
+        _join_common_parts([names[index] for index in row]): row for row in by_depth.values() if row
+    }
     if len(rows) < sum(bool(row) for row in by_depth.values()):  # two rows have the same name
         rows = {f"joint {depth + 1}": row for depth, row in sorted(by_depth.items()) if row}
     in_legs = {index for row in rows.values() for index in row}
     return rows | {name: [index] for index, name in enumerate(names) if index not in in_legs}
 
 
-def _shared_name(names: Sequence[str]) -> str:
+def _join_common_parts(names: Sequence[str]) -> str:
     """Return the common parts of joint names, separated by underscores, or else the first name.
 
     For ``leg_front_l_1`` and ``leg_back_r_1`` the result is ``leg_1``.
@@ -225,7 +229,7 @@ def _shared_name(names: Sequence[str]) -> str:
     return "_".join(shared) or names[0]
 
 
-def _leg_colour(leg: int) -> str:
+def _get_leg_colour(leg: int) -> str:
     """Return the colour of a leg, by index."""
     return drawing.SERIES_COLOURS[leg % len(drawing.SERIES_COLOURS)]
 
@@ -238,7 +242,7 @@ def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
     for leg in reversed(range(len(feet))):
         axes.annotate(feet[leg], (1, 1), xycoords="axes fraction", xytext=(-right, 4),
                       textcoords="offset points", ha="right", va="bottom", weight="bold",
-                      size=drawing.FONT_SIZE - 1, color=_leg_colour(leg))  # fmt: skip
+                      size=drawing.FONT_SIZE - 1, color=_get_leg_colour(leg))  # fmt: skip
         right += (len(feet[leg]) + 1) * _LETTER_WIDTH * (drawing.FONT_SIZE - 1)
 
 
@@ -257,7 +261,7 @@ def _share_limits(panels: Sequence[tuple[Analysis, Axes]], axis: str) -> None:
             getattr(axes, f"set_{axis}lim")(limits[:, 0].min(), limits[:, 1].max())
 
 
-def _range_text(values: Array) -> str:
+def _format_range(values: Array) -> str:
     """Return a value, or the smallest and the largest value."""
     if len(values) == 0:
         return "unknown"
@@ -267,7 +271,7 @@ def _range_text(values: Array) -> str:
 
 def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> None:
     """Mark the first contact of another link with the ground among the failures of a run."""
-    contacts = list(_contacts_with_ground(run.failures))
+    contacts = list(_list_ground_contacts(run.failures))
     if not contacts:
         return
     time = min(contacts)[0]
@@ -281,7 +285,7 @@ def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> N
                   arrowprops={"arrowstyle": "-", "lw": 0.6})  # fmt: skip
 
 
-def _contacts_with_ground(failures: Sequence[Diagnostic]) -> Iterator[tuple[float, str]]:
+def _list_ground_contacts(failures: Sequence[Diagnostic]) -> Iterator[tuple[float, str]]:
     """Yield time [s] and link of each contact with the ground that a failure states."""
     for failure in failures:
         time = failure.values.get("time")
@@ -289,7 +293,7 @@ def _contacts_with_ground(failures: Sequence[Diagnostic]) -> Iterator[tuple[floa
             yield float(time.value), "" if failure.subject is None else failure.subject.name
 
 
-def _sweep_title(sweeps: Sequence[GainSweep]) -> str:
+def _make_sweep_title(sweeps: Sequence[GainSweep]) -> str:
     """Return the title of the gain figure, with the disturbance and the simulated time."""
     if not sweeps:
         return ""
@@ -319,7 +323,7 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm) -> None:
                 Rectangle(corner, 1, 1, fill=False, hatch="////", edgecolor="white", lw=0)
             )
         bright = falls or float(scale(shown)) > _BRIGHT_FROM
-        axes.text(column, row, "falls" if falls else _deviation_text(value), ha="center",
+        axes.text(column, row, "falls" if falls else _format_deviation(value), ha="center",
                   va="center", size=drawing.FONT_SIZE - 1.5,
                   color="black" if bright else "white")  # fmt: skip
     axes.set(xlim=(-0.5, len(sweep.kd) - 0.5), ylim=(-0.5, len(sweep.kp) - 0.5))
@@ -333,7 +337,7 @@ _BRIGHT_FROM = 0.6
 """Fraction of the colour scale above which viridis is bright enough for black letters."""
 
 
-def _deviation_text(value: float) -> str:
+def _format_deviation(value: float) -> str:
     """Return a deviation [mm] to two digits, or a mark for a value below the colour scale."""
     return f"{value:.2g}" if value >= MIN_SHOWN_DEVIATION else f"<{MIN_SHOWN_DEVIATION:g}"
 

@@ -205,7 +205,7 @@ class _SweepTrial:
         Returns:
             {pair: (height deviation [m], rest)}. The deviation is the standard deviation of the
             base height in the last second, infinite if the robot fell. ``rest`` is True if the
-            undisturbed robot stays at rest for `robot.stability.HOLD_DURATION`.
+            undisturbed robot has a rest that lasts, as in `GainSweep.lasts`.
         """
         from rich.progress import track
 
@@ -236,9 +236,9 @@ class _SweepTrial:
             states = roll_out(
                 drive.model, watcher.data, start, control, control_spec=FORCED_CONTROL_SPEC
             )[0]
-            deviation = self._deviation(watcher, states)
+            deviation = self._compute_deviation(watcher, states)
             if cell[0] not in rests and math.isfinite(deviation):
-                return deviation, self._lasts_at_the_end(drive, watcher, start, ctrl)
+                return deviation, self._stays_at_rest(drive, watcher, start, ctrl)
             rest = rests.get(cell[0])
             return deviation, rest is not None and evaluate_stability(
                 drive, rest, ctrl, CONTACT_SETTLING_TIME
@@ -255,28 +255,28 @@ class _SweepTrial:
             )
             return dict(zip(cells, outcomes, strict=True))
 
-    def _lasts_at_the_end(
+    def _stays_at_rest(
         self, drive: Servos, watcher: monitor.ContactSampler, start: Array, ctrl: Array
     ) -> bool:
         """Return True if the undisturbed robot comes to rest on the feet, and this rest lasts."""
         steps = round(HOLD_DURATION / self.timestep)
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
-        if not self._stands(watcher, states):
+        if not self._is_standing(watcher, states):
             return False
         stability = evaluate_stability(drive, states[-1], ctrl, 0.0)
         return stability.speed <= MAX_RESTING_SPEED and stability.is_stable_for()
 
-    def _deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
+    def _compute_deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
         """Compute the standard deviation of the base height in the last second [m].
 
         The value is infinite if the robot fell. ``states`` are MuJoCo states, a row per time step.
         """
-        if not self._stands(watcher, states):
+        if not self._is_standing(watcher, states):
             return math.inf
         last = round(1.0 / self.timestep)
         return float(monitor.base_heights(self.robot, states)[-last:].std())
 
-    def _stands(self, watcher: monitor.ContactSampler, states: Array) -> bool:
+    def _is_standing(self, watcher: monitor.ContactSampler, states: Array) -> bool:
         """Return True if the robot stands in the last of ``states``, MuJoCo states of a rollout."""
         if monitor.has_diverged(states, self.timestep):
             return False

@@ -129,12 +129,14 @@ class StanceSpace:
         self.nominal = nominal = solve_stand(robot, task)
         # The floor has the task's slope, but no steps, because steps would have to follow the feet.
         ground = Ground(task.ground.slope, task.ground.uphill)
-        available = self._joint_limit_distances(self.nominal) - task.joint_margin
+        available = self._compute_limit_distances(self.nominal) - task.joint_margin
         self._reserve = np.clip(available, JOINT_LIMIT_OVERSHOOT, JOINT_RESERVE)
         self._robot_on_ground = build_on_ground(robot, ground, {})
         self._collision_data = mujoco.MjData(self._robot_on_ground.mj_model)
         self._initial_penetrations = self._compute_penetrations(nominal)
-        self._initial_singular_values = _min_singular_values(Configuration(robot, nominal.qpos))
+        self._initial_singular_values = _compute_min_singular_values(
+            Configuration(robot, nominal.qpos)
+        )
         self.centre = nominal.centre(robot)[:2]
         self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
         self.names = (*BASE_COORDINATES, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
@@ -162,7 +164,7 @@ class StanceSpace:
             low.append(max(workspace[name].low, value - max_changes[name]))
             high.append(min(workspace[name].high, value + max_changes[name]))
         outwards = self.outward_signs()
-        distances = [abs(self._offset_from_centre(foot)) for foot in self.free]
+        distances = [abs(self._compute_foot_offset(foot)) for foot in self.free]
         inwards = (
             np.minimum(MAX_OUTWARD_STEP * height.high, MAX_INWARD_STEP * np.min(distances, axis=0))
             if distances
@@ -175,7 +177,7 @@ class StanceSpace:
             high += ends[1].tolist()
         return np.minimum(low, self.start), np.maximum(high, self.start)
 
-    def _offset_from_centre(self, foot: str) -> Array:
+    def _compute_foot_offset(self, foot: str) -> Array:
         """Return the initial position of a foot relative to the centre of the feet, (2,) [m]."""
         points = self.robot.feet[foot]
         position = np.mean([self.nominal.foot_targets[point][:2] for point in points], axis=0)
@@ -188,7 +190,7 @@ class StanceSpace:
         Returns:
             {foot: -1, 0 or 1 along x and along y of the world frame, shape (2,)}.
         """
-        return {foot: np.sign(self._offset_from_centre(foot)) for foot in self.free}
+        return {foot: np.sign(self._compute_foot_offset(foot)) for foot in self.free}
 
     @property
     def is_symmetric(self) -> bool:
@@ -276,7 +278,7 @@ class StanceSpace:
         config, task = Configuration(self.robot, stand.qpos), self.nominal.task
         min_values = MIN_SINGULAR_VALUE_RATIO * self._initial_singular_values
         scale = np.where(self._initial_singular_values > 0, self._initial_singular_values, 1.0)
-        joint_slacks = self._joint_limit_distances(stand) - self._reserve - task.joint_margin
+        joint_slacks = self._compute_limit_distances(stand) - self._reserve - task.joint_margin
         sides = polygon_sides(stand.corners(self.robot))
         edges = sides[:, :2] @ config.center_of_mass()[:2] + sides[:, 2]
         penetrations = self._compute_penetrations(stand)
@@ -284,13 +286,13 @@ class StanceSpace:
             depth for pair, depth in penetrations.items() if pair not in self._initial_penetrations
         )
         return StanceSlack(
-            singular_values=(_min_singular_values(config) - min_values) / scale,
+            singular_values=(_compute_min_singular_values(config) - min_values) / scale,
             joints=np.minimum(joint_slacks, 1.0),
             edges=edges - task.com_margin,
             penetration=-added,
         )
 
-    def _joint_limit_distances(self, stand: Stand) -> Array:
+    def _compute_limit_distances(self, stand: Stand) -> Array:
         """Return the distances from the lower, then the upper joint limits, shape (2 nu,) [rad]."""
         joints = stand.joint_positions(self.robot)
         return np.concatenate([joints - self.robot.lower_limits, self.robot.upper_limits - joints])
@@ -312,7 +314,7 @@ class StanceSpace:
         return penetrations
 
 
-def _min_singular_values(config: Configuration) -> Array:
+def _compute_min_singular_values(config: Configuration) -> Array:
     """Compute the smallest singular value of each contact point's Jacobian, shape (n,) [m/rad]."""
     columns = np.array([jacobian[:, 6:] for jacobian in config.foot_jacobians().values()])
     values: Array = np.linalg.svd(columns, compute_uv=False)[:, -1]

@@ -129,7 +129,7 @@ def convert_model(
     write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     comparison = compare_files(urdf, mjcf, packages=packages, tolerances=Tolerances.fine()).result
     verification, kept = None, None
-    failures = list(_disagreements(comparison, draft))
+    failures = list(_list_disagreements(comparison, draft))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     if draft.failure is not None:
         failures.append(draft.failure)
@@ -170,7 +170,7 @@ def _refuse_mjcf_options(options: MjcfOptions, source: Path) -> None:
             raise ConfigurationError(field.name, diagnose("not-of-an-mjcf", source=source))
 
 
-def _disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterator[Diagnostic]:
+def _list_disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterator[Diagnostic]:
     """Yield the differences between source and new file that the notes do not explain.
 
     Repaired inertials and feet whose meshes were replaced by balls are explained by notes.
