@@ -95,7 +95,7 @@ def serialise_scene(scene: object) -> dict[str, Any] | None:
 
 @serialise_scene.register
 def _serialise_stand(scene: StandScene) -> dict[str, Any]:
-    """Convert the scene of a stand."""
+    """Convert the scene of a stand to JSON data for the viewer of a page."""
     robot, stand, statics = scene.robot, scene.stand, scene.statics
     still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
     seen = describe_scene(robot, stand, statics)
@@ -254,7 +254,7 @@ def serialise_bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
 
 
 def _serialise_joint(one: JointAxis, motion: str) -> dict[str, Any]:
-    """Convert a joint's axis, motion, position and motor load."""
+    """Convert a joint to JSON data: axis, type of motion, position [rad, m], torque and limit."""
     return {
         "name": escape_control(one.name),
         "body": one.body - 1,

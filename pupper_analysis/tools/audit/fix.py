@@ -1,4 +1,9 @@
-"""Write the repairs of an audit into the files: a patch, and the changed bytes."""
+"""Write the repairs of an audit into the files: a patch, and the changed bytes.
+
+Inputs are audits, of whose findings only those with a single repair are applied. Attribute values
+are replaced in the bytes of the file, so that all other bytes stay. Files with uncommitted changes
+in git are refused.
+"""
 
 from __future__ import annotations
 

@@ -100,9 +100,9 @@ def list_history_remarks(
         )
 
 
-def _get_effect_severity(felt: bool) -> Severity:
+def _get_effect_severity(has_effect: bool) -> Severity:
     """Return WARNING for a change with an effect, otherwise NOTE."""
-    return Severity.WARNING if felt else Severity.NOTE
+    return Severity.WARNING if has_effect else Severity.NOTE
 
 
 def _get_change_severity(consequences: tuple[Diagnostic, ...]) -> Severity:

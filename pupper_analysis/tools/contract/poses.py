@@ -1,4 +1,9 @@
-"""Stand of a robot in the default pose of each source, with the gains of this source."""
+"""Stand of a robot in the default pose of each source, with the gains of this source.
+
+Inputs are the model files and the facts of the sources. For each source with enough default angles,
+output is a `Pose`: base height, largest motor utilisation and, if gains are stated, height loss and
+the result of a simulation without feed-forward.
+"""
 
 from __future__ import annotations
 

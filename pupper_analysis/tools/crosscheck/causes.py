@@ -117,7 +117,7 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
 
 
 def _get_moving_joint(robot: Robot, model: pin.Model, joint: int) -> str:
-    """Return the name of a joint of a Pinocchio model, or of the base if the joint has no motor.
+    """Return the name of a joint of a Pinocchio model if the robot has it, else that of the base.
 
     ``joint`` is the index of the parent joint of a link; the result names the body with the link.
     """

@@ -141,7 +141,7 @@ def _list_unmatched_joints(comparison: Comparison) -> Iterable[tuple[str, Diagno
 
 
 def _describe_guesses(comparison: Comparison) -> Diagnostic:
-    """Create the message with the joints that were matched by structure, not by name."""
+    """Create the message with the joints that were matched by structure or parts of names."""
     pairs = [f"{urdf_joint}={mjcf_joint}" for urdf_joint, mjcf_joint in comparison.guessed.items()]
     return diagnose("joints-matched-otherwise", pairs=pairs)
 

@@ -372,7 +372,7 @@ def _list_unnamed_shapes(
 def _match_similar_shapes(
     old_keys: list[Key], new_keys: list[Key], old: Mapping[Key, Element], new: Mapping[Key, Element]
 ) -> dict[Key, Key]:
-    """Return {new shape: matching old shape}."""
+    """Return {new shape: matching old shape}: equal in all values, else in shape, else by order."""
 
     def is_of_one_shape(first: Element, second: Element) -> bool:
         assert first.shape is not None

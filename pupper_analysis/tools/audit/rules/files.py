@@ -1,4 +1,8 @@
-"""Rules about referenced files, and about models that MuJoCo refuses."""
+"""Rules about referenced files, and about models that MuJoCo refuses.
+
+Input is the model of a file. Paths of meshes are resolved, and mesh files of a known format are
+parsed; missing meshes are grouped by package and folder.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Rules about masses, centres of mass (CoM) and moments of inertia."""
+"""Rules about masses, centres of mass (CoM) and moments of inertia.
+
+Input is the model that a file states, with shapes and joints at zero angles. The rules compare the
+inertials of links with physical laws, with the size of the shapes, with the efforts of the motors,
+and with each other.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Rules about left-right symmetry, compared in the base frame at zero angles."""
+"""Rules about left-right symmetry, compared in the base frame at zero angles.
+
+`find_mirror_plane` derives the plane between left and right from pairs of names and the positions
+of the links. Each rule reflects a quantity of the first link or joint of a pair, and compares it
+with the second within a tolerance. Pairs at displaced positions are reported once, and left out of
+most comparisons.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Rules about the simulation of a model in MuJoCo, and about defaults of other engines."""
+"""Rules about the simulation of a model in MuJoCo, and about defaults of other engines.
+
+Input is the model of a file, compiled by MuJoCo for an MJCF. The rules check gravity, armature, and
+the contacts between feet and ground with parameters that are combined as in MuJoCo. No rule of this
+module simulates.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Reader of the metadata that Isaac Lab and mjlab write into an exported ONNX policy."""
+"""Reader of the metadata that Isaac Lab and mjlab write into an exported ONNX policy.
+
+Input is an ONNX file, whose Protocol Buffers messages are decoded without the package onnx; the
+network is not executed. Output is a `Source` with joint order, gains, scales and observations from
+the metadata, and the sizes of input and output.
+"""
 
 from __future__ import annotations
 

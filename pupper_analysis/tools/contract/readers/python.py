@@ -1,4 +1,9 @@
-"""Reader of Python trainers: mjlab, Isaac Lab, and configuration classes of legged_gym."""
+"""Reader of Python trainers: mjlab, Isaac Lab, and configuration classes of legged_gym.
+
+Input is a Python file, evaluated from its syntax tree (`python_values`). Output is a `Source` for
+each configuration: default angles, gains, limits, action scales and offsets, and observations.
+Configurations that are part of another configuration are no sources.
+"""
 
 from __future__ import annotations
 
