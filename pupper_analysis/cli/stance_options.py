@@ -197,7 +197,7 @@ class RobotAndTask:
         from pupper_analysis.robot.build import with_efforts
         from pupper_analysis.robot.servos import with_options
         from pupper_analysis.robot.tool import with_payload
-        from pupper_analysis.robot.touching import touching
+        from pupper_analysis.robot.touching import with_contacts
 
         place = self.place
         robot = with_efforts(robot, parse_efforts(self.effort, robot))
@@ -210,7 +210,7 @@ class RobotAndTask:
         loaded = with_options(
             loaded, self.integrator, self.cone, self.impratio, timestep=self.timestep
         )
-        return touching(loaded, self.task().contacts) if self.stance else loaded
+        return with_contacts(loaded, self.task().contacts) if self.stance else loaded
 
     @property
     def place(self) -> tuple[str | float, ...]:

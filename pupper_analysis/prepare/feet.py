@@ -29,7 +29,7 @@ from pupper_analysis.prepare.contact_points import (
     compute_lowest_height,
     find_contact_points,
 )
-from pupper_analysis.robot.alike import limbs_of
+from pupper_analysis.robot.alike import list_limbs
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.robot import Robot
@@ -94,7 +94,7 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = robot.compute_kinematics(robot.make_qpos(joints))
     ends: dict[int, list[int]] = {}  # an arm with its fingers is one limb
-    for limb in limbs_of(robot):
+    for limb in list_limbs(robot):
         ends.setdefault(limb.bodies[0], []).append(limb.bodies[-1])
     if len(ends) < 2:
         return []

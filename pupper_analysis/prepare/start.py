@@ -30,7 +30,7 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.feet import report_sideways_limbs
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import simulate_keyframe
-from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
 from pupper_analysis.stance.problem import Goal, make_goal
@@ -510,7 +510,7 @@ def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None
         return None
     first = [pose if task.ik_seed is None else np.array(task.ik_seed)]
     seeds: Iterable[Array] = itertools.chain(first, _yield_bent_legs(robot, goal, pose))
-    with lend(robot, SearchContext) as context:
+    with borrow(robot, SearchContext) as context:
         for _ in range(_MAX_RESET_PASSES):
             stand = _solve_first_seed(context, goal, seeds)
             if stand is None:

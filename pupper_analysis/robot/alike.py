@@ -43,7 +43,7 @@ class Limb:
     lengths: Array
     turns: Array
 
-    def like(self, other: Limb) -> bool:
+    def is_similar_to(self, other: Limb) -> bool:
         """Return True if two limbs have the same joint types and similar masses or dimensions."""
         if self.kinds != other.kinds:
             return False
@@ -65,7 +65,7 @@ class Limb:
         )
 
 
-def limbs_of(robot: Robot) -> list[Limb]:
+def list_limbs(robot: Robot) -> list[Limb]:
     """Return the limbs of a robot: the chains of moving bodies from the base to the limb ends.
 
     A limb end carries no other moving body. Bodies that are fixed to a moving body count as part of
@@ -102,11 +102,11 @@ def limbs_of(robot: Robot) -> list[Limb]:
 def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
     """Return {joint: corresponding joints of similar limbs}.
 
-    Limbs are similar if `Limb.like` holds, for example the legs of a quadruped. Corresponding
-    joints have the same position in the order of the limb. Joints without a similar limb are
-    omitted, as are joints that similar limbs share.
+    Limbs are similar if `Limb.is_similar_to` holds, for example the legs of a quadruped.
+    Corresponding joints have the same position in the order of the limb. Joints without a similar
+    limb are omitted, as are joints that similar limbs share.
     """
-    model, limbs = robot.mj_model, limbs_of(robot)
+    model, limbs = robot.mj_model, list_limbs(robot)
     joints = [
         [int(joint) for body in limb.bodies for joint in np.flatnonzero(model.jnt_bodyid == body)]
         for limb in limbs
@@ -116,7 +116,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
         alike = [
             joints[other]
             for other, another in enumerate(limbs)
-            if other != number and another.like(limb)
+            if other != number and another.is_similar_to(limb)
         ]
         for place, joint in enumerate(joints[number]):
             names = tuple(model.joint(other[place]).name for other in alike)
@@ -133,17 +133,17 @@ def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
     """
     if not any(note.code == "feet-found" for note in robot.notes):
         return ()
-    model, messages, limbs = robot.mj_model, [], limbs_of(robot)
+    model, messages, limbs = robot.mj_model, [], list_limbs(robot)
     foot_bodies = (
         body for point, (body, _) in robot.contact_places.items() if point not in robot.hands
     )
     moving_foot_bodies = {int(model.body_weldid[body]) for body in foot_bodies}
     limbs_with_foot = [limb for limb in limbs if limb.bodies[-1] in moving_foot_bodies]
     for limb in limbs:
-        similar_with_foot = [other for other in limbs_with_foot if other.like(limb)]
+        similar_with_foot = [other for other in limbs_with_foot if other.is_similar_to(limb)]
         if limb in limbs_with_foot or not similar_with_foot:
             continue
-        similar = [other for other in limbs if other.like(limb)]
+        similar = [other for other in limbs if other.is_similar_to(limb)]
         if len(similar_with_foot) * 2 < len(similar):
             continue
         messages.append(

@@ -21,7 +21,7 @@ from pupper_analysis.base.arrays import cross_matrices, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Pictured
-from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.structure import Workspace
 
 Array = NDArray[np.float64]
@@ -452,7 +452,7 @@ class Configuration(Pictured):
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
-        with lend(self.robot, AtRest) as springs:
+        with borrow(self.robot, AtRest) as springs:
             return springs.forces(self.qpos)
 
     def static_load(self) -> Array:
@@ -522,7 +522,7 @@ class Configuration(Pictured):
         # farther from the base moves the foot.
         changed -= np.where(structure.carried, combined, pushed.T)
         if self.robot.acts_at_rest:
-            with lend(self.robot, AtRest) as springs:
+            with borrow(self.robot, AtRest) as springs:
                 changed -= springs.force_derivative(self.qpos)
         return changed
 
@@ -686,7 +686,7 @@ linear or polynomial, and gravity compensation varies with sines of the angles."
 class AtRest:
     """Passive forces at rest, from MuJoCo's ``qfrc_passive``; see `Configuration.passive_forces`.
 
-    Borrow an instance with ``lend``, because creating MuJoCo's data takes 50 times as long as an
+    Borrow an instance with ``borrow``, because creating MuJoCo's data takes 50 times as long as an
     evaluation.
 
     Args:

@@ -83,7 +83,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
         notes = [] if existing else [diagnose("ground-added")]
     notes += _replace_pairs(spec, floor)
     scenery = [*others, *(geom for geom in floors[1:] if not _is_level_at_zero(geom))]
-    return notes + _disable_scenery(scenery)
+    return notes + _disable_geoms(scenery)
 
 
 def is_fixed(body: mujoco.MjsBody | None) -> bool:
@@ -162,7 +162,7 @@ def _compiled_planes(
     return data.geom_xmat[geoms, 8].tolist(), data.geom_xpos[geoms, 2].tolist()
 
 
-def _disable_scenery(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
+def _disable_geoms(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
     """Disable the contacts of geoms, in place, and report each geom by name.
 
     A geom without a name is reported by the name of its body, or, in the world body, by its type.

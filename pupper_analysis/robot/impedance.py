@@ -60,7 +60,7 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
     return (first, second) if (first > 0) == (second > 0) else _DEFAULT_REFERENCE
 
 
-def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, float]:
+def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float, float]:
     """Return the impedance d of a constraint, and the derivative [1/m, 1/rad].
 
     d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero d is the mean of both.
@@ -69,12 +69,12 @@ def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, f
 
     Args:
         solimp: Parameters from ``clip_solimp``.
-        opened: Violation of the constraint [m, rad]; for a contact, penetration plus margin.
+        violation: Violation of the constraint [m, rad]; for a contact, penetration plus margin.
     """
     dmin, dmax, width, midpoint, power = solimp
     if dmin == dmax or width <= mujoco.mjMINVAL:
         return (dmin + dmax) / 2, 0.0
-    x, rise = min(abs(opened) / width, 1.0), dmax - dmin
+    x, rise = min(abs(violation) / width, 1.0), dmax - dmin
     if x <= midpoint:
         fraction = x / midpoint
         y = midpoint * fraction**power
@@ -163,12 +163,12 @@ def _solve_opening(solimp: tuple[float, ...], force: float) -> float:
     return (low + high) / 2
 
 
-def _compliance_factor(solimp: tuple[float, ...], opened: float) -> float:
+def _compliance_factor(solimp: tuple[float, ...], violation: float) -> float:
     """Return (1 - d) / d^2, to which the compliance of a soft constraint at rest is proportional.
 
     Args:
         solimp: Parameters from ``clip_solimp``, which determine the impedance d at the opening.
-        opened: Violation of the constraint [m, rad].
+        violation: Violation of the constraint [m, rad].
     """
-    d, _ = solimp_impedance(solimp, opened)
+    d, _ = solimp_impedance(solimp, violation)
     return (1 - d) / d**2

@@ -85,7 +85,7 @@ _LIMIT_ATOL = 1e-6
 because users enter rounded values. Chosen, not tuned."""
 
 
-def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
+def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
     """Resolve the names of a posture, and check the joints; return {joint: position [rad, m]}.
 
     Args:
@@ -102,19 +102,19 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = free_joints(robot) if placed else ()
     if robot.closure is not None and any(joint not in free for joint in placed):
-        free = (*free, *_closed_joints(robot, placed))
+        free = (*free, *_list_loop_joints(robot, placed))
     for joint in placed:
         if joint not in free:
             raise ConfigurationError("posture", diagnose("joint-is-the-stands", joint=joint))
     return placed
 
 
-_CLOSED = 1e-6
+_MAX_POSTURE_VIOLATION = 1e-6
 """Largest constraint violation [rad, m] with which a requested posture closes loops and couplings:
 positions are entered with up to six decimals."""
 
 
-def _closed_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
+def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
     """Return the joints of all loops and couplings that a posture determines.
 
     Joints that move a foot are omitted, because the stance determines their positions. The result
@@ -130,7 +130,7 @@ def _closed_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]
     positions = robot.make_qpos(robot.home[-robot.nu :])
     for index in indices:
         positions[robot.nq - robot.nu + index] = placed[robot.joint_names[index]]
-    if closure.largest_violation(positions) > _CLOSED:
+    if closure.largest_violation(positions) > _MAX_POSTURE_VIOLATION:
         return ()
     return tuple(name for name in names if name not in _foot_joints(robot))
 

@@ -79,7 +79,7 @@ class Plane:
         nearest: Array = place - self.signed_distance(place) * np.array(self.normal)
         return nearest
 
-    def contact_plane(self, _check_position: Point) -> Plane:
+    def contact_plane(self, _point: Point) -> Plane:
         """Return this plane unchanged; the point is ignored, because the plane has a position.
 
         `Slope.contact_plane` and `Bar.contact_plane` use the point, so all three have the same

@@ -815,7 +815,7 @@ _pool_lock = Lock()
 
 
 @contextmanager
-def lend(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
+def borrow(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
     """Context manager: borrow an object of a robot from a pool, for exclusive use. Thread-safe.
 
     The object is created by ``make`` if the pool contains none for this robot and function. At the

@@ -133,15 +133,15 @@ def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
     return np.flatnonzero(is_equality & (data.efc_id == equality))
 
 
-def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened: Array) -> None:
-    """Set the target of a weld so that the present pose of the body violates it by ``opened``.
+def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, violation: Array) -> None:
+    """Set the target of a weld so that the present pose of the body violates it by ``violation``.
 
     Args:
         model: Model to modify.
         data: Data with kinematics.
         number: Id of the equality constraint: a weld, or a ``connect`` for a grip.
-        opened: Constraint violation (6,): translation [m], and half of the rotation vector [rad],
-            the vector part of a quaternion. For a grip, only the translation is used.
+        violation: Constraint violation (6,): translation [m], and half of the rotation vector
+            [rad], the vector part of a quaternion. For a grip, only the translation is used.
     """
     body, relative_quaternion, inverse_quaternion = (
         int(model.eq_obj1id[number]),
@@ -150,12 +150,12 @@ def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened:
     )
     if model.eq_type[number] == mujoco.mjtEq.mjEQ_CONNECT.value:
         anchor = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.eq_data[number, :3]
-        model.eq_data[number, 3:6] = anchor - opened[:3]
+        model.eq_data[number, 3:6] = anchor - violation[:3]
         return
     mujoco.mju_negQuat(inverse_quaternion, data.xquat[body])
-    mujoco.mju_mulQuat(relative_quaternion, inverse_quaternion, np.array([1.0, *opened[3:]]))
+    mujoco.mju_mulQuat(relative_quaternion, inverse_quaternion, np.array([1.0, *violation[3:]]))
     mujoco.mju_normalize4(relative_quaternion)
-    model.eq_data[number, :3] = data.xpos[body] - opened[:3]
+    model.eq_data[number, :3] = data.xpos[body] - violation[:3]
     model.eq_data[number, 3:6], model.eq_data[number, 6:10] = 0.0, relative_quaternion
     model.eq_data[number, 10] = 1.0
 

@@ -47,7 +47,7 @@ The armature represents the environment to which the base is fixed: MuJoCo's wel
 light base would oscillate. Chosen, not tuned."""
 
 
-def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
+def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     """Return a robot that can make the contacts of a task; often the robot itself.
 
     A part other than a foot (hand) gets a contact point: a massless sphere that collides only with

@@ -20,7 +20,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.statics.support_polygon import SIDES, margin_of_place, polygon_sides
+from pupper_analysis.statics.support_polygon import SIDES, margin_of_position, polygon_sides
 
 Array = NDArray[np.float64]
 
@@ -251,7 +251,7 @@ class SupportMargin(Constraint):
         The margin is the horizontal distance of the CoM from the edge of the support polygon.
         """
         x, y, _ = at.com
-        return max(0.0, goal.task.com_margin - margin_of_place((x, y), goal.corners))
+        return max(0.0, goal.task.com_margin - margin_of_position((x, y), goal.corners))
 
 
 class JointLimits(Constraint):
@@ -382,7 +382,7 @@ def evaluate_constraints(
         elif not isinstance(constraint, SupportMargin):  # the CoM margin is a result
             violation[constraint.name] = constraint.violation(goal, at)
     x, y, _ = at.com
-    margin = math.inf if shapes.robot.is_welded else margin_of_place((x, y), goal.corners)
+    margin = math.inf if shapes.robot.is_welded else margin_of_position((x, y), goal.corners)
     return ConstraintEvaluation(violation, margin, near)
 
 

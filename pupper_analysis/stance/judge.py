@@ -22,7 +22,7 @@ from pupper_analysis.base.results import Pictured, Tabular
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.constraints import (
     CLEARANCE_TOLERANCE,
@@ -31,7 +31,7 @@ from pupper_analysis.stance.constraints import (
 )
 from pupper_analysis.stance.problem import Goal, feet_centre, raise_feet
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.contacts import gripped_places, stated_forces
+from pupper_analysis.statics.contacts import list_grips, prescribed_forces
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import support_corners
 
@@ -182,8 +182,8 @@ class Stand(Pictured, Tabular):
         friction = [
             robot.contacts[foot].sliding_friction for foot in self.normals if robot.contacts
         ]
-        stated = stated_forces(robot, self.stance_feet)
-        held = gripped_places(robot, self.foot_targets) if robot.grips else None
+        stated = prescribed_forces(robot, self.stance_feet)
+        held = list_grips(robot, self.foot_targets) if robot.grips else None
         return np.array(support_corners(points, normals, friction, stated, held))
 
     @property
@@ -260,7 +260,7 @@ class Stand(Pictured, Tabular):
             owner = self.robot.rpartition(" ")[0]
             problem = diagnose("stand-of-another-robot", whose=owner, robot=robot.name)
             raise ConfigurationError("stand", problem)
-        return touching(robot, self.task.contacts)
+        return with_contacts(robot, self.task.contacts)
 
     def joint_positions(self, robot: Robot) -> Array:
         """Return the joint positions of this stand in actuator order, shape (nu,) [rad, m]."""

@@ -23,13 +23,13 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.ground import Ground
-from pupper_analysis.robot.joints import check_in_range, placed_joints, with_units
+from pupper_analysis.robot.joints import check_in_range, resolve_posture, with_units
 from pupper_analysis.robot.plane import Bar
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.contacts import gripped_places, stated_forces
-from pupper_analysis.statics.support_polygon import Corner, margin_of_place, support_corners
+from pupper_analysis.statics.contacts import list_grips, prescribed_forces
+from pupper_analysis.statics.support_polygon import Corner, margin_of_position, support_corners
 
 Array = NDArray[np.float64]
 
@@ -291,8 +291,8 @@ def _build_goal(
         contact_by_foot = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
         normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
         grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
-        stated = stated_forces(robot, stance_feet)
-        held = gripped_places(robot, targets) if robot.grips else None
+        stated = prescribed_forces(robot, stance_feet)
+        held = list_grips(robot, targets) if robot.grips else None
         support = Support(contacts, np.array([*normals.values()]), grip, stated, held)
         if checked and not robot.is_welded:  # a weld holds any CoM
             _check_support_area(robot, np.array(support.corners), stance_feet)
@@ -379,7 +379,7 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
         margin = Quantity(task.joint_margin, "rad")
         problem = diagnose("margin-leaves-no-range", margin=margin, joint=name)
         raise ConfigurationError("joint_margin", problem)
-    for joint, position in placed_joints(robot, task.posture).items():
+    for joint, position in resolve_posture(robot, task.posture).items():
         index = robot.joint_names.index(joint)
         if checked:
             ends = float(lower[index]), float(upper[index])
@@ -395,7 +395,7 @@ tuned."""
 
 def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
     """Reject a horizontal CoM target with less margin than the task requires."""
-    inside = margin_of_place((float(place[0]), float(place[1])), corners)
+    inside = margin_of_position((float(place[0]), float(place[1])), corners)
     if inside < min(task.com_margin, 0.0):
         there, outside = Vector((place[0], place[1]), "m"), Quantity(-inside, "m")
         import shapely.ops  # slow to import
@@ -462,7 +462,7 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     if not robot.gravity[2] < 0:
         gravity = Vector(tuple(robot.gravity), "m/s^2")
         raise ConfigurationError("robot", diagnose("gravity-not-down", gravity=gravity))
-    if task.contacts and touching(robot, task.contacts) is not robot:
+    if task.contacts and with_contacts(robot, task.contacts) is not robot:
         raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
     for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
         robot.points_of(foot)

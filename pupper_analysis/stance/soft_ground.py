@@ -21,9 +21,9 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.tool import Place, with_payload
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.judge import attach_robot
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.solver import SearchContext
@@ -89,7 +89,7 @@ def solve_stand_on_soft_ground(
         stand, task = task, task.task
     else:
         task = task or StandTask()
-        robot = touching(robot, task.contacts)
+        robot = with_contacts(robot, task.contacts)
         stand = solve_stand(robot, task, explain=explain)
     requested_task = stand.task
     if requested_task.com == "inside":
@@ -119,7 +119,7 @@ def solve_stand_on_soft_ground(
         ik_seed = tuple(stand.joint_positions(robot).tolist())
         goal = make_goal(robot, replace(task, ik_seed=ik_seed), depths)
         goal = goal if robot.closure is None else replace(goal, give=give)
-        with lend(robot, SearchContext) as context:
+        with borrow(robot, SearchContext) as context:
             stand = solve_goal(context, goal, explain=explain)
     left = diagnose("depths-do-not-settle", change=Quantity(change, "m"))
     raise NotSettlingError(change, left)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError, UnknownNameError
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot, lend
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.robot import Robot, borrow
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
@@ -71,8 +71,8 @@ def solve_stand(
         StanceUnreachableError: If the stance is unreachable. The error contains the foot errors [m]
             and the requirements to relax.
     """
-    owner, robot = robot, touching(robot, task.contacts) if task is not None else robot
-    with lend(robot, SearchContext) as context:
+    owner, robot = robot, with_contacts(robot, task.contacts) if task is not None else robot
+    with borrow(robot, SearchContext) as context:
         stand = solve_goal(context, make_goal(robot, task, {}), explain=explain)
     return attach_robot(stand, owner)
 
@@ -181,13 +181,13 @@ def solve_stands(
     """
     goals: list[Goal] = []
     solved: list[Stand] = []
-    owner, robot = robot, touching(robot, tasks[0].contacts) if tasks else robot
+    owner, robot = robot, with_contacts(robot, tasks[0].contacts) if tasks else robot
     for number, task in enumerate(tasks):
         try:  # equal foot targets are reused from the previous goal
             goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
         except (ConfigurationError, UnknownNameError) as error:
             raise error.with_location(f"tasks[{number}]") from None
-    with lend(robot, SearchContext) as context:
+    with borrow(robot, SearchContext) as context:
         for number, goal in enumerate(goals):
             next_stand = _continue_sequence(context, goal, [stand.qpos for stand in solved[:-5:-1]])
             try:

@@ -18,7 +18,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.stance.problem import can_move_com, make_goal
 from pupper_analysis.stance.search import search_near_stand, search_stand
 from pupper_analysis.stance.solver import SearchContext
@@ -243,7 +243,7 @@ def _solve_at(
         goal = make_goal(robot, _make_task(robot, start, direction, value), {})
     except ConfigurationError:
         return None
-    with lend(robot, SearchContext) as context:
+    with borrow(robot, SearchContext) as context:
         if near is None:
             stand: Stand | None = search_stand(
                 context, goal, default_guesses_only=default_guesses_only

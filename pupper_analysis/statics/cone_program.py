@@ -269,7 +269,7 @@ class Balance:
     def _solve_linear(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
         """Minimise |cost @ f - target| subject to balance alone, without cones."""
         if isinstance(cost, np.ndarray):
-            forces = self._solve_by_gqr(cost, target)
+            forces = self._solve_by_gglse(cost, target)
             if forces is not None and self._is_balanced(forces):
                 return forces
         particular, free = self._particular_and_null_space
@@ -278,7 +278,7 @@ class Balance:
         coordinates = np.linalg.lstsq(cost @ free, target - cost @ particular)[0]
         return particular + free @ coordinates
 
-    def _solve_by_gqr(self, cost: Array, target: Array) -> Array | None:
+    def _solve_by_gglse(self, cost: Array, target: Array) -> Array | None:
         """Minimise |cost @ f - target| subject to balance by LAPACK's ``gglse``.
 
         ``gglse`` solves equality-constrained least squares by a generalised QR factorisation, in a
@@ -463,10 +463,12 @@ class TangentialMetric:
             default.
     """
 
-    def __init__(self, normals: Array, grip: Array | None = None) -> None:
+    def __init__(self, normals: Array, viscosity: Array | None = None) -> None:
         equal = np.ones(len(normals))
         self._normals = normals
-        self._weights = (_TANGENTIAL_WEIGHT / np.sqrt(equal if grip is None else grip))[:, None]
+        self._weights = (_TANGENTIAL_WEIGHT / np.sqrt(equal if viscosity is None else viscosity))[
+            :, None
+        ]
         self._diagonal: Array | None = None  # W is diagonal on level ground
         if (normals == _UP).all():
             scale = np.ones((len(normals), 3))

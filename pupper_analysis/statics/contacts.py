@@ -24,7 +24,7 @@ from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.plane import MAX_FRICTION
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
-from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
+from pupper_analysis.statics.support_polygon import margin_of_position, support_corners
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ class Contacts:
         else:
             friction = self.friction.tolist()
             corners = support_corners(points, self.normals, friction, self.stated, grips)
-        return margin_of_place((x, y), corners)
+        return margin_of_position((x, y), corners)
 
     @functools.cached_property
     def metric(self) -> TangentialMetric:
@@ -267,13 +267,13 @@ def _make_contacts(
         ),
         soles={foot: names for foot, names in soles.items() if names},
         welds=robot.welds,
-        stated=stated_forces(robot, feet),
+        stated=prescribed_forces(robot, feet),
         weight=robot.weight if robot.touching else 0.0,
         grips=grips,
     )
 
 
-def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | None:
+def prescribed_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | None:
     """Return the normal forces that the task prescribes for feet, as linear equations.
 
     Args:
@@ -296,7 +296,7 @@ def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | No
     return np.array([rows[name] for name in names]), newtons / robot.weight
 
 
-def gripped_places(robot: Robot, places: Mapping[str, Array]) -> Array | None:
+def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
     """Return position and force limit of each grip, or None if the robot has no grips.
 
     A grip is a foot that holds on to its contact point: a grip can pull as well as push, and

@@ -322,7 +322,9 @@ def balance_load(
     return _make_result(config, remainder, load, carrying, forces, point)
 
 
-def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple[Array, Array]:
+def distribute_loads(
+    config: Configuration, loads: Array, carrying: Contacts
+) -> tuple[Array, Array]:
     """Compute minimum-tangential contact forces and torques for several generalised forces.
 
     Args:
@@ -428,7 +430,7 @@ def _iterate_viscosities(
     return forces
 
 
-def utilise(robot: Robot, torques: Array) -> Array:
+def compute_utilisation(robot: Robot, torques: Array) -> Array:
     """Compute the utilisation |torque| / effort limit.
 
     Args:
@@ -503,7 +505,7 @@ def _make_result(
         wrenches = FrozenDict(zip(carrying.welds, rows, strict=True))
         forces = forces[: carrying.normals.size]
     forces = forces.reshape(-1, 3)
-    utilisation = utilise(robot, torques)
+    utilisation = compute_utilisation(robot, torques)
     if robot.closure is not None:
         utilisation[robot.closure.dependent_joints] = (
             0.0  # dependent joints have no motor of their own
@@ -701,7 +703,7 @@ MIN_TORQUE_PER_MASS = 1e-9
 lever arm is a rounding error. Chosen, not tuned."""
 
 
-def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:
+def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:
     """Compute the mass at which the first motor reaches the limit: torques + m rates = +-limits.
 
     Of the two limits of a motor, the limit in the direction of ``rates`` counts. A motor whose
@@ -719,5 +721,5 @@ def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:
     """
     rates = np.where(np.abs(rates) > MIN_TORQUE_PER_MASS, rates, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        room = (np.copysign(limits, rates) - torques) / rates
-    return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))
+        slack = (np.copysign(limits, rates) - torques) / rates
+    return float(np.min(np.where(np.isfinite(slack), np.maximum(slack, 0.0), math.inf)))

@@ -124,8 +124,8 @@ class ForcePolytope(Tabular):
 
     def _inequalities(self) -> tuple[Array, Array]:
         """Return rows (2 n, 3) and bounds (2 n,) of ``rows @ f <= bounds``, for a force f [N]."""
-        room = np.concatenate([self.limits + self.load, self.limits - self.load])
-        return np.concatenate([self.rows, -self.rows]), room
+        slack = np.concatenate([self.limits + self.load, self.limits - self.load])
+        return np.concatenate([self.rows, -self.rows]), slack
 
     def _columns(self) -> dict[str, ArrayLike]:
         """Return {"x", "y", "z": coordinates of the vertices [N]}, the columns of the table."""
@@ -164,8 +164,8 @@ def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
     limits = robot.effort_limits[kept]
     vertices = None
     if np.isfinite(limits).all():
-        room = np.concatenate([limits + load[kept], limits - load[kept]])
-        vertices = find_vertices(rows[kept], room)
+        slack = np.concatenate([limits + load[kept], limits - load[kept]])
+        vertices = find_vertices(rows[kept], slack)
     return ForcePolytope(
         point=tool.position(config),
         joints=tuple(robot.joint_names[index] for index in kept),
@@ -191,61 +191,61 @@ def _find_point(config: Configuration, point: str | Place) -> Tool:
 
 
 def force_inequalities(config: Configuration, tool: Tool) -> tuple[Array, Array]:
-    """Return the inequalities ``rows @ f <= room`` of forces on a tool that the motors withstand.
+    """Return the inequalities ``rows @ f <= slack`` of forces on a tool that the motors withstand.
 
     Args:
         config: State of a robot with a fixed base.
         tool: Point of application of the force.
 
     Returns:
-        Rows, shape (2 nu, 3) [m, or 1 for a slide], and room, shape (2 nu,) [N m, N]: distance of
+        Rows, shape (2 nu, 3) [m, or 1 for a slide], and slack, shape (2 nu,) [N m, N]: distance of
         the static load from the lower effort limits of all motors, then from the upper limits.
         The force f is expressed in world axes [N].
     """
     limits = config.robot.effort_limits
     load = config.transfer_to_motors(config.static_load())
     rows = config.transfer_to_motors(tool.jacobian(config).T)
-    room = np.concatenate([limits + load, limits - load])
-    return np.concatenate([rows, -rows]), room
+    slack = np.concatenate([limits + load, limits - load])
+    return np.concatenate([rows, -rows]), slack
 
 
 def force_limits_along(
-    rows: Array, room: Array, directions: Array
+    rows: Array, slack: Array, directions: Array
 ) -> tuple[Array, NDArray[np.int64]]:
     """Compute the extent of a force polytope in given directions.
 
     Args:
         rows: Left-hand sides, shape (2 n, 3) [m, 1]; see `force_inequalities`.
-        room: Right-hand sides, shape (2 n,) [N m, N].
+        slack: Right-hand sides, shape (2 n,) [N m, N].
         directions: Unit vectors, shape (k, 3).
 
     Returns:
         Largest forces, shape (k,) [N]: infinite if no motor bears the force, NaN if a motor that
-        bears the force has an unknown limit, 0 if an element of ``room`` is negative; and indices
+        bears the force has an unknown limit, 0 if an element of ``slack`` is negative; and indices
         (k,) of the motors that reach the effort limit first, -1 if the force is not finite.
     """
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(along > MIN_LEVER_ARM, room / along, np.inf)
-    if room.min() < 0:  # the load alone exceeds a limit: no direction counts, not even relief
-        ends[:, room < 0] = 0.0
+        ends = np.where(along > MIN_LEVER_ARM, slack / along, np.inf)
+    if slack.min() < 0:  # the load alone exceeds a limit: no direction counts, not even relief
+        ends[:, slack < 0] = 0.0
     nearest = ends.argmin(axis=1)
     forces = ends[np.arange(len(ends)), nearest]
-    forces[(np.abs(along[:, np.isinf(room)]) > MIN_LEVER_ARM).any(axis=1)] = (
+    forces[(np.abs(along[:, np.isinf(slack)]) > MIN_LEVER_ARM).any(axis=1)] = (
         np.nan
     )  # a limit is unknown
     return forces, np.where(np.isfinite(forces), nearest % (len(rows) // 2), -1)
 
 
-def find_vertices(rows: Array, room: Array) -> Array | None:
-    """Return the vertices of the polytope -room[n:] <= rows @ f <= room[:n].
+def find_vertices(rows: Array, slack: Array) -> Array | None:
+    """Return the vertices of the polytope -slack[n:] <= rows @ f <= slack[:n].
 
     Each vertex is the common point of three faces. All triples are solved, because a polytope
     without volume (a motor with a limit of zero) has no interior point, which Qhull requires.
 
     Args:
         rows: Shape (n, 3).
-        room: Shape (2 n,), finite: upper bounds of ``rows @ f``, then of ``-rows @ f``.
+        slack: Shape (2 n,), finite: upper bounds of ``rows @ f``, then of ``-rows @ f``.
 
     Returns:
         Shape (k, 3), k = 0 if the inequalities contradict each other. None if the polytope is
@@ -254,13 +254,13 @@ def find_vertices(rows: Array, room: Array) -> Array | None:
     lengths = np.linalg.norm(rows, axis=1)
     bearing = lengths > MIN_LEVER_ARM
     count = len(rows)
-    if (room[:count][~bearing] < 0).any() or (room[count:][~bearing] < 0).any():
+    if (slack[:count][~bearing] < 0).any() or (slack[count:][~bearing] < 0).any():
         return np.zeros((0, 3))
     normals = rows[bearing] / lengths[bearing, None]
     if len(normals) < 3 or np.linalg.svd(normals, compute_uv=False)[2] < _PARALLEL_TOLERANCE:
         return None
-    upper = room[:count][bearing] / lengths[bearing]
-    lower = -room[count:][bearing] / lengths[bearing]
+    upper = slack[:count][bearing] / lengths[bearing]
+    lower = -slack[count:][bearing] / lengths[bearing]
     triples = np.array(list(itertools.combinations(range(len(normals)), 3)))
     meeting = np.abs(np.linalg.det(normals[triples])) > _PARALLEL_TOLERANCE
     triples = triples[meeting]

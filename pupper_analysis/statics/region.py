@@ -21,7 +21,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.support_polygon import (
     find_extreme_positions,
-    margin_of_place,
+    margin_of_position,
     support_corners,
 )
 
@@ -120,7 +120,7 @@ def support_region(
         corners=corners,
         area=float(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2,
         center_of_mass=com,
-        com_margin=margin_of_place((float(com[0]), float(com[1])), found) if found else -np.inf,
+        com_margin=margin_of_position((float(com[0]), float(com[1])), found) if found else -np.inf,
         torque_limits=torque_limits,
     )
 

@@ -35,10 +35,10 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
         for example the zero-moment point of feet that would have to pull.
     """
     x, y, *_ = com.tolist()
-    return margin_of_place((x, y), tuple([_corner(point) for point in points.values()]))
+    return margin_of_position((x, y), tuple([_corner(point) for point in points.values()]))
 
 
-def margin_of_place(place: Corner, points: tuple[Corner, ...]) -> float:
+def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
     """Compute ``com_margin`` [m] for a horizontal position and horizontal contact positions [m]."""
     if not math.isfinite(place[0]) or not math.isfinite(place[1]):
         return -math.inf

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.problem import default_contact_position
 from tests.robots.test_real_robots import LAB, MJCF, URDF, file
 from tests.stance.test_welds import least
@@ -44,7 +44,7 @@ def hand(
     """A plane that a hand touches in its home pose, or so far along its normal (m)."""
 
     def make(of: pa.Robot) -> Contacts:
-        there = touching(of, {name: pa.Contact(pa.Plane((0, 0, 0), normal))})
+        there = with_contacts(of, {name: pa.Contact(pa.Plane((0, 0, 0), normal))})
         out = np.array(normal)
         point = default_contact_position(there, name) + (away - there.contact_radius[name]) * out
         return {name: pa.Contact(pa.Plane(tuple(point.tolist()), normal, 0.6))}
@@ -140,7 +140,7 @@ def test_stances_on_stated_contacts_hold_in_mujoco(stance: str) -> None:
 def test_g1_hangs_back_on_a_ladder() -> None:
     """Soles on two rungs, both hands around a third; the com is behind the heels, so they pull."""
     g1, contacts = robot("g1"), dict[str, pa.Contact | pa.Weld]()
-    there = touching(g1, both(g1))
+    there = with_contacts(g1, both(g1))
     for palm in ("left_palm", "right_palm"):
         x, y, z = (default_contact_position(there, palm) + 0.12 * np.array(UP)).tolist()
         rung = pa.Bar((x + 0.05, 0, z), (0, 1, 0), 0.015)

@@ -20,7 +20,7 @@ from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.robot.terrain import build_on_ground
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.sag.equilibrium import ground_points
 from pupper_analysis.tools.stand.stance import largest_presses
@@ -263,7 +263,7 @@ def test_friction_of_a_plane_applies_to_its_contact_only() -> None:
 
 def test_hand_is_a_massless_ball_that_touches_only_its_plane(armed: pa.Robot) -> None:
     task = pa.StandTask(contacts=table())
-    robot = touching(armed, task.contacts)
+    robot = with_contacts(armed, task.contacts)
     assert robot.hands == (HAND,)
     assert robot.contact_points == (*armed.contact_points, HAND)
     assert robot.contact_radius[HAND] == pytest.approx(0.025, abs=1e-9)  # what the hand is
@@ -327,7 +327,7 @@ def test_a_sole_neither_grips_nor_stands_on_a_bar(tmp_path: Path) -> None:
 def test_hand_contact_is_at_its_home_position_or_at_the_given_place(armed: pa.Robot) -> None:
     home = armed.make_qpos(armed.home[7:])
     home[2] = armed.stand_height
-    robot = touching(armed, table())
+    robot = with_contacts(armed, table())
     there = pa.Configuration(robot, home).foot_positions()[HAND]
     stand = pa.solve_stand(armed, pa.StandTask(contacts=table()))
     np.testing.assert_allclose(stand.contact_points[HAND], (*there[:2], TABLE), atol=1e-12)
@@ -340,17 +340,17 @@ def test_hand_contact_is_at_its_home_position_or_at_the_given_place(armed: pa.Ro
 
 def test_a_robot_has_the_contacts_of_each_task(armed: pa.Robot) -> None:
     """The same robot for the same contacts, wherever planes are; and back again."""
-    one = touching(armed, table(0.5))
-    assert touching(armed, {HAND: pa.Contact(pa.Plane((0, 0, 1), (1, 0, 0), 0.5))}) is one
-    assert touching(one, table(0.5)) is one
-    assert touching(one, {}) is armed
-    assert touching(one, table(0.6)) is touching(armed, table(0.6))
-    assert touching(armed, {"FL_calf": pa.Contact(pa.Plane((0, 0, 0), (0, 0, 1)))}) is armed
+    one = with_contacts(armed, table(0.5))
+    assert with_contacts(armed, {HAND: pa.Contact(pa.Plane((0, 0, 1), (1, 0, 0), 0.5))}) is one
+    assert with_contacts(one, table(0.5)) is one
+    assert with_contacts(one, {}) is armed
+    assert with_contacts(one, table(0.6)) is with_contacts(armed, table(0.6))
+    assert with_contacts(armed, {"FL_calf": pa.Contact(pa.Plane((0, 0, 0), (0, 0, 1)))}) is armed
     loaded = pa.robot.with_payload(one, 0.5)
     assert loaded.contacts[HAND].sliding_friction == 0.5
-    assert touching(loaded, table(0.5)) is loaded
+    assert with_contacts(loaded, table(0.5)) is loaded
     with pytest.raises(pa.ConfigurationError, match="contacts"):
-        touching(loaded, {})
+        with_contacts(loaded, {})
 
 
 @pytest.mark.slow
@@ -529,7 +529,7 @@ def grip_of(of: pa.Robot, grip: float) -> pa.Stand:
     strong = pa.solve_stand(of, gripping(of, beyond=0.02))
     contacts = gripping(of, grip, beyond=0.02).contacts
     stand = replace(strong, task=replace(strong.task, contacts=contacts))
-    pa.stance.stand_statics(touching(of, contacts), stand)
+    pa.stance.stand_statics(with_contacts(of, contacts), stand)
     return stand
 
 

@@ -12,10 +12,10 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.cli.stance_fields import parse_contact
-from pupper_analysis.robot.robot import lend
+from pupper_analysis.robot.robot import borrow
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.solver import SearchContext
-from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
+from pupper_analysis.statics.support_polygon import margin_of_position, support_corners
 from tests.support.variants import load
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -161,7 +161,7 @@ def search_region(
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     size, tried = float((high - low).max()), [0, 0]
     for x, y in low - 0.2 * size + shares * (high - low + 0.4 * size):
-        margin = margin_of_place((float(x), float(y)), corners)
+        margin = margin_of_position((float(x), float(y)), corners)
         if abs(margin) > near * size:
             assert in_balance(points, cones, np.array([x, y])) is (margin > 0)
             tried[margin > 0] += 1
@@ -233,7 +233,7 @@ def test_clearance_from_a_wall_equals_mujoco() -> None:
         if model.geom_bodyid[geom] and geom not in grounded.foot_geoms
     ]
     walled = [mujoco.mj_geomDistance(model, data, geom, wall, 1.0, None) for geom in parts]
-    with lend(robot, SearchContext) as context:
+    with borrow(robot, SearchContext) as context:
         shapes = context.shapes
         at = shapes.move_to(stand.qpos)
         heights = shapes.part_heights(at, ground, stand.rigid_targets, {})

@@ -21,8 +21,8 @@ from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.rollout import make_stand_start, simulate_commands
-from pupper_analysis.statics.contacts import stated_forces
-from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
+from pupper_analysis.statics.contacts import prescribed_forces
+from pupper_analysis.statics.support_polygon import margin_of_position, support_corners
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.stance.test_contacts import contact_rows, gripping
 from tests.support.legged import quadruped, with_arm
@@ -343,7 +343,7 @@ def test_com_region_with_a_grip_equals_a_search_by_cone_programs(armed: pa.Robot
     most[4 * len(mu)] = 10.0 / weight
     rows = np.vstack([np.tile(np.eye(3), count), np.hstack([pin.skew(one) for one in points])])
     for x, y in np.random.default_rng(0).uniform(low - 0.05, high + 0.05, (1000, 2)):
-        margin = margin_of_place((float(x), float(y)), corners)
+        margin = margin_of_position((float(x), float(y)), corners)
         if abs(margin) < 0.01 * float((high - low).max()):
             continue
         solved = clarabel.DefaultSolver(
@@ -405,7 +405,7 @@ def test_stated_hand_force_shifts_the_com_region(armed: pa.Robot) -> None:
     hand = stand.contact_points["hand"]
     wanted = np.array([(1 - share) * foot[:2] + share * hand[:2] for foot in feet])
     points = np.array([*stand.contact_points.values()])
-    stated = stated_forces(touched, stand.stance_feet)
+    stated = prescribed_forces(touched, stand.stance_feet)
     found = np.array(support_corners(points, np.tile([0, 0, 1.0], (5, 1)), [1e-3] * 5, stated))
     for corner in wanted:
         assert np.linalg.norm(found - corner, axis=1).min() < 1e-3

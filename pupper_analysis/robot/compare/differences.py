@@ -335,7 +335,7 @@ class RelativeError:
         return effects
 
 
-def about_kind(kind: str) -> str:
+def describe_kind(kind: str) -> str:
     """Return a short English description of a kind of remark, for example ``mass``.
 
     The default description is that of a difference between the files.

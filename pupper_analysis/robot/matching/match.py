@@ -53,9 +53,9 @@ from pupper_analysis.robot.matching.trees import (
     Mimics,
     Reference,
     base_pose,
+    fix_other_joints,
     kinematic_trees,
     links_of,
-    moving_joints,
     remove_base_mass,
     strip_roots,
     urdf_mimics,
@@ -71,13 +71,13 @@ class RemovablePart:
 
     Attributes:
         root: Link or body at the root of the subtree.
-        carrier: Moving joint that carries the part, as named in the file; "" for the base.
+        parent_joint: Moving joint that carries the part, as named in the file; "" for the base.
         joints: Joints of the part.
         mass: Mass [kg] of the part.
     """
 
     root: str
-    carrier: str
+    parent_joint: str
     joints: tuple[str, ...]
     mass: float
 
@@ -95,7 +95,7 @@ def report_part(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
         subject=("link" if has == "URDF" else "body", part.root),
         has=has,
         lacks=lacks,
-        carrier=part.carrier,
+        carrier=part.parent_joint,
         mass=Quantity(part.mass, "kg"),
         joints=part.joints,
     )
@@ -129,10 +129,10 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
                 if parent is not None and not tree.movers(parent) and tree.parent(parent)
                 else None
             )
-        if chain and chain[0].carrier not in extra:  # otherwise it is removed with its carrier
-            chains.setdefault(chain[0].carrier, []).append(chain)
-    ways = []
-    for carrier, part_chains in chains.items():
+        if chain and chain[0].parent_joint not in extra:  # else removed with this joint
+            chains.setdefault(chain[0].parent_joint, []).append(chain)
+    removals = []
+    for parent_joint, part_chains in chains.items():
         alternatives = []
         for level in range(max(map(len, part_chains))):
             parts = dict.fromkeys(
@@ -145,8 +145,8 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
                     if not any(set(part.joints) < set(other.joints) for other in parts)
                 ]
             )
-        ways.append((carrier, alternatives))
-    return ways
+        removals.append((parent_joint, alternatives))
+    return removals
 
 
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
@@ -155,17 +155,17 @@ def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovableP
     joints = tuple(joint for name in inside for joint in tree.movers(name))
     if any(joint not in extra for joint in joints):
         return None
-    carrier = tree.parent(link)
-    while carrier is not None and not tree.movers(carrier):
-        carrier = tree.parent(carrier)
-    mover = tree.movers(carrier)[-1] if carrier is not None else ""
+    parent = tree.parent(link)
+    while parent is not None and not tree.movers(parent):
+        parent = tree.parent(parent)
+    mover = tree.movers(parent)[-1] if parent is not None else ""
     return RemovablePart(link, mover, joints, sum(map(tree.link_mass, inside)))
 
 
 def remove_parts(
     trees: tuple[UrdfTree, SpecTree],
     files: tuple[Path, Path],
-    ways: tuple[Removals, Removals],
+    removals: tuple[Removals, Removals],
     pairs: Mapping[str, str],
 ) -> list[Diagnostic]:
     """Remove parts that the other file lacks, in place; return the diagnostics.
@@ -177,19 +177,21 @@ def remove_parts(
     Args:
         trees: Trees of URDF and MJCF.
         files: URDF and MJCF.
-        ways: Alternatives for both files, from ``list_removals``.
+        removals: Alternatives for both files, from ``list_removals``.
         pairs: {joint in the URDF: joint in the MJCF}.
     """
-    if not any(ways):
+    if not any(removals):
         return []
     urdf, mjcf = urdf_tree(trees[0].root, files[0]), mjcf_tree(trees[1].spec, files[1])
     notes = []
-    for tree, alternatives_by_carrier, own_tree, other_tree, file_types in (
-        (trees[0], ways[0], urdf, mjcf, ("URDF", "MJCF")),
-        (trees[1], ways[1], mjcf, urdf, ("MJCF", "URDF")),
+    for tree, alternatives_by_joint, own_tree, other_tree, file_types in (
+        (trees[0], removals[0], urdf, mjcf, ("URDF", "MJCF")),
+        (trees[1], removals[1], mjcf, urdf, ("MJCF", "URDF")),
     ):
-        for carrier, alternatives in alternatives_by_carrier:
-            name = pairs.get(carrier, carrier) if file_types[0] == "URDF" else carrier
+        for parent_joint, alternatives in alternatives_by_joint:
+            name = (
+                pairs.get(parent_joint, parent_joint) if file_types[0] == "URDF" else parent_joint
+            )
             if name not in own_tree.bodies or name not in other_tree.bodies:
                 continue
             excess = own_tree.bodies[name].mass - other_tree.bodies[name].mass
@@ -309,10 +311,10 @@ def match_models(
     joined = join_free_base(spec, stated=urdf_joint_names)
     scene_model = compile_spec(spec.copy(), mjcf.path)  # includes the objects removed below
     scene_notes = drop_other_objects(spec, mjcf.path, root)
-    mjcf_joints, balls, ball_notes = list_hinges(spec, mjcf.path)
+    mjcf_joints, balls, ball_notes = delete_ball_joints(spec, mjcf.path)
     tree = mjcf_tree(spec, mjcf.path)
     root, root_notes = strip_roots(root, urdf.path, tree)
-    urdf_joints, other_urdf_joints, fixed_notes = moving_joints(root)
+    urdf_joints, other_urdf_joints, fixed_notes = fix_other_joints(root)
     notes = [*urdf.notes, *mjcf.notes, *naming_notes, *([joined] if joined else [])]
     notes += [*scene_notes, *ball_notes, *root_notes, *fixed_notes]
     requested = dict(names or {})
@@ -331,10 +333,10 @@ def match_models(
     if complete:
         _refuse_loops(spec, only_mjcf, mjcf.path)
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
-    ways = list_removals(sides[0], only_urdf), list_removals(sides[1], only_mjcf)
+    removals = list_removals(sides[0], only_urdf), list_removals(sides[1], only_mjcf)
     mimics = _unify_joints(root, spec, pairs, only_urdf, only_mjcf)
     # For a stand, the weight of the parts matters, so these are kept.
-    parts = [] if complete else remove_parts(sides, paths, ways, pairs)
+    parts = [] if complete else remove_parts(sides, paths, removals, pairs)
     own_model = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
     models = scene_model, scene_model if joined else own_model
     notes += copy_unknown_values(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
@@ -574,7 +576,9 @@ def copy_unknown_values(
 # Normalisation of an MJCF for matching.
 
 
-def list_hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], list[Diagnostic]]:
+def delete_ball_joints(
+    spec: mujoco.MjSpec, source: Path
+) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Delete the ball joints of an MJCF, in place; return the names of all joints by type.
 
     A URDF has no ball joints; the bodies on ball joints are compared in the zero pose.

@@ -163,7 +163,7 @@ class MjcfSources:
         if kind == "frame":
             name = self.frames.get(element, element)
             candidates = [("site", name, None), ("body", name, None), ("geom", name, None)]
-        return _find_stated(file, kind, candidates)
+        return _locate_value(file, kind, candidates)
 
     def list_masses(self, mover: str) -> list[tuple[str, float]]:
         """Return (body, mass [kg]) of the MJCF bodies that move with a joint or with the base.
@@ -198,7 +198,7 @@ def _find_heaviest(members: Sequence[tuple[str, float]]) -> str:
     return max(members, key=lambda member: member[1])[0]
 
 
-def _find_stated(
+def _locate_value(
     file: MjcfFile, kind: str, candidates: Sequence[tuple[str, str, str | None]]
 ) -> Place:
     """Return the location at which a kind of value is set in an MJCF.

@@ -220,7 +220,7 @@ def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
     return [diagnose("mass-of-base-left-out", subject=subject, mass=mass, file=source.name)]
 
 
-def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
+def fix_other_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Fix movable joints of a URDF other than hinges and slides, in place; list all by type.
 
     The other joints are floating or planar joints inside the tree.

@@ -31,11 +31,11 @@ from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError, 
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.joints import joint_ranges
-from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import compute_command_lead
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.terrain import build_on_ground
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.posture import LIMIT_TOLERANCE
 from pupper_analysis.stance.sag.equilibrium import (
     GROUND_NORMAL,
@@ -531,7 +531,7 @@ def steady_state(
         NoEquilibriumError: If no equilibrium continues the stand, or creep ends the equilibrium
             within ``seconds``.
     """
-    robot = touching(robot, stand.task.contacts)
+    robot = with_contacts(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, seconds)
     robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
     path = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
@@ -672,7 +672,7 @@ def minimum_stiffness(
     if not 0 < tolerance < 1:
         refused = diagnose("not-between", given=tolerance, low=0, high=1)
         raise ConfigurationError("tolerance", refused)
-    robot = touching(robot, stand.task.contacts)
+    robot = with_contacts(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, 0.0)
 
     def find_failure(kp: float) -> Diagnostic | None:
@@ -796,7 +796,7 @@ def _find_failures(
             (joints < low - LIMIT_TOLERANCE) | (joints > high + LIMIT_TOLERANCE)
         )
     ]
-    with lend(robot, _make_data) as data:  # all evaluated quantities depend on qpos only
+    with borrow(robot, _make_data) as data:  # all evaluated quantities depend on qpos only
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_kinematics(robot.mj_model, data)
         mujoco.mj_comPos(robot.mj_model, data)

@@ -16,7 +16,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Place
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -143,7 +143,7 @@ def _run_search(
     kp: ArrayLike | None,
 ) -> StanceSearch:
     """Run the search of `best_stance`, and return the finished search."""
-    robot = touching(robot, task.contacts) if task is not None else robot
+    robot = with_contacts(robot, task.contacts) if task is not None else robot
     robot.check_tree("the best stance")
     search = StanceSearch(robot, _parse_objective(objective), task, point, kp)
     search.run()

@@ -24,7 +24,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool, with_payload
 from pupper_analysis.stance.sag.equilibrium import Anchor, ContactKinematics
 from pupper_analysis.stance.stand import Stand, stand_contacts
-from pupper_analysis.statics.equilibrium import hold_loads
+from pupper_analysis.statics.equilibrium import distribute_loads
 
 Array = NDArray[np.float64]
 
@@ -78,7 +78,9 @@ class SmallPayload:
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
         load = config.static_load()
         loads = np.array([load, load + mass * self._point.load_per_mass(config)])
-        (forces, loaded_forces), (torques, loaded_torques) = hold_loads(config, loads, carrying)
+        (forces, loaded_forces), (torques, loaded_torques) = distribute_loads(
+            config, loads, carrying
+        )
         force_rates, limits = (loaded_forces - forces) / mass, robot.effort_limits
         limited = np.isfinite(limits)
         torque_lines = np.column_stack([torques, (loaded_torques - torques) / mass])

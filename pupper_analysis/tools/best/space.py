@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
-from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import search_from_configuration, search_stand
@@ -262,7 +262,7 @@ class StanceSpace:
         """
         task = self.make_task(coordinates)
         goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
-        with lend(self.robot, SearchContext) as context:
+        with borrow(self.robot, SearchContext) as context:
             if near is None:
                 stand: Stand | None = search_stand(context, goal, default_guesses_only=True)
             else:

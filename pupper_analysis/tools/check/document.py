@@ -17,7 +17,7 @@ from pupper_analysis.present.document import Name, Text, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
 from pupper_analysis.present.formats import Annotation, relative_to_checkout
-from pupper_analysis.robot.compare.differences import about_kind
+from pupper_analysis.robot.compare.differences import describe_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.audit.document import (
@@ -231,7 +231,7 @@ def make_check_annotations(
                 _make_annotation(group, remark, location)
                 for location in places[: 1 + both] or [None]
             ]
-    about = about_kind("stale")
+    about = describe_kind("stale")
     found += [
         Annotation(
             "notice",
@@ -263,11 +263,11 @@ def _make_annotation(group: list[Remark], remark: Remark, place: str | None) -> 
     message = " ".join([remark.message, *(f"[{location}]" for location in others)])
     kind, joint = remark.kind, " of " if remark.check == "crosscheck" else ": "
     title = f"{kind}{joint}{remark.element}" if remark.element else kind
-    about = RULES[kind].title if _is_audit_rule(remark) else about_kind(kind)
+    about = RULES[kind].title if _is_audit_rule(remark) else describe_kind(kind)
     if remark.cause is not None:
         made = text("this-alone-makes-count-differences", count=len(group)).en
         message = f"{remark.cause}. {made} {message}"
-        kind, title, about = "cause", f"cause of {len(group)} differences", about_kind("cause")
+        kind, title, about = "cause", f"cause of {len(group)} differences", describe_kind("cause")
     return Annotation(
         "error" if remark.fails else ANNOTATION_LEVELS[remark.severity],
         title,

@@ -28,7 +28,7 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
 from pupper_analysis.present.plots import draw_result, make_axes
-from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, about_kind
+from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, describe_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.crosscheck.crosscheck import (
     EDGE_NAMES,
@@ -152,7 +152,7 @@ def _make_annotation(
     """Create an annotation; the second place is appended to the message."""
     message = str(finding) if other is None else f"{finding} [{other}]"
     rule = f"crosscheck/{kind}"
-    about = about_kind(kind)
+    about = describe_kind(kind)
     return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=finding)
 
 

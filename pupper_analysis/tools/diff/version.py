@@ -42,11 +42,11 @@ from pupper_analysis.models.transmission import actuator_gear, list_actuator_tar
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.mjcf_only import NamedModel, mjcf_only_effects
-from pupper_analysis.robot.matching.match import drop_other_objects, list_hinges, mjcf_tree
+from pupper_analysis.robot.matching.match import delete_ball_joints, drop_other_objects, mjcf_tree
 from pupper_analysis.robot.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.robot.matching.trees import (
     Reference,
-    moving_joints,
+    fix_other_joints,
     urdf_mimics,
     urdf_tree,
     with_null_efforts,
@@ -95,7 +95,7 @@ def _read_urdf_version(file: UrdfFile) -> Version:
     tree = UrdfTree(root)
     for joint in tree.joints.values():
         joint.remove("mimic")
-    _, _, held = moving_joints(root)
+    _, _, held = fix_other_joints(root)
     base = tree.base.name
     frames = [joint.child for joint in tree.joints.values() if joint.is_fixed]
     carriers = {base: base, **{joint.name: joint.child for joint in tree.moving}}
@@ -119,7 +119,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
     named, joined = name_elements(spec, set()), join_free_base(spec)
     whole = compile_spec(spec.copy(), file.path)
     dropped = drop_other_objects(spec, file.path, None)
-    _, _, held = list_hinges(spec, file.path)
+    _, _, held = delete_ball_joints(spec, file.path)
     notes = [*file.notes, *named, *([joined] if joined else []), *dropped, *held]
     for key in list(spec.keys):
         spec.delete(key)  # the size of a keyframe may not fit after removals

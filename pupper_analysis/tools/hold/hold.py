@@ -42,10 +42,10 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.statics.equilibrium import (
     MIN_TORQUE_PER_MASS,
     GravityCompensation,
-    borne_by_motors,
+    compute_utilisation,
+    find_mass_limit,
     gravity_compensation,
     peak_utilisation,
-    utilise,
 )
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
 from pupper_analysis.tools.hold.motions import JointMotions, group_coupled_joints
@@ -97,7 +97,9 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
         config = Configuration(robot, qpos)
         position = tool.position(config)
         centre = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
-        peak = peak_utilisation(utilise(robot, config.transfer_to_motors(config.static_load())))
+        peak = peak_utilisation(
+            compute_utilisation(robot, config.transfer_to_motors(config.static_load()))
+        )
         samples.append((float(np.hypot(*(position - centre)[:2])), float(position[2]), peak))
     distances, heights, utilisation = np.array(samples).T
     return ReachLoad(distances, heights, utilisation)
@@ -268,7 +270,7 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
     rates = config.transfer_to_motors(tool.load_per_mass(config))
     if (np.abs(empty) > limits).any():
         return 0.0, robot.joint_names[int(np.argmax(np.abs(empty) - limits))]
-    mass = borne_by_motors(empty, rates, limits)
+    mass = find_mass_limit(empty, rates, limits)
     if (np.abs(rates)[np.isinf(limits)] > MIN_TORQUE_PER_MASS).any():
         return math.nan, ""
     if not mass <= UNLIMITED_MASS_RATIO * robot.total_mass:  # the lever arm is rounding

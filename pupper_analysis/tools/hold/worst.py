@@ -26,7 +26,7 @@ from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, acts_at_rest
 from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.posture import Posture
-from pupper_analysis.statics.equilibrium import utilise
+from pupper_analysis.statics.equilibrium import compute_utilisation
 from pupper_analysis.tools.hold.motions import JointMotions
 
 Array = NDArray[np.float64]
@@ -379,7 +379,7 @@ def worst_postures(
         joint_torques=torques,
         postures=postures,
         limits=robot.effort_limits,
-        utilisation=np.where(torques != 0, utilise(robot, torques), 0.0),
+        utilisation=np.where(torques != 0, compute_utilisation(robot, torques), 0.0),
         endless=_explain_unbounded_torque(robot, motions, search.stiffness),
     )
 

@@ -9,9 +9,9 @@ import webbrowser
 from collections.abc import Callable
 from typing import Any, TypedDict, Unpack
 
-from pupper_analysis.robot.joints import placed_joints
+from pupper_analysis.robot.joints import resolve_posture
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.access import Access
 from pupper_analysis.tools.live.model import StanceSolver
@@ -154,12 +154,12 @@ def check_state(model: StanceSolver, state: State) -> None:
     Raises:
         PupperAnalysisError: If the robot lacks a foot, a joint, or the link of a payload.
     """
-    robot = touching(model.load_robot(state), state.task().contacts)
+    robot = with_contacts(model.load_robot(state), state.task().contacts)
     for field, value in state.requested_values():
         for foot in value if field.per == "foot" else ():
             robot.points_of(foot)
         if field.per == "joint":
-            placed_joints(robot, value)
+            resolve_posture(robot, value)
 
 
 def serve(page: ServedPage, *, browser: bool, wait: Callable[[], object]) -> None:

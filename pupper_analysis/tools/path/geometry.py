@@ -25,7 +25,7 @@ from pupper_analysis.base.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import placed_joints
+from pupper_analysis.robot.joints import resolve_posture
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.problem import feet_centre, ground_normals
@@ -93,7 +93,7 @@ class Segment:
     def find_specified_joints(self, robot: Robot) -> list[int]:
         """Return the indices of joints whose position a stance at either end specifies."""
         tasks = self.start.task, self.end.task
-        names = {joint for task in tasks for joint in placed_joints(robot, task.posture)}
+        names = {joint for task in tasks for joint in resolve_posture(robot, task.posture)}
         return sorted(map(robot.joint_names.index, names))
 
 

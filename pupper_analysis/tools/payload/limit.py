@@ -27,11 +27,11 @@ from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation, judge_stand
 from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.joints import free_joints
-from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, model_with_servos
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
-from pupper_analysis.robot.touching import touching
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.stability import evaluate_spectrum, evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
@@ -312,7 +312,7 @@ def payload_limit(
         task = stance.task
     else:
         task = stance or StandTask()
-        robot = touching(robot, task.contacts)
+        robot = with_contacts(robot, task.contacts)
     # Raise, with an explanation, if the stance has no stand without payload.
     stand_statics(robot, solve_stand_as_simulated(robot, solve_stand(robot, task)))
     search = _PayloadSearch(robot, task, place, kp, kd)
@@ -665,7 +665,7 @@ class _PayloadSearch:
         if loaded.stand is None or loaded.statics is None:
             return loaded.cause
         stand = loaded.stand
-        with lend(loaded.robot, SearchContext) as context:
+        with borrow(loaded.robot, SearchContext) as context:
             shapes = context.shapes
             # No depths: these would exempt parts from the penetration of the feet.
             geometry = shapes.move_to(stand.qpos), stand.task.ground, stand.rigid_targets

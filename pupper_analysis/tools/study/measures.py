@@ -32,7 +32,7 @@ from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffne
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
-from pupper_analysis.statics.equilibrium import GravityCompensation, utilise
+from pupper_analysis.statics.equilibrium import GravityCompensation, compute_utilisation
 
 MetricValue = float | bool
 """Value of a metric."""
@@ -147,7 +147,7 @@ class Design:
 
     def utilisation_at_rest(self) -> float:
         """Return the largest torque / effort limit of the joints at `rest`; NaN if not known."""
-        return _find_peak(utilise(self.robot, self.rest.joint_torques))
+        return _find_peak(compute_utilisation(self.robot, self.rest.joint_torques))
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.base.provenance import list_versions
 from pupper_analysis.prepare.convert.files import FileSource
-from pupper_analysis.robot.joints import placed_joints
+from pupper_analysis.robot.joints import resolve_posture
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import check_point, find_place, split_place
 from pupper_analysis.stance.task import StandTask
@@ -179,7 +179,7 @@ class Study:
             elif pattern is not None:
                 match_joints(self.base, pattern)
             if pattern is not None and pattern.kind in JOINT_STANCE_KINDS:
-                placed_joints(self.base, {pattern.pattern: 0.0})
+                resolve_posture(self.base, {pattern.pattern: 0.0})
         servo_kinds = {name for name in self.variables if name.partition(":")[0] in SERVO_KINDS}
         if servo_kinds:
             from pupper_analysis.robot.servos import resolve_servo_gains

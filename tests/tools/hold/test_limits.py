@@ -17,7 +17,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.posture import Posture, find_posture, held_stand, joint_ranges
-from pupper_analysis.statics.equilibrium import borne_by_motors
+from pupper_analysis.statics.equilibrium import find_mass_limit
 from pupper_analysis.statics.polytope import force_inequalities, force_limits_along
 from pupper_analysis.tools.hold.force import tool_force
 from pupper_analysis.tools.hold.hold import posture_payload, servo_payload, tool_payload
@@ -228,8 +228,8 @@ def test_an_overloaded_posture_withstands_no_force_from_any_side() -> None:
 def test_lever_arm_of_rounding_size_does_not_limit_the_payload() -> None:
     """A lever arm of 1e-16 m would give a payload of 2e16 kg."""
     limits = np.array([3.0, 4.0])
-    assert borne_by_motors(np.array([0.5, -1.0]), np.array([1e-16, -1e-14]), limits) == math.inf
-    assert borne_by_motors(np.array([0.5, -1.0]), np.array([1e-16, -0.5]), limits) == 6.0
+    assert find_mass_limit(np.array([0.5, -1.0]), np.array([1e-16, -1e-14]), limits) == math.inf
+    assert find_mass_limit(np.array([0.5, -1.0]), np.array([1e-16, -0.5]), limits) == 6.0
 
 
 def test_payload_of_soft_servos_is_below_that_of_the_motors() -> None:

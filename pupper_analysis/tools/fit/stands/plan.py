@@ -30,7 +30,7 @@ from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.equilibrium import peak_utilisation, utilise
+from pupper_analysis.statics.equilibrium import compute_utilisation, peak_utilisation
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands
 from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
@@ -258,7 +258,7 @@ def _make_candidate(
         added: Known mass on the robot [kg].
     """
     torque, position = sagged.joint_torques, sagged.qpos[7:]
-    utilisation = peak_utilisation(utilise(robot, torque))
+    utilisation = peak_utilisation(compute_utilisation(robot, torque))
     command = (position + compute_command_lead(torque, kp)).tolist()
     planned = PlannedStand(
         name="",
