@@ -221,7 +221,7 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
 
 
 def foot_geoms(
-    description: Description, model: mujoco.MjModel, places: Mapping[str, tuple[int, Array]]
+    description: Description, model: mujoco.MjModel, centres: Mapping[str, tuple[int, Array]]
 ) -> dict[str, tuple[int, float]]:
     """Return the geom of each contact point: {contact point: (geom id, radius [m])}.
 
@@ -231,13 +231,13 @@ def foot_geoms(
     Args:
         description: Description of the robot.
         model: MuJoCo model of the robot.
-        places: {contact point: (body id in ``model``, position (3,) [m] in the body frame)}.
+        centres: {contact point: (body id in ``model``, position (3,) [m] in the body frame)}.
 
     Raises:
         ModelError: If a contact point has no entry and no such sphere.
     """
     geoms: dict[str, tuple[int, float]] = {}
-    for foot, (body, position) in places.items():
+    for foot, (body, position) in centres.items():
         if foot in description.foot_geoms:
             name, radius = description.foot_geoms[foot]
             geoms[foot] = int(model.geom(name).id), radius
@@ -275,7 +275,7 @@ def ground_contacts(
 def stand_height(
     model: mujoco.MjModel,
     base: str,
-    places: Mapping[str, tuple[int, Array]],
+    centres: Mapping[str, tuple[int, Array]],
     radius: Mapping[str, float],
     keyframe: Array,
     foot_depth: float | None,
@@ -290,7 +290,7 @@ def stand_height(
     Args:
         model: MuJoCo model.
         base: Name of the base body.
-        places: {foot: (body id, position (3,) [m] in the body)}.
+        centres: {foot: (body id, position (3,) [m] in the body)}.
         radius: {foot: radius [m]}.
         keyframe: Configuration in MuJoCo's order; only the last ``model.nq`` values are used, since
             the keyframe may be that of a model with a free base.
@@ -303,7 +303,7 @@ def stand_height(
     base_id = model.body(base).id
     rotation = data.xmat[base_id].reshape(3, 3)
     heights: list[float] = []
-    for foot, (body, position) in places.items():
+    for foot, (body, position) in centres.items():
         if foot_depth is None:
             foot_position = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         else:

@@ -176,7 +176,7 @@ class PinocchioConvention:
         T is orthogonal: qvel = T^T v_pin, tau_pin = T tau, J = J_pin T and M = T^T M_pin T.
 
         Args:
-            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z), of any norm.
+            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z), not zero.
         """
         base, count = self.base_nv, len(self.v_index)
         result = np.zeros((self.nv, base + count))
@@ -192,7 +192,7 @@ class PinocchioConvention:
         It is zero for a fixed base: T changes with the orientation of the base.
 
         Args:
-            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z), of any norm.
+            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z), not zero.
             qvel: Velocity in public order, shape (nv,).
         """
         result = np.zeros(self.nv)

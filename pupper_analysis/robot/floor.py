@@ -56,10 +56,10 @@ def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
 def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
-    A floor on another fixed body is moved to the world, a tilted or higher floor is levelled, and a
-    missing floor is added. Contacts of other fixed geoms (stairs, tables, walls), except planes at
-    z = 0, are disabled, because slopes and steps are part of the task. Parameters of a ``<pair>``
-    with the floor are moved to the geom.
+    A floor on another fixed body is moved to the world, a tilted, higher or lower floor is replaced
+    by a level floor at z = 0, and a missing floor is added. Contacts of other fixed geoms (stairs,
+    tables, walls), except planes at z = 0, are disabled, because slopes and steps are part of the
+    task. Parameters of a ``<pair>`` with the floor are moved to the geom.
 
     Returns:
         Diagnostics of the changes.

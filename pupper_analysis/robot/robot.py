@@ -462,7 +462,7 @@ class Robot(EngineModels):
 
     @property
     def nu(self) -> int:
-        """Number of joints."""
+        """Number of joints, the size of all joint vectors; not the number of MuJoCo's controls."""
         return len(self.joint_names)
 
     @property
@@ -495,7 +495,7 @@ class Robot(EngineModels):
 
     @cached_property
     def acts_at_rest(self) -> bool:
-        """Whether the MJCF has springs, gravity compensation, wind etc. that act at rest."""
+        """Whether the MJCF may have passive forces at rest; see the function `acts_at_rest`."""
         return acts_at_rest(self.mj_model)
 
     @cached_property
@@ -569,7 +569,10 @@ class Robot(EngineModels):
 
     @cached_property
     def effort_ranges(self) -> Array:
-        """Minimum and maximum effort (nu, 2) [N m, N] of each joint; infinite without a limit."""
+        """Minimum and maximum effort of each joint from both files, (nu, 2) [N m, N].
+
+        Infinite if no file states a limit.
+        """
         ranges: Array = np.array([(limit.lower, limit.upper) for limit in self.efforts])
         ranges.flags.writeable = False
         return ranges
@@ -753,7 +756,8 @@ def defer_stages(robot: Robot, complete: Callable[[], Robot]) -> Robot:
 
     The steps are servo tuning, rest pose and visual meshes. Fields in `_EARLY_FIELDS` are copied
     from ``robot``. All other fields are copied from the completed robot: the first access to such a
-    field, pickling, and copying run ``complete`` once.
+    field, pickling, and copying run ``complete``, once unless several threads need such a field at
+    the same time.
 
     Args:
         robot: Robot before the remaining steps.

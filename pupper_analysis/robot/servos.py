@@ -205,8 +205,8 @@ def write_position_servos(
     Args:
         model: MuJoCo model.
         actuators: Actuator ids, each at a single joint, shape (n,).
-        kp: Stiffness at the joints, scalar or shape (n,) [N m/rad].
-        kd: Damping at the joints, scalar or shape (n,) [N m s/rad].
+        kp: Stiffness at the joints, scalar or shape (n,) [N m/rad; N/m for a slide].
+        kd: Damping at the joints, scalar or shape (n,) [N m s/rad; N s/m for a slide].
     """
     squared = model.actuator_gear[actuators, 0] ** 2
     model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
@@ -289,7 +289,7 @@ def resolve_servo_gains(
         kd: Damping [N m s/rad], scalar or shape (nu,). Default: that of the MJCF's servos.
 
     Returns:
-        Gains of each joint; 0 for the dependent joints of closed loops.
+        Gains of each joint; 0 for the dependent joints of loops and couplings.
 
     Raises:
         ConfigurationError: If a gain is invalid or the stiffness too small.
