@@ -35,8 +35,8 @@ Array = NDArray[np.float64]
 _OBJECT_TYPE = mujoco.mjtObj
 
 _MAX_FINE_TIMESTEP = 2e-3
-"""Upper bound of the time step [s] of the test whether a long time step causes a difference. Chosen,
-not tuned: MuJoCo's default."""
+"""Upper bound of the time step [s] in the test whether a long time step causes a difference:
+MuJoCo's default. Chosen, not tuned."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
 """Lower bound of the iterations and upper bound of the tolerance of an accurate constraint solver.
@@ -507,8 +507,8 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
     """Return the changes by the preparation that no change of the published model can undo.
 
-    These are bodies whose shapes were replaced by balls, and joints whose actuator is no position
-    servo (`Drive.has_other_law`).
+    These are bodies whose shapes were replaced by balls, and joints whose actuator is neither servo
+    nor motor (`Drive.has_other_law`).
     """
     bodies = _list_ball_bodies(robot)
     named = zip(robot.joint_names, published.drives, strict=True)

@@ -1,8 +1,9 @@
 """Simulate the published robot file from a keyframe, independently of the computed stand.
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
-pose, and may have disabled contacts. The run of the published file from its keyframe shows what
-MuJoCo makes of the file alone: 5 s, or less with short time steps, with a nudge at the start.
+pose, and may have disabled contacts. The run of the published file from its keyframe (the "own
+run") shows whether the file alone stands in MuJoCo: 5 s, or less with short time steps, with a
+nudge at the start.
 Results are computed when a verdict is first requested.
 """
 
@@ -53,9 +54,9 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 _CTRL_ANGLE_RTOL = 0.1
-"""Relative tolerance on the norm of all controls, below which the ctrl of a keyframe are joint
-angles. The difference from the angles carries the weight. Torques of as many joints are not within
-it by chance."""
+"""Upper bound of ``|ctrl - angles| / |angles|`` (norms over all joints) with which the ctrl of a
+keyframe count as joint angles instead of torques. Chosen, not tuned: position commands differ from
+the angles by the deflection that carries the weight."""
 
 NO_EXTERNAL_SERVOS = (
     np.zeros(0, dtype=np.intp),
@@ -64,29 +65,31 @@ NO_EXTERNAL_SERVOS = (
     np.zeros(0),
     np.zeros(0),
 )
-"""Value of ``HoldCommands.external`` without joints that an external law holds."""
+"""Value of ``HoldCommands.external`` without external servos, which are servos that the simulation
+computes for joints without a position servo in the file."""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""
 
 _MAX_RESTING_SPEED = 5e-3
-"""Upper bound of the speeds [m/s, rad/s] of a robot at rest. Measured: feet that part creep at 1e-3
-(ANYmal B); robots that shake oscillate with 2e-2 or more."""
+"""Upper bound of the speeds [m/s, rad/s] with which a robot counts as at rest. Measured: feet of
+ANYmal B that creep apart move at 1e-3; robots that shake oscillate with 2e-2 or more."""
 
 
 def as_loaded(robot: Robot) -> Robot:
-    """Return the robot as loaded, without later changes and without contacts of a task."""
+    """Return the robot as loaded from its files: without later changes, or contacts of a task."""
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
     return loaded if loaded.bare is None else loaded.bare
 
 
 def own_run(robot: Robot) -> OwnRun | None:
-    """Return the run of the published file from the keyframe, computed once per loaded robot.
+    """Return the simulation of the published file from its keyframe, cached per loaded robot.
 
     Returns:
-        Run. None if the robot has no feet or a fixed base, if ``get_published_model`` returns None,
-        or if the file fixes the base. See ``simulate_model_from_keyframe`` for further cases.
+        Simulation result. None if the robot has no feet or a fixed base, if ``get_published_model``
+        returns None, or if the file fixes the base. See ``simulate_model_from_keyframe`` for
+        further cases.
     """
     return as_loaded(robot).compute_once(_simulate_from_keyframe)
 
@@ -116,7 +119,10 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def import_refused(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return the reason why MuJoCo cannot import the robot's URDF; empty if the import works."""
+    """Return the message why MuJoCo cannot import the robot's URDF; empty if the import works.
+
+    Also empty for a robot with an MJCF, whose URDF is not imported.
+    """
     found = as_loaded(robot).compute_once(_imported)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
 
@@ -184,11 +190,13 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
 
 
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model, or a modified copy, from the keyframe.
+    """Simulate a published model, or a modified copy, from its initial keyframe.
+
+    Without a keyframe, the simulation starts at the nominal stand.
 
     Returns:
-        Run. None if the robot has no file, or the model fixes the base. Without the keyframe, also
-        None in the cases of ``_simulate_nominal_stand``.
+        Simulation result. None if the robot has no file, or the model fixes the base. Without a
+        keyframe, also None in the cases of ``_simulate_nominal_stand``.
     """
     if robot.published is None or not published.floating:
         return None
@@ -228,9 +236,9 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
 def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
     """Simulate a published model from a keyframe, with the ctrl of the keyframe.
 
-    If the XML of the keyframe has no ctrl, ``OwnRun.held`` is a second run, in which servos
-    hold the joint positions of the keyframe. There is no second run if most joints have no servo,
-    or if an actuator has a built-in controller.
+    If the keyframe specifies no ctrl, ``OwnRun.held`` is a second run, in which the servos of the
+    file hold the joint positions of the keyframe. There is no second run if most joints have no
+    servo, or if an actuator has a built-in controller.
     """
     model, data = published.model, mujoco.MjData(published.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
@@ -297,10 +305,10 @@ def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun |
 def _commands_to_hold(
     published: PublishedModel, robot: Robot, data: mujoco.MjData, pose: Array
 ) -> HoldCommands:
-    """Return the commands for a published model to hold joint positions.
+    """Return the commands with which a published model holds joint positions.
 
-    The servos that loading added are used only if most joints of the file have none. Otherwise a
-    joint with a torque motor is not held.
+    The servos that loading added are used only if most joints of the file have no servo. Otherwise
+    a joint with a torque motor is not held.
 
     Args:
         published: Published model.
@@ -317,7 +325,7 @@ def _commands_to_hold(
 
 
 def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.intp]:
-    """Return the addresses of the robot's joints in ``qpos`` of the published model, (nu,)."""
+    """Return the indices of the robot's joints in ``qpos`` of the published model, shape (nu,)."""
     joints = [published.model.joint(joint).id for joint in robot.joint_names]
     return np.asarray(published.model.jnt_qposadr[joints])
 
@@ -328,18 +336,18 @@ of the keyframe are then simulated. Chosen, not tuned."""
 
 
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
-    """Simulate the published file of a robot with a fixed base in a posture.
+    """Simulate the published file of a robot with a fixed base from a posture.
 
-    If a keyframe has this posture, and its XML has ctrl, the ctrl of the XML is used. Otherwise the
-    joint positions are the commands.
+    If a keyframe of the file has this posture and specifies ctrl, its ctrl is commanded. Otherwise
+    the joint positions are commanded.
 
     Args:
         robot: Robot.
         joints: Joint positions of the posture, shape (nu,) [rad, m].
 
     Returns:
-        Run. None if the robot or the file has a free base, if there is no model, or if an actuator
-        has a built-in controller.
+        Simulation result. None if the robot or the file has a free base, if there is no model
+        (`get_published_model`), or if an actuator has a built-in controller.
     """
     model = None if robot.floating else robot.compute_once(get_published_model)
     if model is None:
@@ -365,9 +373,10 @@ def _keyframe_name(model: mujoco.MjModel, key: int) -> str:
 def _simulate_commands(
     published: PublishedModel, robot: Robot, data: mujoco.MjData, hold: HoldCommands
 ) -> OwnRun:
-    """Simulate a published model with constant commands, and measure the joint deviations.
+    """Simulate a published model with constant commands, and measure the joint displacements.
 
-    The caller sets ``keyframe``, ``commands``, ``limp`` and ``held``.
+    The caller sets the fields ``keyframe``, ``commands``, ``limp`` (most joints have no servo and
+    no command) and ``held`` (second run) of the result.
 
     Args:
         published: Published model.
@@ -430,9 +439,7 @@ def _joint_deviations(
 
 
 def _unheld_joints(robot: Robot, joints: list[JointOff]) -> list[JointOff]:
-    """Return the joints without a position servo that moved more than the limit.
-
-    The limit is ``MIN_UNHELD_DISPLACEMENT``.
+    """Return the joints without position servo that moved by more than ``MIN_UNHELD_DISPLACEMENT``.
 
     Coupled joints (no actuator, and no added servo) are excluded. The result is empty unless more
     than half of the joints have a position servo.

@@ -97,8 +97,8 @@ class LoadRequest:
 
 
 _MIN_PARTIAL_FREE_JOINTS = 4
-"""Minimum number of joints of a base that is free by several joints: three slides and a ball
-joint."""
+"""Number of joints from which on a body counts as a base that moves by several joints instead of a
+free joint. Derived from three slides and a ball joint."""
 
 
 @dataclass(frozen=True)
@@ -129,11 +129,11 @@ class Draft:
             priority.
         found_match: Matched joints of both files; None before the pass ``match``.
         description: Both files with matched names; None before the pass ``match``.
-        built: Robot; None before the passes ``build`` and ``build-held``.
-        footless: Robot without feet; None before the pass ``put-feet``, and if no feet were
+        built: Robot; None before the passes ``build`` and ``build-with-fixed-base``.
+        footless: Robot without feet; None before the pass ``find-feet``, and if no feet were
             found.
-        feet: Feet; empty before the pass ``put-feet``.
-        refused: Reason why no robot with a free base can be made; only ``hold-base`` is then
+        feet: Feet; empty before the pass ``find-feet``.
+        refused: Reason why no robot with a free base can be made; only ``fix-base`` is then
             applied.
         runs: Passes that were run.
     """
@@ -153,9 +153,9 @@ class Draft:
 
     @property
     def may_fix_base(self) -> bool:
-        """True if the base may be fixed, as in the file, although no fixed base was requested.
+        """Whether the base may be fixed although the user did not request a fixed base.
 
-        The file must have no free joint, and no child body of the world with
+        True if the MJCF has no free joint, and no child body of the world with
         `_MIN_PARTIAL_FREE_JOINTS` joints or more.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
@@ -171,7 +171,7 @@ class Draft:
 
     @property
     def described(self) -> Description:
-        """Both files with matched names."""
+        """URDF and MJCF with matched names; available after the matching pass."""
         assert self.description is not None
         return self.description
 
@@ -211,7 +211,7 @@ class Pass:
     deferred: bool = False
 
     def applies(self, draft: Draft) -> bool:
-        """Return True if the pass is to be applied to a draft."""
+        """Return True if this pass must be applied to a draft, the robot in preparation."""
         return (draft.refused is None or self.after_refusal) and self.condition(draft)
 
 
@@ -225,7 +225,12 @@ def _register_pass(
     after_refusal: bool = False,
     deferred: bool = False,
 ) -> Callable[[Callable[[Draft], PassOutput]], Callable[[Draft], PassOutput]]:
-    """Return a decorator that appends a function to the passes, under the function's name."""
+    """Return a decorator that registers a function as the next pass, named after the function.
+
+    The arguments are the fields of `Pass`: ``does`` is the purpose of the pass in words,
+    ``after_refusal`` applies the pass also to refused drafts, and ``deferred`` postpones it until
+    the robot is first simulated or drawn.
+    """
 
     def added(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
         """Register a function as the next pass."""
@@ -341,7 +346,7 @@ def _couple_mimics(draft: Draft) -> PassOutput:
 
 
 @_register_pass(Term("builds the robot on its fixed base"), _has_fixed_base)
-def _build_held(draft: Draft) -> PassOutput:
+def _build_with_fixed_base(draft: Draft) -> PassOutput:
     """Build the robot with the base fixed; named feet are kept as frames."""
     described = start.with_keyframes(draft.described, draft.keyframes)
     described = replace(described, contact_points=draft.request.feet or {})
@@ -368,7 +373,7 @@ def _level_ground(draft: Draft) -> PassOutput:
 
 
 @_register_pass(Term("takes dry friction off the free joint"), _has_free_base)
-def _free_of_friction(draft: Draft) -> PassOutput:
+def _remove_free_joint_friction(draft: Draft) -> PassOutput:
     """Remove the dry friction of free joints."""
     return draft, remove_free_joint_friction(draft.described.mjcf)
 
@@ -381,7 +386,7 @@ def _build(draft: Draft) -> PassOutput:
 
 
 @_register_pass(Term("limits joints of loops that have none"), _has_free_base)
-def _bound_joints(draft: Draft) -> PassOutput:
+def _limit_continuous_joints(draft: Draft) -> PassOutput:
     """Add limits to continuous joints of robots with closed loops."""
     return _rebuild_robot(draft, limit_continuous_joints(draft.robot)), ()
 
@@ -401,7 +406,7 @@ def _check_masses(draft: Draft) -> PassOutput:
 
 
 @_register_pass(Term("finds the feet, and their contact points"), _has_free_base)
-def _put_feet(draft: Draft) -> PassOutput:
+def _find_feet(draft: Draft) -> PassOutput:
     """Find the feet and their contact points, and build the robot with these contact points.
 
     The spheres of ellipsoids are fitted again at the joint positions of the nominal stand, until
@@ -455,18 +460,21 @@ def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
 
 
 @_register_pass(Term("adds motors to joints of loops that have none"), _may_be_altered)
-def _add_motors(draft: Draft) -> PassOutput:
+def _add_loop_motors(draft: Draft) -> PassOutput:
     """Add motors without effect to joints of closed loops that have none."""
     return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 
 def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
-    """Return a function from a keyframe to the penetration [m] of the standing file, or None."""
+    """Return a function of a keyframe's name that returns the feet's penetration at rest [m].
+
+    The function returns None if the unmodified file falls from this keyframe.
+    """
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
 
 @_register_pass(Term("finds a pose in which it stands"), _stands_on_feet)
-def _start_pose(draft: Draft) -> PassOutput:
+def _find_start_pose(draft: Draft) -> PassOutput:
     """Select the start pose of the robot: a keyframe, or a pose that is computed."""
     sunk = start.compute_resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk, _make_rest_depth(draft))
@@ -474,8 +482,8 @@ def _start_pose(draft: Draft) -> PassOutput:
 
 
 @_register_pass(Term("takes hulls that carry most of the load as contact points"), _may_be_altered)
-def _stand_on_hulls(draft: Draft) -> PassOutput:
-    """Take convex hulls beside soft feet as contact points if the hulls carry most of the load."""
+def _use_hulls_as_feet(draft: Draft) -> PassOutput:
+    """Use convex hulls of foot meshes as contact points if they carry most of the feet's load."""
     if draft.footless is None or draft.robot.closure is not None:
         return draft, ()
     hulls = touching.find_carrying_hulls(draft.footless, draft.robot, draft.feet)
@@ -499,21 +507,21 @@ def _stand_on_hulls(draft: Draft) -> PassOutput:
 
 
 @_register_pass(Term("lets feet alone touch the ground"), _may_be_altered)
-def _touch_with_feet_alone(draft: Draft) -> PassOutput:
-    """Disable contacts of shapes beside the feet."""
+def _disable_shapes_beside_feet(draft: Draft) -> PassOutput:
+    """Disable the contacts of other shapes on the foot bodies near the ground."""
     robot, messages = touching.disable_shapes_beside_feet(draft.robot)
     return replace(draft, built=robot), messages
 
 
 @_register_pass(Term("excludes contacts of parts that overlap"), _may_get_servos)
-def _keep_apart(draft: Draft) -> PassOutput:
+def _exclude_overlaps(draft: Draft) -> PassOutput:
     """Exclude contacts of bodies that overlap in the start pose."""
     robot, messages = touching.exclude_overlaps(draft.robot)
     return replace(draft, built=robot), messages
 
 
 @_register_pass(Term("chooses a solver that solves the equations of motion"), _may_be_altered)
-def _solve_exactly(draft: Draft) -> PassOutput:
+def _choose_solver(draft: Draft) -> PassOutput:
     """Set dense matrices if MuJoCo's solver is accurate only with dense matrices."""
     robot, messages = choose_exact_solver(draft.robot)
     return replace(draft, built=robot), messages
@@ -523,7 +531,7 @@ def _solve_exactly(draft: Draft) -> PassOutput:
     Term("tells which joints and motors are not commanded"),
     lambda draft: _stands_on_feet(draft) or _has_fixed_base(draft),
 )
-def _tell_what_follows(draft: Draft) -> PassOutput:
+def _report_uncommanded_joints(draft: Draft) -> PassOutput:
     """Note coupled joints, and actuators that are not commanded."""
     return draft, (
         *notes.report_coupled_joints(draft.robot),
@@ -532,7 +540,7 @@ def _tell_what_follows(draft: Draft) -> PassOutput:
 
 
 @_register_pass(Term("fixes the base where it does not stand"), _must_fix_base, after_refusal=True)
-def _hold_base(draft: Draft) -> PassOutput:
+def _fix_base(draft: Draft) -> PassOutput:
     """Prepare the robot again with the base fixed, because the robot does not stand.
 
     Raises:
@@ -571,10 +579,10 @@ def _add_servos(draft: Draft) -> PassOutput:
     _may_be_altered,
     deferred=True,
 )
-def _rest_at_start(draft: Draft) -> PassOutput:
+def _store_rest_pose(draft: Draft) -> PassOutput:
     """Replace a searched start pose by the stand on soft ground.
 
-    Without a stand on soft ground, the start pose is kept: every verdict will fail.
+    Without a stand on soft ground, the start pose is kept.
     """
     messages = (note for run in draft.runs for note in run.done)
     reason = next((note for note in messages if note.code == "start-pose-found"), None)
@@ -592,7 +600,7 @@ def _rest_at_start(draft: Draft) -> PassOutput:
 @_register_pass(
     Term("builds the robot with all that is seen of it"), _applies_always, deferred=True
 )
-def _build_whole(draft: Draft) -> PassOutput:
+def _convert_visual_meshes(draft: Draft) -> PassOutput:
     """Build the robot again with visual geoms if previously dropped; convert visual meshes.
 
     Without a request for visual meshes (`LoadRequest.visuals`), meshes are not converted.
@@ -610,12 +618,15 @@ def _build_whole(draft: Draft) -> PassOutput:
 
 
 def list_urdf_ground_additions() -> tuple[Addition, ...]:
-    """Return the additions of a robot that has only a URDF: a floor, and stiff friction."""
+    """Return the additions of a robot that has only a URDF: a floor, and solver options.
+
+    The options (`STIFF_FRICTION_OPTIONS`) reduce the creep of loaded contacts.
+    """
     held = Options(diagnose("contacts-made-to-hold"), STIFF_FRICTION_OPTIONS)
     return Floor(diagnose("ground-added")), held
 
 
-_MATCH, _HOLD_BASE, _BUILD_WHOLE = "match", "hold-base", "build-whole"
+_MATCH, _FIX_BASE, _CONVERT_MESHES = "match", "fix-base", "convert-visual-meshes"
 """Names of the passes whose notes have another position than the pass."""
 
 PREPARATION_PASSES = tuple(_registered_passes)
@@ -670,13 +681,13 @@ def make_robot(
     visuals: bool = True,
     finish: Callable[[Robot], Robot] | None = None,
 ) -> Robot:
-    """Prepare a robot from two files as read, in memory; postpone servos and visual meshes.
+    """Prepare a robot from two files as read, in memory; servos and visual meshes are postponed.
 
     The options are those of `load_robot`, which reads the files. Servo tuning, rest pose and visual
-    meshes run when the robot is first simulated, drawn, pickled or copied (see `defer_stages`). If
-    servos may change the order of the joints, these steps run immediately. With a fixed base, only
-    the visual meshes are then postponed, because servos of a fixed base take no simulation. The
-    function ``finish``, if any, is applied to the robot after all steps.
+    meshes are computed when the robot is first simulated, drawn, pickled or copied
+    (`defer_stages`). If servos may change the order of the joints, servos and rest pose are
+    computed immediately; visual meshes are then postponed only with a fixed base. The function
+    ``finish``, if any, is applied to the robot after all steps.
 
     Raises:
         ConfigurationError: See `parse_feet`.
@@ -721,7 +732,7 @@ def _keeps_joint_order(robot: Robot) -> bool:
 def prepare_robot(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Robot, list[PassRun]]:
-    """Prepare a robot from two files as read; apply all passes.
+    """Prepare a robot from two files as read: apply all preparation passes, without postponing.
 
     Returns:
         Robot, whose notes include the notes of the passes, and the passes that were run.
@@ -748,10 +759,10 @@ def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
     """
     draft = _run_passes(_DEFERRED_PASSES, draft)
     # The reason for a fixed base is the last note.
-    runs = sorted(draft.runs, key=lambda run: run.name == _HOLD_BASE)
+    runs = sorted(draft.runs, key=lambda run: run.name == _FIX_BASE)
     notes_by_pass = {run.name: run.done for run in runs}
     # Meshes that were left out are reported with the other parts of the files that were left out.
-    left_meshes = notes_by_pass.pop(_BUILD_WHOLE, ())
+    left_meshes = notes_by_pass.pop(_CONVERT_MESHES, ())
     notes_by_pass[_MATCH] = (*notes_by_pass[_MATCH], *left_meshes)
     messages = (note for done in notes_by_pass.values() for note in done)
     robot = draft.robot
@@ -759,7 +770,7 @@ def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
 
 
 def parse_feet(feet: Feet) -> dict[str, tuple[str, str]]:
-    """Return {foot: (frame in the URDF, frame in the MJCF)} of named feet.
+    """Convert the feet that a user names to {foot: (frame in the URDF, frame in the MJCF)}.
 
     A single frame name is used for both files.
 

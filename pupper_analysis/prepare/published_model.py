@@ -3,7 +3,8 @@
 The published model is the robot's MJCF, or MuJoCo's own import of the URDF, without the feet and
 start pose of the preparation. The published model is placed at a configuration of the prepared
 robot, and held there by the file's own actuators. At joints with a torque motor, or without
-actuator, an external law acts like the position servo that loading added to the prepared robot.
+actuator, an external servo holds the joint: the simulation computes its torque in each step, with
+the gains of the position servo that loading added to the prepared robot (`HoldCommands`).
 """
 
 from __future__ import annotations
@@ -53,15 +54,16 @@ _BASE_POSE_ATOL = 1e-10
 """Tolerance [m, rad] of the base pose in `place_at_state`. Chosen, not tuned."""
 
 _MAX_NEWTON_STEPS = 20
-"""Upper bound of the Newton steps in `place_at_state`; a free joint needs two. Chosen."""
+"""Upper bound of the Newton steps in `place_at_state`; a free joint needs two. Chosen, not
+tuned."""
 
 _TRIAL_COMMAND = 1e-6
-"""Command of an actuator in the finite difference of `_measure_command_law`. Chosen: small enough
-for any ctrlrange that contains zero."""
+"""Step of ctrl, in its own unit, in the finite difference of `_measure_command_law`. Chosen small
+enough for each ctrlrange that contains zero."""
 
 _MIN_COMMAND_GAIN = 1e-9
-"""Lower bound of the joint torque per unit of ctrl [N m or N]. Below, the command has no effect,
-and the joint is held by an external torque. Chosen, not tuned."""
+"""Joint torque per unit of ctrl [N m or N] below which a command counts as without effect. The
+external servo then applies its torque to the joint, instead of a ctrl. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Time constant of an actuator filter [s] up to which the filter state starts at its settled value.
@@ -87,7 +89,7 @@ class PublishedModel:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, robot: Robot) -> PublishedModel:
-        """Create the record of a compiled model with the base and the joint drives of a robot."""
+        """Create the `PublishedModel` of a compiled model: find ground, base and joint drives."""
         drives = tuple(
             classify_joint_drive(model, model.joint(name).id) for name in robot.joint_names
         )
@@ -98,7 +100,7 @@ class PublishedModel:
 
     @property
     def floating(self) -> bool:
-        """True if the base body has six or more degrees of freedom of its own."""
+        """Whether the base body in the file has six or more degrees of freedom of its own."""
         return int(self.model.body_dofnum[self.base_body]) >= 6
 
 
@@ -113,21 +115,20 @@ negative is meant to hold, so the file fails because of that servo (``Drive.bad`
 
 
 def has_few_servos(published: PublishedModel) -> bool:
-    """Return True if most joints lack an actuator that is meant to hold a position.
+    """Return True if most joints have no actuator that is meant to hold a position.
 
-    For example, torque motors and velocity servos are not meant to.
+    For example, torque motors and velocity servos are not meant to hold a position.
     """
     count = sum(drive in _NOT_POSITION_SERVOS for drive in published.drives)
     return 2 * count > len(published.drives)
 
 
 def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedModel:
-    """Return a published model with the time step and integrator of the prepared robot.
+    """Return a published model with the prepared robot's time step and integrator.
 
-    Without time step and integrator in the file, MuJoCo's defaults (2 ms, Euler) are nobody's
-    choice, and may be too coarse for the added servos. The model is returned unchanged if the robot
-    has no MJCF, no added servos, or if at most half of the joints lack a position servo. An
-    attribute that the file specifies is kept.
+    An attribute that the file specifies is kept; MuJoCo's defaults (2 ms, Euler) may be too coarse
+    for the added servos. The model is returned unchanged if the robot has no MJCF or no added
+    servos, or if at most half of the joints lack a position servo.
 
     Args:
         published: Published model.
@@ -149,11 +150,11 @@ def with_requested_gains(
 ) -> tuple[PublishedModel, Robot]:
     """Return a published model, and a robot, whose joints have the requested servo gains.
 
-    The actuator of a joint becomes a position servo by the rule of ``model_with_servos``. A joint
-    is held by the external law of ``HoldCommands`` if it has no actuator, several actuators, or one
-    that is not meant to hold a position (for example, a torque motor). Joints with a stiffness of
-    zero follow other joints, and are unchanged. The returned robot is for comparisons only: its
-    MuJoCo model has gains that its description lacks.
+    The actuator of a joint becomes a position servo with these gains. A joint gets an external
+    servo (``HoldCommands``) if it has no actuator, several actuators, or one that is not meant to
+    hold a position (for example, a torque motor). Joints with a stiffness of zero depend on other
+    joints, and are unchanged. The returned robot is for comparisons only: its MuJoCo model has
+    gains that its description lacks.
 
     Args:
         published: Published model.
@@ -182,13 +183,12 @@ def with_requested_gains(
 
 
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
-    """Return the compiled model of an MJCF, without the changes of the preparation.
+    """Return the compiled model of an MJCF, without most changes of the preparation.
 
-    Bodies and joints without a name are named if the model is compiled again, with these changes: a
-    floor, if the robot has a free base and the world has neither a level plane nor a collidable
-    geom; and a fixed base without ground contacts, if the base of the robot is fixed and that of
-    the file is free. Visual geoms are kept, so that the geoms of a body have the same order as in
-    the robot's model.
+    The model is compiled again, with names for all elements, in two cases. A floor is added if the
+    robot has a free base, and the world has neither a level plane nor a collidable geom. The base
+    is fixed, without ground contacts, if it is fixed in the robot and free in the file. Visual
+    geoms are kept, so that the geoms of a body have the same order as in the robot's model.
 
     Args:
         mjcf: MJCF as read.
@@ -301,7 +301,7 @@ def _find_ground_height(model: mujoco.MjModel) -> float | None:
 
 
 def place_published(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData | None:
-    """Return the data of a published model in a configuration of the robot.
+    """Place a published model at a configuration of the robot, and return MuJoCo's data.
 
     Args:
         published: Published model.
@@ -319,7 +319,7 @@ def place_published(published: PublishedModel, robot: Robot, qpos: Array) -> muj
 def place_at_state(
     published: PublishedModel, robot: Robot, state: mujoco.MjData
 ) -> mujoco.MjData | None:
-    """Return the data of a published model in a state of the robot's own MuJoCo model.
+    """Place a published model at a state of the prepared robot's model; return MuJoCo's data.
 
     Hinges and slides outside the base body are matched by name and type; those that the robot's
     model lacks are at zero. Ball joints keep the reference position. The base is placed such that
@@ -355,7 +355,7 @@ def place_at_state(
 
 
 def place_fixed_base(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData:
-    """Return MuJoCo data of a published model with a fixed base, at given joint positions.
+    """Place a published model with a fixed base at joint positions, and return MuJoCo's data.
 
     Args:
         published: Published model with a fixed base.
@@ -415,9 +415,9 @@ class HoldCommands:
         ctrl: Controls of all actuators, shape (model.nu,): commands of position servos at joints of
             the robot; without force for position servos on tendons and sites; zero for others.
         act: States of the actuator filters, shape (model.na,).
-        external: External position servos of joints without position servo: dof addresses, kp [N
-            m/rad], kd [N m s/rad], target positions [rad], feed-forward torques [N m], each of
-            shape (n,).
+        external: External servos, which the simulation computes for n joints without position
+            servo: dof addresses, kp [N m/rad], kd [N m s/rad], target positions [rad], feed-forward
+            torques [N m], each of shape (n,).
         motor_laws: {dof: (index of the control, lever, offset)} of the joints with an external
             servo that have an actuator: at rest the joint torque [N m] is lever * ctrl + offset.
     """
@@ -435,9 +435,9 @@ def compute_hold_commands(
     torques: Array | None,
     targets: Array,
 ) -> HoldCommands:
-    """Compute the commands with which the joints hold target positions.
+    """Compute the commands with which the joints of a published model hold target positions.
 
-    A joint with neither a position servo of the file nor an added servo gets no command.
+    A joint with neither a position servo of the file nor an added servo is not held.
 
     Args:
         published: Published model.
@@ -591,9 +591,9 @@ def _measure_command_law(
 
 
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
-    """Return the joints whose actuator has an internal controller, such as MuJoCo's ``pid``.
+    """Return the names of joints whose actuator has an internal controller, such as ``pid``.
 
-    Such an actuator has several controls or a state. No external law makes it hold a position.
+    Such an actuator has several controls or a state; no command is computed for it.
     """
     model, names = published.model, []
     for name, drive in zip(robot.joint_names, published.drives, strict=True):

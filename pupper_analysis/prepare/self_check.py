@@ -1,9 +1,9 @@
 """Compare the published file with the prediction, from the computed stand, and name causes.
 
 The published model is placed in the predicted state of rest and simulated with the predicted
-commands. Results are computed when a verdict is first requested, like the run from the keyframe
-(``own_run``). A cause of a difference is an element of the file that is tested by changes of
-copies of the model.
+commands; torques, height and joint positions are compared. Results are computed when a verdict is
+first requested, like the run from the keyframe (``own_run``). The cause of a difference is an
+element of the file: if it is switched off in a copy of the model, the difference disappears.
 """
 
 from __future__ import annotations
@@ -70,23 +70,23 @@ from pupper_analysis.statics.equilibrium import gravity_compensation
 Array = NDArray[np.float64]
 
 SETTLING_TIME = 1.0
-"""Simulated time before the nudge [s]. Servos with natural frequencies of some hertz are then at
-rest."""
+"""Simulated time before the nudge [s]. Chosen: servos with natural frequencies of some hertz are
+then at rest."""
 
 NUDGED_TIME = 4.0
-"""Simulated time after the nudge [s]. A nudge that has not decayed by then does not decay
-(chosen)."""
+"""Simulated time after the nudge [s], after which the torques are compared. Chosen, not tuned."""
 
 TORQUE_RTOL = 0.01
-"""Largest torque deviation, relative to the scale of the torques, with which the file agrees
-with the prediction. Same limit as for a verified stand."""
+"""Upper bound of the torque deviation, relative to ``torque_scale``, with which the file agrees
+with the prediction. Chosen as for a verified stand (``FORCE_TOLERANCE``)."""
 
 MAX_REMAINING_SINKAGE = 1e-3
-"""Height error [m] that remains permitted if a change of the file restores the torques. Chosen,
-not tuned."""
+"""Largest height error of the CoM [m] with which a changed model counts as repaired, if its torques
+agree with the prediction. Chosen, not tuned."""
 
 HEIGHT_RTOL = 1e-3
-"""Largest height error of the CoM, relative to the CoM height (v3: 0.13 mm). Chosen, not tuned."""
+"""Largest height error of the CoM, relative to the CoM height, with which the file agrees with the
+prediction; 0.13 mm for Pupper v3. Chosen, not tuned."""
 
 
 def compare_as_published(
@@ -105,12 +105,12 @@ def compare_as_published(
     Args:
         robot: Prepared robot.
         stand: Stand.
-        servos: Servos on which the verdict rests.
+        servos: Servos that the verdict uses.
         kp: Requested servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Requested servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
     Returns:
-        Comparison. None if the robot has no file, or if the file is what is simulated. See
+        Comparison. None if the robot has no file, or if its file is simulated without changes. See
         ``_compare_in`` and ``compare_nominal_stand`` for further cases.
     """
     if robot.published is None or robot.published.is_unchanged:
@@ -131,7 +131,7 @@ def compare_as_published(
 
 
 def _is_nominal_stand(robot: Robot, stand: Stand) -> bool:
-    """Return True if a stand is the nominal stand of a robot, to the last bit."""
+    """Return True if a stand has the same task and the same qpos as the robot's nominal stand."""
     with contextlib.suppress(PupperAnalysisError):
         nominal = solve_stand(robot, explain=False)
         return nominal.task == stand.task and np.array_equal(nominal.qpos, stand.qpos)
@@ -143,7 +143,7 @@ RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
 
 
 def compare_nominal_stand(robot: Robot) -> Published | None:
-    """Compare the published file with the nominal stand.
+    """Compare the published file with the prediction for the nominal stand of a robot.
 
     None without a nominal stand, and in the cases of ``_compare_in``.
     """
@@ -184,7 +184,7 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
 
 
 def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
-    """Return causes with line numbers in the MJCF of a robot; unchanged without an MJCF."""
+    """Add line numbers in the MJCF of a robot to causes; unchanged without an MJCF."""
     file = None if robot.published is None else robot.published.file
     return tuple(cause if file is None else add_line(cause, file) for cause in causes)
 
@@ -194,7 +194,8 @@ def compare_with_file(
 ) -> Published:
     """Simulate the published model from the predicted states of rest, and name causes.
 
-    Without simulation, a joint with an internal controller, and a missing level ground, are causes.
+    The model is not simulated if a joint has an internal controller, or if a free base has no level
+    ground; this is then the cause.
     """
     if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
@@ -219,13 +220,12 @@ def compare_with_file(
 def _find_loading_causes(
     published: PublishedModel, robot: Robot, prediction: PredictedRest, run: PublishedRun
 ) -> tuple[Cause, ...]:
-    """Find causes of a difference in the changes on loading, or in the difference of both files.
+    """Find causes of a difference in the preparation, or in the difference of URDF and MJCF.
 
-    A change on loading is the cause if the model of the prepared robot behaves as predicted. The
-    difference of both files is the cause if that model deviates as much as the MJCF (or as the
-    MJCF without candidate causes), because the prediction belongs to the URDF. ``crosscheck``
-    must then find a difference that affects a body's weight or place, or a part that one file
-    lacks.
+    The prepared robot's model is simulated, too. If it agrees with the prediction, the changes of
+    the preparation (`list_loading_changes`) are the cause. If it deviates as much as the MJCF, with
+    or without the candidate causes, the two files differ: the prediction is computed from the URDF.
+    A difference of both files is then returned, if ``compare_files`` finds one that affects weight.
     """
     file = None if robot.published is None else robot.published.file
     computed = simulate_prediction(
@@ -284,10 +284,10 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     """Predict the state of rest of a stand, with feed-forward and with position commands alone.
 
     Returns:
-        Predictions. For a fixed base, with feed-forward alone. Empty if the stand on soft ground
-        cannot be solved. The prediction without feed-forward is left out if joints have no servo
-        in the file, if a servo of the file was replaced, or if no steady state without failures is
-        found.
+        Predictions: with feed-forward, then without. For a fixed base, only with feed-forward.
+        Empty if the stand on soft ground cannot be solved. The prediction without feed-forward is
+        left out if joints have no servo in the file, if a servo of the file was replaced, or if no
+        steady state without failures is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -395,10 +395,10 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
 
 
 def explain_own_run(robot: Robot) -> OwnRun | None:
-    """Return the run of a robot's unmodified file; cached per loaded robot.
+    """Simulate a robot's unmodified file from its keyframe, and name the causes of a failure.
 
-    If the run fails, the result contains the causes that are found. Bad servos are reported
-    elsewhere; a file with such servos gets no causes.
+    The result is cached per loaded robot; None in the cases of `own_run`. No causes are searched
+    for a file with a servo whose stiffness is zero or negative.
     """
     return as_loaded(robot).compute_once(_own_run_explained)
 
@@ -417,10 +417,10 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 
 
 def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:
-    """Return the causes that are in the commands of the keyframe.
+    """Return a cause of a failed run that is in the commands of the keyframe; empty without one.
 
-    The causes are a missing ctrl, if the robot stands with the joint angles as commands, and joint
-    angles as ctrl of torque motors.
+    The cause is a missing ctrl, if the robot does not fall with the joint angles as commands; or
+    the ctrl, if the keyframe specifies ctrl and most joints have no position servo.
     """
     if run.commands is OwnCommands.ABSENT and run.held is not None and not run.held.falls:
         return (Cause("ctrl-absent", (run.keyframe,)),)
@@ -432,10 +432,12 @@ def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, 
 def name_remaining_cause(
     robot: Robot, own: OwnRun | None, published: Published | None
 ) -> tuple[OwnRun | None, Published | None]:
-    """Name a cause of a failure that no other finding explains.
+    """Name the cause of a failure for which no other cause was found.
 
-    Of the run from the keyframe this is too soft a servo, if the robot stands with stiffer servos.
-    Otherwise the cause is the joint that deviates most, or the divergence of the simulation.
+    If the run from the keyframe fails, the cause is the stiffness of the servos, if the robot
+    stands with stiffer servos. Otherwise it is the joint that deviates most, or the divergence of
+    the simulation. If only the comparison with the prediction fails, the cause is the joint that
+    deviates most.
 
     Args:
         robot: Prepared robot.
@@ -444,7 +446,7 @@ def name_remaining_cause(
 
     Returns:
         ``own`` with a cause if it fails; otherwise ``published`` with a cause if its worst run
-        deviates. The other result is unchanged.
+        deviates. The other result is returned unchanged.
     """
     if own is not None and own.fails:
         return replace(
@@ -473,7 +475,7 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
 
 
 def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
-    """Return the joint that deviates most, and how."""
+    """Return the joint that deviates most as a cause, with the kind of its deviation."""
     joint = run.unheld or run.worst
     if joint is None:
         return (Cause("diverges", ()),)
@@ -485,7 +487,7 @@ def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
 
 
 def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Find what makes the run of the unmodified file fail, by changes of copies of the model."""
+    """Find elements that make the run of the unmodified file fail, by changes of model copies."""
     model = published.model
     candidates, physical = (
         list_difference_causes(published, robot),
@@ -559,10 +561,10 @@ def _test_causes(
 ) -> tuple[Cause, ...]:
     """Find the causes of a deviation by switching off candidates in copies of the model.
 
-    A candidate is a cause if the candidate alone makes a sound model fail; in addition, the model
-    without all causes must be sound. The sound model is that without all candidates, or without a
-    subset of them. Groups are tested in this order: integration and solver alone, the other
-    candidates, all candidates, all including physical candidates.
+    A model is sound if ``test_model`` returns a number. A candidate of a group is a cause if adding
+    it alone makes a sound model unsound; and the model without all causes must be sound. Groups are
+    tested in this order: integration and solver alone, the other candidates, all candidates, all
+    including ``physical``.
 
     Args:
         published: Published model.

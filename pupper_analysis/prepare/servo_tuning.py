@@ -1,4 +1,4 @@
-"""Suggest gains of position servos.
+"""Suggest gains of position servos: stiffness kp [N m/rad] and damping kd [N m s/rad] per joint.
 
 A servo is deflected by tau / kp. The stiffness therefore follows from a torque and from the
 permitted deflection. The time step h bounds the stiffness: h sqrt(kp / I), with the inertia I of
@@ -32,15 +32,16 @@ Array = NDArray[np.float64]
 Gains = tuple[Array, Array]
 
 DEFAULT_SAG = 0.02
-"""Default deflection of a joint of an arm under gravity [rad; m for a slide]. Chosen."""
+"""Default deflection of a joint of an arm under gravity [rad; m for a slide], from which the
+suggested stiffness is derived. Chosen, not tuned."""
 
 _MAX_STANDING_FREQUENCY = 1.5
-"""Upper bound of h sqrt(kp / I) for each joint of a standing robot [rad per time step]. MuJoCo's
-integration, explicit in the position, diverges at 2."""
+"""Upper bound of h sqrt(kp / I) for each joint of a standing robot [rad per time step], which
+limits kp. Chosen below 2, at which MuJoCo's integration, explicit in the position, diverges."""
 
 _MAX_FIXED_BASE_FREQUENCY = 0.5
-"""Upper bound of h sqrt(kp / I) for a fixed base [rad per time step]: a quarter of the limit,
-because the poses are unknown."""
+"""Upper bound of h sqrt(kp / I) for a fixed base [rad per time step], which limits kp. Chosen as a
+quarter of the stability limit 2, because the poses are unknown."""
 
 _MIN_LEVER_FRACTION = 0.02
 """Lower bound of the design torque of added servos [N m]: weight * base height * this fraction. The
@@ -55,11 +56,12 @@ _MIN_TORQUE_FRACTION = 0.02
 largest gravity torque of all joints. Chosen, not tuned."""
 
 _MIN_FREQUENCY = 4 * math.pi
-"""Lower bound of a servo's natural frequency [rad/s], 2 Hz. A joint with a vertical axis holds
-no gravity torque, but must reach the command within some tenths of a second."""
+"""Lower bound of a servo's natural frequency [rad/s], 2 Hz. Chosen: a joint with a vertical axis
+holds no gravity torque, but must reach the command within some tenths of a second."""
 
 _NUM_POSES = 64
-"""Number of random poses in which the requirement of a fixed-base robot is evaluated. Chosen."""
+"""Number of random poses in which the requirement of a fixed-base robot is evaluated. Chosen, not
+tuned."""
 
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
 """Divisors of the model's time step, in the order of the trials. A light foot without armature
@@ -90,10 +92,13 @@ class ServoRequirement:
     max_stiffness: Array
 
     def stiffness(self, sag: float) -> Array:
-        """Return the stiffness (n,) with which no joint deflects by more than a sag [rad, m].
+        """Return the stiffness of n servos for a permitted deflection ``sag`` [rad, m].
 
-        The bounds have priority: with `soft_limit` or `max_stiffness`, the deflection may be
-        larger.
+        The design torques deflect the joints by ``sag`` or less, unless `soft_limit` or
+        `max_stiffness` requires a lower stiffness.
+
+        Returns:
+            Stiffness, shape (n,) [N m/rad, N/m].
         """
         wanted = np.maximum(np.minimum(self.torques / sag, self.soft_limit), self.own_torques / sag)
         return np.asarray(np.minimum(np.maximum(wanted, self.min_stiffness), self.max_stiffness))
@@ -102,7 +107,7 @@ class ServoRequirement:
     def of_stand(
         cls, robot: Robot, qpos: Array, torques: Array, *, parts: int = 1
     ) -> ServoRequirement:
-        """Return the requirements of a standing robot.
+        """Compute the requirements on the servos of a standing robot: torques, inertia, bounds.
 
         Args:
             robot: Robot.
@@ -140,7 +145,7 @@ class ServoRequirement:
 
     @classmethod
     def of_fixed_base(cls, model: mujoco.MjModel) -> ServoRequirement:
-        """Return the requirements of a robot with a fixed base, such as an arm.
+        """Compute the requirements on the servos of a robot with a fixed base, such as an arm.
 
         The design torque of a joint is the largest gravity torque in random poses. The minimum
         stiffness is derived from the largest inertia that the joint moves there with the other
@@ -179,7 +184,7 @@ class ServoRequirement:
 def suggest_standing_gains(
     robot: Robot, stand: Stand, torques: Array, sag: float, parts: int = 1, damping: float = 1.0
 ) -> Gains:
-    """Return gains to try on a standing robot, rounded down to two digits.
+    """Compute servo gains for a standing robot, rounded down to two digits.
 
     Args:
         robot: Robot.
@@ -198,7 +203,7 @@ def suggest_standing_gains(
 
 
 def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) -> Gains:
-    """Compute gains for a fixed base, with critical damping kd = 2 sqrt(kp I).
+    """Compute servo gains for a fixed base, with critical damping kd = 2 sqrt(kp I).
 
     I is the smallest inertia at the joint in random poses, with the other joints free.
 
@@ -207,7 +212,8 @@ def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) ->
         sag: Deflection of a joint under gravity [rad].
 
     Returns:
-        kp and kd, each with a value per joint that is not free, in the order of the model.
+        kp [N m/rad] and kd [N m s/rad], each with a value per joint that is not free, in the order
+        of the model.
     """
     required = ServoRequirement.of_fixed_base(model)
     kp = required.stiffness(sag)
@@ -250,5 +256,5 @@ def _round_to_two_digits(value: float) -> float:
 
 
 def round_to_three_digits(value: float) -> float:
-    """Round to three significant digits."""
+    """Round a number to three significant digits."""
     return float(f"{value:.3g}")

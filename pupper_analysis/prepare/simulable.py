@@ -1,8 +1,8 @@
-"""Refuse values with which a simulation has no meaning; choose an accurate solver.
+"""Reject values with which a simulation has no meaning; choose an accurate constraint solver.
 
 Inputs are the compiled models of a robot. Time step, rotor inertias, lengths, gears and masses that
-make a simulation meaningless are errors with file and line. The residual of MuJoCo's constraint
-solver for a pushed base decides on dense matrices.
+make a simulation meaningless are errors with file and line. If the residual of MuJoCo's constraint
+solver for a pushed base is too large, dense matrices are used.
 """
 
 from __future__ import annotations
@@ -29,16 +29,18 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 _MAX_SOLVER_TOLERANCE = 1e-2
-"""Upper bound of the solver tolerance [1, scaled by inertia and acceleration]: a robot does not
-fall at 1e9."""
+"""Upper bound of MuJoCo's solver option ``tolerance`` (dimensionless). Chosen, not tuned: with a
+tolerance of 1e9, the solver ends at once, and a robot does not fall."""
 
 _GEAR_RANGE = 1e-6, 1e6
-"""Range of gear ratios. A screw with a pitch of 1 mm has some thousand rad/m; outside, squares
-exceed the precision of a double."""
+"""Lower and upper bound of the absolute gear ratio of an actuator at a joint [1, or rad/m at a
+slide]. A screw with a pitch of 1 mm has some thousand rad/m; outside of the range, squares exceed
+the precision of a double."""
 
 
 _MIN_IMPRATIO = 1e-9
-"""Lower bound of ``impratio``: with a smaller value there is no friction."""
+"""Lower bound of MuJoCo's option ``impratio`` (dimensionless). Chosen: with a smaller value there
+is no friction."""
 
 _MAX_LENGTH = 1e4
 """Upper bound of positions and margins [m]. No robot is as large; at this distance the square of
@@ -46,7 +48,7 @@ a micrometre is lost in a double."""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:
-    """Check the options, rotor inertias, lengths and gears on which all simulations depend.
+    """Raise an error if an option, rotor inertia, length or gear of an MJCF is out of range.
 
     Raises:
         ModelError: If a value is out of range; the error has file, line and value.
@@ -108,10 +110,10 @@ def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
 
 
 def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> ModelError:
-    """Return the error of a body that MuJoCo refuses, with the URDF's link and line.
+    """Convert MuJoCo's error about a moving body without mass to an error with file and line.
 
     Args:
-        error: The error, which is returned if unrelated.
+        error: The error; returned unchanged if it has another reason.
         urdf: The URDF.
         mjcf: The MJCF; the URDF is named only if the MJCF was made from the URDF.
     """
@@ -129,7 +131,7 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
-    """Check that each joint moves a mass in the URDF, as MuJoCo requires.
+    """Raise an error if a joint moves no mass in the URDF.
 
     Raises:
         ModelError: If a joint moves no mass: the acceleration is undefined.
@@ -143,8 +145,8 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
 
 
 MAX_SOLVER_RESIDUAL = 0.01
-"""Upper bound of the residual of the equations of motion, relative to the weight. Chosen below
-the tolerances of comparisons with simulations."""
+"""Residual of the equations of motion, relative to the robot's weight, above which MuJoCo's solver
+counts as inaccurate. Chosen below the tolerances of comparisons with simulations."""
 
 _PUSH_FRACTION = 0.1
 """Force on the robot in the test of the solver's accuracy, relative to the robot's weight. Without
@@ -157,7 +159,7 @@ warm-started, as in consecutive simulation steps. Chosen, not tuned."""
 
 
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
-    """Compute the residual of M qacc = f of a pushed free base, relative to the weight.
+    """Compute MuJoCo's residual of M qacc = f for a pushed free base, relative to the weight.
 
     Args:
         model: Model.
@@ -187,7 +189,10 @@ Chosen, not tuned."""
 
 
 def find_solver_error(robot: Robot) -> float | None:
-    """Return the residual of a robot's solver if above `MAX_SOLVER_RESIDUAL`; else None."""
+    """Return the solver residual of a robot [robot weights] if it is too large; else None.
+
+    The bound is `MAX_SOLVER_RESIDUAL`.
+    """
     model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     data = mujoco.MjData(model)
     qpos = robot.home.copy()
@@ -198,7 +203,7 @@ def find_solver_error(robot: Robot) -> float | None:
 
 
 def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Set dense matrices if MuJoCo's solver is sufficiently accurate only with dense matrices.
+    """Set dense matrices for MuJoCo's solver if it is inaccurate with sparse, accurate with dense.
 
     Args:
         robot: Robot with a free base.

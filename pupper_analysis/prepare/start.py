@@ -53,10 +53,10 @@ larger. Chosen, not tuned."""
 
 
 def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, float]]:
-    """Return {name: {joint: position}} of the keyframes of an MJCF.
+    """Return the joint positions of the keyframes of an MJCF: {keyframe: {joint: [rad, m]}}.
 
     A keyframe without a name is called "keyframe 1" etc. Free joints are excluded. The value of a
-    ball joint is the first element of the quaternion.
+    ball joint is the first element of its quaternion.
 
     Args:
         spec: Spec of the MJCF, in which every joint has a name; not modified.
@@ -82,10 +82,10 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
 def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
     """Compute the penetration of the feet in keyframes in which the ground carries the robot.
 
-    In such a keyframe the feet are below the ground, as in the simulation at rest, and the
-    height of the base is meaningful. In other keyframes, in which a robot would fall or be
-    thrown up, the height is ignored. Keyframes whose ctrl is absent or zero, or in which no axis of
-    the base is vertical, are excluded.
+    In such a keyframe the feet penetrate the ground as in a simulation at rest, so the height of
+    the base is meaningful. Other keyframes, from which the robot would fall or be thrown up, are
+    excluded; also keyframes whose ctrl is absent or zero, or in which no axis of the base is
+    vertical.
 
     Args:
         model: Unmodified model of the MJCF.
@@ -120,15 +120,18 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
 def choose_keyframes(
     mjcf: MjcfFile, known: Mapping[str, Mapping[str, float]], wanted: str | None
 ) -> dict[str, Mapping[str, float]]:
-    """Return the candidate keyframes: the requested keyframe alone, or all with `home` first.
+    """Return the candidates for the start pose: the requested keyframe, or all with `home` first.
 
     Args:
         mjcf: MJCF, for errors.
-        known: {keyframe: {joint: position}}.
+        known: {keyframe: {joint: position [rad, m]}}.
         wanted: Name of the requested keyframe, or None.
 
+    Returns:
+        {keyframe: {joint: position [rad, m]}}, in order of priority.
+
     Raises:
-        UnknownNameError: If the MJCF has no such keyframe.
+        UnknownNameError: If the MJCF does not have the requested keyframe.
     """
     if wanted is not None:
         if wanted not in known:
@@ -140,9 +143,9 @@ def choose_keyframes(
 def with_keyframes(
     description: Description, known: Mapping[str, Mapping[str, float]]
 ) -> Description:
-    """Return a description with the keyframes added to the MJCF.
+    """Return a copy of a description with keyframes added to its MJCF.
 
-    An earlier step, the matching of URDF and MJCF names, has removed the keyframes of the MJCF.
+    The matching of URDF and MJCF names has removed the keyframes of the file before.
 
     Args:
         description: URDF and MJCF with matched names.
@@ -165,29 +168,31 @@ def with_keyframes(
 Array = NDArray[np.float64]
 
 _LIMIT_ATOL = 1e-3
-"""Upper bound of the distance [rad, m] of a keyframe's joint beyond its limit: keyframes are
-rounded."""
+"""Upper bound of the distance [rad, m] of a keyframe's joint beyond its limit with which the
+keyframe is accepted: keyframes are rounded. Chosen, not tuned."""
 
 _MAX_FOOT_HEIGHT_SPREAD = 0.1
 """Upper bound of the height difference between the feet of a standing pose, relative to the
 height of the base above the lowest foot. Chosen, not tuned."""
 
 _MAX_BRANCHES = 3
-"""Number of IK branches that are tried at each height, nearest to the pose first. Chosen."""
+"""Upper bound of the number of IK branches that are tried at each height, nearest to the pose
+first. Chosen, not tuned."""
 
 _NUM_HEIGHTS = 12
-"""Number of heights that are tried between folded and straight legs. Chosen."""
+"""Number of base heights that are tried between folded and straight legs. Chosen, not tuned."""
 
 _MIN_GROUND_CLEARANCE = 0.01
-"""Lower bound of the height above the ground [m] of everything but the feet's bodies in a start
-pose: feet sink in. Chosen, not tuned."""
+"""Lower bound of the height above the ground [m] of all bodies except those of the feet in a
+searched start pose, since feet penetrate the ground. Chosen, not tuned."""
 
 _MAX_RESET_PASSES = 3
 """Number of successive solves of a stand, before each of which arms and waist are reset to the
 pose. Chosen, not tuned."""
 
 _JOINT_MARGINS = (0.2, 0.05, 0.0)
-"""Distances of the joints from their limits [rad, m] that are tried in this order. Chosen."""
+"""Required distances of the joints from their limits [rad, m], tried in this order until a start
+pose is found. Chosen, not tuned."""
 
 _MIN_SIDE_DISTANCE, _MAX_SIDE_DISTANCE = 0.1, 0.6
 """Bounds of the horizontal distance of a foot from the hip, relative to the distance of both.
@@ -198,7 +203,7 @@ _TARGET_SIDE_DISTANCE, _TARGET_FOOT_DEPTH = 0.4, 0.5
 to the distance between foot and hip. Chosen, not tuned."""
 
 _NUM_KEYFRAME_DIGITS = 6
-"""Decimals of a keyframe's angles and height: 1 um, below any effect on a servo. Chosen."""
+"""Decimals of a written keyframe's angles [rad] and height [m]: 1 um. Chosen, not tuned."""
 
 _POSE_WEIGHT = 1e-3
 """Weight of a joint's distance from the pose [rad, m] in a least-squares problem, relative to the
@@ -211,8 +216,8 @@ _MAX_SOLE_ERROR = 1e-3
 which joint positions are an initial guess of a stand. Chosen: the stand is solved exactly."""
 
 _LIMIT_CLEARANCE = 1e-9
-"""Distance of an initial guess from the bounds of the least-squares problem [rad]: SciPy requires
-the guess to be strictly inside."""
+"""Distance of an initial guess from the bounds of the least-squares problem [rad]. Chosen small:
+SciPy requires a guess strictly inside of the bounds."""
 
 _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
 """Lowest and highest height that is tried, as fractions of the leg length. Chosen, not tuned."""
@@ -230,9 +235,13 @@ def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> A
 
 
 def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
-    """Return True if a robot stands in a pose: joints within limits, feet at about the same height.
+    """Return True if a pose may be a stand: joints within limits, feet at about the same height.
 
     All feet must also be below the base.
+
+    Args:
+        robot: Robot with feet.
+        joints: {joint: position [rad, m]}; joints without a position are at zero.
     """
     values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
     if np.abs(values - clip_to_limits(robot, joints)).max() > _LIMIT_ATOL:
@@ -247,7 +256,7 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 
 
 def solve_nominal_stand(robot: Robot) -> Stand | None:
-    """Return the nominal stand of a robot; None if out of reach or not in equilibrium."""
+    """Solve the nominal stand of a robot; None if it is out of reach or not in equilibrium."""
     try:
         stand = solve_stand(robot, explain=False)
         stand_statics(robot, stand)  # the CoM may be just outside the polygon
@@ -257,18 +266,18 @@ def solve_nominal_stand(robot: Robot) -> Stand | None:
 
 
 def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
-    """Search for a stand at the middle of the base heights that the legs can reach.
+    """Search for a start pose: a stand at the middle of the base heights that the legs can reach.
 
     Three choices of the horizontal foot positions are tried until a stand is found: the positions
-    in the given poses; positions near the hips (`_spread_feet`); positions at which the soles of
-    bent legs are level (`_find_level_soles`).
+    in ``poses``; positions near the hips (`_spread_feet`); positions at which the soles of bent
+    legs are level (`_find_level_soles`).
 
     Args:
         robot: Robot with feet.
         poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Returns:
-        Robot with this nominal stand; None if no stand is found.
+        Robot whose nominal stand this is; None if no stand is found.
     """
     poses = list(poses)
     return (
@@ -281,9 +290,9 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     """Find a nominal stand with level feet; the horizontal foot positions are free.
 
-    Legs with fewer than six joints, and axes that are not parallel, move a sole sideways and turn
-    the sole during bending: at the horizontal positions of the straight legs the sole is never
-    level.
+    Bending a leg with fewer than six joints, and with axes that are not parallel, moves its sole
+    sideways and tilts it. The sole may then not be level at the horizontal positions of straight
+    legs.
 
     Returns:
         Robot with this nominal stand. None if there is none, or if no joint moves a contact point
@@ -354,7 +363,7 @@ def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
 
 
 def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
-    """Return the first robot with a nominal stand, from the middle outwards; else None.
+    """Return the first robot that has a nominal stand, from the middle outwards; else None.
 
     The nominal stand has the CoM in the centre, which may be out of reach for a start of the
     search: straight legs move the CoM when they are bent.
@@ -365,7 +374,11 @@ def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
 
 
 def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
-    """Search the robot with the longest run of heights, with decreasing margins to the limits."""
+    """Search the pose with the largest number of consecutive heights that the legs can reach.
+
+    Margins to the joint limits are reduced until a stand is found. Returns the robot with the
+    nominal stand at the middle of these heights; None if no stand is found.
+    """
     for margin in _JOINT_MARGINS:
         best: tuple[list[Stand], Robot] = [], robot
         for pose in poses:
@@ -422,13 +435,13 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
 
 
 def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[Stand]:
-    """Return the longest run of stands at consecutive heights, from high to low.
+    """Return stands at the largest number of consecutive heights, from high to low.
 
     Args:
         robot: Robot.
         pose: Preferred joint positions, shape (nu,) [rad, m].
         margin: Distance of the joints from their limits [rad, m].
-        known: Length of the longest run known so far; a shorter run may be returned incomplete.
+        known: Largest number of stands known so far; a smaller number may be incomplete.
     """
     length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = [
@@ -437,8 +450,8 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
         if h > 0
     ]
 
-    def stand_at(height: float, seed: Stand | None = None) -> Stand | None:
-        joints = None if seed is None else seed.joint_positions(robot).tolist()
+    def stand_at(height: float, guess: Stand | None = None) -> Stand | None:
+        joints = None if guess is None else guess.joint_positions(robot).tolist()
         task = StandTask(height=height, ik_seed=joints, joint_margin=margin)
         stand = _solve_near_pose(robot, task, pose)
         return stand if stand is not None and is_clear_of_ground(robot, stand) else None
@@ -457,7 +470,7 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
 
 
 def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[int]:
-    """Return the ids of the geoms, except feet, that touch the ground in a lowered stand.
+    """Return the ids of the geoms, except foot geoms, that touch the ground in a lowered stand.
 
     Args:
         robot: Robot.
@@ -478,13 +491,13 @@ def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[in
 
 
 def list_foot_bodies(robot: Robot) -> set[int]:
-    """Return the ids of the moving bodies to which the feet belong."""
+    """Return the MuJoCo ids of the moving bodies to which the feet belong."""
     weld = robot.mj_model.body_weldid
     return {int(weld[body]) for body, _ in robot.contact_places.values()}
 
 
 def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
-    """Return True if only feet, and the bodies to which the feet belong, are near the ground.
+    """Return True if no body except the bodies of the feet is near the ground in a stand.
 
     A geom is near if the geom touches the ground when the base is lowered by
     `_MIN_GROUND_CLEARANCE`.
@@ -509,23 +522,23 @@ def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None
     except PupperAnalysisError:  # the margin leaves nothing of a joint's range, or no body is so
         return None
     first = [pose if task.ik_seed is None else np.array(task.ik_seed)]
-    seeds: Iterable[Array] = itertools.chain(first, _yield_bent_legs(robot, goal, pose))
+    guesses: Iterable[Array] = itertools.chain(first, _yield_bent_legs(robot, goal, pose))
     with borrow(robot, SearchContext) as context:
         for _ in range(_MAX_RESET_PASSES):
-            stand = _solve_first_seed(context, goal, seeds)
+            stand = _solve_first_guess(context, goal, guesses)
             if stand is None:
                 return found
             found = stand
             joints = pose.copy()
             joints[legs] = found.joint_positions(robot)[legs]
-            seeds = [joints]
+            guesses = [joints]
     return found
 
 
 def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
-    """Yield joint positions (nu,) of the first IK branches of the legs that reach the ground.
+    """Yield joint positions (nu,) [rad, m] with the legs in the IK branches nearest to a pose.
 
-    The branches are computed when the first is requested; mostly the pose itself is sufficient.
+    The branches are computed only when the first is requested.
     """
     qpos = robot.make_qpos(pose)
     qpos[:3] = (*goal.place, goal.height)
@@ -533,13 +546,15 @@ def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
     yield from itertools.islice(combine_branches(found, pose), _MAX_BRANCHES)
 
 
-def _solve_first_seed(context: SearchContext, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
-    """Return the first solved stand from some initial joint positions (nu,); None if all fail.
+def _solve_first_guess(
+    context: SearchContext, goal: Goal, guesses: Iterable[Array]
+) -> Stand | None:
+    """Return the first solved stand from initial guesses of the joint positions (nu,) [rad, m].
 
-    If the CoM is free within the support polygon, a stand that meets the constraints is tried,
-    too.
+    If the CoM is free within the support polygon, the nonlinear program is tried, too; its stand
+    must be clear of the ground. None if all guesses fail.
     """
-    for joints in seeds:
+    for joints in guesses:
         if (stand := search_from_joints(context, goal, joints)) is not None:
             return stand
         if not goal.com_is_free:
@@ -555,7 +570,7 @@ def _solve_first_seed(context: SearchContext, goal: Goal, seeds: Iterable[Array]
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
     """Compute the maximum height of the base above the ground, with the longest leg straight.
 
-    Distances between consecutive hinges do not depend on the joint positions; slides count at the
+    The height is the sum of the distances between consecutive joints of a leg. Slides are at their
     positions in ``qpos``, shape (nq,).
 
     Returns:
@@ -575,10 +590,10 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 
 
 def with_foot_contacts_only(robot: Robot) -> Robot:
-    """Return a robot in whose MuJoCo model only the feet collide, of all geoms of the foot bodies.
+    """Return a robot in whose MuJoCo model foot geoms are the only colliding geoms of foot bodies.
 
-    With this model a stand is solved before `touching` decides which shapes are in the way. The
-    description is not changed, so a robot that is built from it has all collisions again.
+    The description is not changed, so a robot that is built from it has all collisions again. The
+    model is used to solve a stand before `touching` disables other geoms.
     """
     model, foot_bodies = copy.copy(robot.mj_model), list_foot_bodies(robot)
     for geom in range(model.ngeom):
@@ -591,7 +606,7 @@ def with_foot_contacts_only(robot: Robot) -> Robot:
 
 
 def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
-    """Return the penetration of the feet [m] at which an unmodified model stands from a keyframe.
+    """Simulate an unmodified model from a keyframe; return the penetration of its feet at rest [m].
 
     Args:
         model: Model of the file.
@@ -641,7 +656,7 @@ def find_start_pose(
     sunk: Mapping[str, float],
     rest_depth: Callable[[str], float | None] | None = None,
 ) -> tuple[Robot, list[Diagnostic]]:
-    """Give a robot a start pose: from a keyframe, or found by search.
+    """Determine the start pose of a robot, from a keyframe or by a search, and set it.
 
     A keyframe is taken if the feet are level, the joints within their limits, and the nominal stand
     exists. If no keyframe has level feet within the limits, a keyframe from which the unmodified
@@ -651,13 +666,13 @@ def find_start_pose(
 
     Args:
         robot: Robot with feet.
-        known: {keyframe: {joint: position}}, in order of priority.
+        known: {keyframe: {joint: position [rad, m]}}, in order of priority.
         sunk: {keyframe: penetration of the feet [m] at rest} (``compute_resting_depths``).
         rest_depth: Returns the penetration of the feet [m] at which the unmodified file stands
             from a keyframe, or None if the file falls. Called only if needed.
 
     Returns:
-        Robot, and notes: which pose was taken, and what speaks against a keyframe.
+        Robot with the start pose, and notes: the chosen pose, and reasons against keyframes.
     """
     whole, robot = robot, with_foot_contacts_only(robot)
     standing = {name: pose for name, pose in known.items() if is_standing_pose(robot, pose)}
@@ -703,7 +718,7 @@ def find_start_pose(
 def make_start_keyframe(
     robot: Robot, stand: Stand, reason: Diagnostic, kp: Array | None = None, kd: Array | None = None
 ) -> StartKeyframe:
-    """Return the start keyframe of a stand, with the commands with which servos hold the stand.
+    """Create the keyframe of a stand: qpos, and the ctrl with which servos hold the stand.
 
     Args:
         robot: Robot with servos.

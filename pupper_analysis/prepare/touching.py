@@ -1,8 +1,9 @@
-"""Disable contacts of shapes beside the feet, and of bodies that overlap; drop visual geoms.
+"""Disable contacts of other shapes of the foot bodies, and of bodies that overlap.
 
-Input is a robot with a start pose; output is a robot in which the feet alone bear on the ground, as
-the statics assume. Disabled are shapes of a foot's body near the ground into which the foot sinks,
-contacts between bodies that overlap in the start pose, and visual geoms.
+Input is a robot with a start pose; output is a robot in which only the feet touch the ground, as
+the statics assume. Disabled are contacts of other shapes of a foot's body that would touch the
+ground when the foot penetrates it, and contacts between bodies that overlap in the start pose.
+Visual geoms are discarded.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 
 def discard_visuals(spec: mujoco.MjSpec) -> None:
-    """Set the compiler option that discards visual geoms without effect, in place.
+    """Set the compiler option ``discardvisual`` of a spec, in place: no visual geoms in the model.
 
     A model of G1, with 393,000 faces, then compiles in 1 ms instead of 80 ms, and is copied in
     0.4 ms instead of 60 ms. A compilation removes the geoms from the spec itself, so a copy must
@@ -45,7 +46,7 @@ def discard_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
-    """Copy the option that discards visual geoms from an original spec, in place.
+    """Copy the compiler option ``discardvisual`` from an original spec to a spec, in place.
 
     Returns:
         True if the option changed.
@@ -58,20 +59,19 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 Array = NDArray[np.float64]
 
 _MAX_FOOT_SHARE = 0.5
-"""Load share of a foot's own shape above which the foot keeps this shape as contact point. If
-the hull beside the foot carries more than the rest, the hull is the better single contact
-point. Chosen."""
+"""Fraction of the load that a foot's own shape carries, above which the foot keeps this shape as
+contact point. Otherwise another shape of the body carries more, and becomes the contact point.
+Chosen, not tuned."""
 
 
 def find_carrying_hulls(
     footless: Robot, robot: Robot, feet: Sequence[Foot]
 ) -> tuple[tuple[Foot, ...], Diagnostic] | None:
-    """Find the shapes beside soft feet that carry most of the load in the published model.
+    """Find other shapes of foot bodies that carry more load than soft feet in the published model.
 
     A soft foot may penetrate the ground so far that another shape of the foot body, such as the
-    convex hull of the shank, touches too and is stiffer. If both carry the load, both penetrate
-    equally: the share of the foot is its force at the penetration at which the hull alone carries
-    the load.
+    convex hull of the shank, touches too and is stiffer. The load fraction of the foot is its force
+    at the penetration at which the hull alone carries the load.
 
     Args:
         footless: Robot before feet were added.
@@ -79,9 +79,9 @@ def find_carrying_hulls(
         feet: Feet, each with contact points.
 
     Returns:
-        Feet, with hulls as contact points, and a note. None if the stand on soft ground is not
-        solved, if no hull touches, or if the hulls that touch carry, on average, less than half of
-        the load.
+        Feet, with the other shapes as contact points, and a note. None if the stand on soft ground
+        is not solved, if no other shape touches, or if the feet carry more than half of the load,
+        on average over the feet whose other shape touches.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
@@ -131,12 +131,12 @@ def find_carrying_hulls(
 
 
 _MAX_SHAPE_CLEARANCE = 5e-3
-"""Height [m] above the ground within which a shape beside a sunk foot is kept from contact.
-Chosen."""
+"""Height above the ground [m] below which the contacts of other shapes of a foot's body are
+disabled, in the stand on soft ground. Chosen, not tuned."""
 
 
 def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Disable the contacts of shapes of a foot's body near the ground into which it sinks.
+    """Disable contacts of the shapes, except the feet, of foot bodies that are near the ground.
 
     Returns:
         Robot, and a note if contacts are disabled.
@@ -161,7 +161,7 @@ def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Exclude contacts between bodies that overlap in the start pose.
+    """Add contact exclusions for the pairs of bodies that overlap in the start pose.
 
     Returns:
         Robot, and a note if contacts are excluded.
@@ -189,7 +189,10 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 
 def _find_start_configuration(robot: Robot) -> Array | None:
-    """Return the initial qpos, (nq,), of a robot with a free or fixed base; else None."""
+    """Return the qpos, (nq,), of the nominal stand, or of the default posture with a fixed base.
+
+    None if the stand or posture cannot be solved.
+    """
     if robot.floating:
         stand = start.solve_nominal_stand(robot)
         return None if stand is None else stand.qpos

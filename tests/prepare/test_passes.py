@@ -35,10 +35,10 @@ def test_each_note_is_reported_by_one_preparation_step(tmp_path: Path) -> None:
     robot, runs = prepared(quadruped(tmp_path))
     done = {run.name: [note.code for note in run.done] for run in runs}
     assert done["level-ground"] == ["ground-added"]
-    assert done["put-feet"] == ["feet-found"]
-    assert done["start-pose"][-1].startswith("start-pose")
+    assert done["find-feet"] == ["feet-found"]
+    assert done["find-start-pose"][-1].startswith("start-pose")
     assert done["add-servos"][0] == "servos-added"
-    assert done["free-base"] == done["narrow-limits"] == done["solve-exactly"] == []
+    assert done["free-base"] == done["narrow-limits"] == done["choose-solver"] == []
     of_passes = [note for run in runs for note in run.done]
     assert list(robot.notes[: len(of_passes)]) == of_passes
 
@@ -46,11 +46,11 @@ def test_each_note_is_reported_by_one_preparation_step(tmp_path: Path) -> None:
 def test_base_without_feet_is_held_as_in_the_file(tmp_path: Path) -> None:
     robot, runs = prepared(quadruped(tmp_path, foot="", free=False, keyframe=""))
     assert not robot.floating
-    assert runs[-1].name == "hold-base"
+    assert runs[-1].name == "fix-base"
     (held,) = runs[-1].done
     assert (held.code, held.values["why"].code) == ("base-kept-in-the-world", "no-feet-found")
-    assert "build-held" in {run.name for run in runs}
-    assert "put-feet" not in {run.name for run in runs}  # of a robot not to be
+    assert "build-with-fixed-base" in {run.name for run in runs}
+    assert "find-feet" not in {run.name for run in runs}  # of a robot not to be
 
 
 def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
@@ -62,7 +62,12 @@ def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
 def test_nothing_is_added_with_as_is(tmp_path: Path) -> None:
     robot, runs = prepared(quadruped(tmp_path), as_is=True)
     names = {run.name for run in runs}
-    assert not names & {"add-servos", "add-motors", "keep-apart", "touch-with-feet-alone"}
+    assert not names & {
+        "add-servos",
+        "add-loop-motors",
+        "exclude-overlaps",
+        "disable-shapes-beside-feet",
+    }
     motors = robot.mj_model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE.value
     assert motors.all()
 

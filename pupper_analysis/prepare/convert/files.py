@@ -34,10 +34,12 @@ class RobotFiles:
 
     @staticmethod
     def of(*models: str, **options: Any) -> RobotFiles:
-        """Return the arguments of ``load_robot``, with absolute paths.
+        """Create the specification of a robot from arguments of ``load_robot``.
+
+        File paths become absolute; they are not checked.
 
         Raises:
-            ModelError: If an installed description is not found. Paths are not checked.
+            ModelError: If an installed description is not found.
         """
         from pupper_analysis.models.published import find_file
 
@@ -58,7 +60,7 @@ class RobotFiles:
         return "+".join(Path(model).name for model in names)
 
     def load(self, **more: Any) -> Robot:
-        """Load the robot.
+        """Load the robot from these files, with these options.
 
         Args:
             **more: Further arguments of ``load_robot``.
@@ -73,7 +75,7 @@ class RobotFiles:
         return load_robot(*self.models, **self.options, **more)
 
     def plain(self) -> dict[str, Any]:
-        """Return the specification as plain data, as in the file of a study."""
+        """Return files and options as a dict for TOML or JSON: ``models``, and each option."""
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
 
 
@@ -91,14 +93,17 @@ class FileSource:
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """Empty: a robot of files cannot be scaled."""
+        """Scale factors of the robot's dimensions: empty, since a robot of files has none."""
         return {}
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Return the robot.
+        """Return the loaded robot.
+
+        Args:
+            scales: {dimension: factor}; must be empty, since a robot of files cannot be scaled.
 
         Raises:
-            ConfigurationError: If scales are passed.
+            ConfigurationError: If ``scales`` is not empty.
         """
         if scales:
             name = next(iter(scales))
@@ -106,5 +111,5 @@ class FileSource:
         return self.loaded
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the specification as plain data, as in the file of a study."""
+        """Return the robot's files and options as a dict for a study file (TOML)."""
         return self.files.plain()

@@ -58,8 +58,8 @@ from pupper_analysis.prepare.passes import Feet
 _ZERO_VECTOR = "0 0 0"
 
 _POINT_RADIUS = "0.001"
-"""Radius [m] of a collision sphere with zero radius in the URDF: Drake's models have such points
-at the corners of a sole."""
+"""Radius [m], as text, that replaces a zero radius of a collision sphere in the URDF. Drake's models
+have such points at the corners of a sole. Chosen, not tuned."""
 
 _SIZE_ATTRIBUTES = {
     "box": ("size",),
@@ -89,9 +89,10 @@ class MjcfXml:
 
     @staticmethod
     def of_urdf(name: str) -> MjcfXml:
-        """Create an MJCF without bodies, with the angle convention of a URDF (fixed axes).
+        """Create an empty MJCF with the conventions of a URDF.
 
-        A body without ``<inertial>`` has no mass.
+        ``name`` is the name of the model. Euler angles are about fixed axes, and a body without
+        ``<inertial>`` has no mass.
         """
         root = etree.Element("mujoco", {"model": name})
         add_element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
@@ -104,7 +105,7 @@ class MjcfXml:
         return MjcfXml(root)
 
     def copy(self) -> MjcfXml:
-        """Return a copy with separate XML elements."""
+        """Return a copy of this MJCF with separate XML elements."""
         return MjcfXml(copy.deepcopy(self.root))
 
     @property
@@ -113,17 +114,17 @@ class MjcfXml:
         return str(etree.tostring(self.root, encoding="unicode"))
 
     def section(self, tag: str) -> etree._Element:
-        """Return a section of the file; a missing section is added."""
+        """Return the top-level element with a tag, such as ``asset``; add it if it is missing."""
         found = self.root.find(tag)
         return add_element(self.root, tag) if found is None else found
 
     def body(self, name: str) -> etree._Element:
-        """Return the body with a name."""
+        """Return the ``<body>`` element with a name."""
         return next(body for body in self.root.iter("body") if body.get("name") == name)
 
     @property
     def geoms(self) -> list[etree._Element]:
-        """All geoms, including geoms of the world and of default classes."""
+        """All ``<geom>`` elements, including those of the world and of default classes."""
         return list(self.root.iter("geom"))
 
     @property
@@ -132,13 +133,20 @@ class MjcfXml:
         return {mesh for geom in self.geoms if (mesh := geom.get("mesh")) is not None}
 
     def remove_visuals(self) -> None:
-        """Remove the visual geoms."""
+        """Remove the geoms of the class ``visual`` from this MJCF, in place."""
         for geom in self.geoms:
             if geom.get("class") == VISUAL_CLASS:
                 geom.getparent().remove(geom)
 
     def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
-        """Couple two joints: q = offset + multiplier * q of the leader."""
+        """Add an equality that couples two joints: q = offset + multiplier * q_leader [rad, m].
+
+        Args:
+            follower: Name of the dependent joint.
+            leader: Name of the driving joint.
+            multiplier: Multiplier, as number or text.
+            offset: Offset [rad, m], as number or text.
+        """
         add_element(
             self.section("equality"),
             "joint",
@@ -194,7 +202,7 @@ class UrdfBodies:
         self.frames = set(self.tree.links)
 
     def add(self, mjcf: MjcfXml, *, free: bool) -> None:
-        """Add all bodies to an MJCF.
+        """Convert all links of the URDF to bodies, and add them to an MJCF.
 
         Args:
             mjcf: MJCF.
@@ -474,11 +482,11 @@ class ConvertedMjcf:
     def of(
         urdf: UrdfFile, output: Path, options: MjcfOptions, *, free: bool | None
     ) -> ConvertedMjcf:
-        """Convert a URDF.
+        """Convert the links, shapes and couplings of a URDF to an MJCF.
 
         Args:
             urdf: URDF.
-            output: Path of the new MJCF.
+            output: Path of the new MJCF, which is not written.
             options: Options.
             free: True for a free base; None: free if the robot has enough limbs.
 
@@ -511,7 +519,7 @@ class ConvertedMjcf:
         )
 
     def file(self, *, visuals: bool = False) -> MjcfFile:
-        """Return the MJCF as if read from the URDF's path.
+        """Return the new MJCF as an `MjcfFile`, as if it were read from the URDF's path.
 
         Args:
             visuals: True to include visual geoms.
@@ -527,10 +535,10 @@ class ConvertedMjcf:
         return replace(mjcf_of_text(self.urdf.path, draft.text, assets), of_urdf=True)
 
     def imported(self) -> UrdfImport:
-        """Return the URDF for MuJoCo's own importer, without visual shapes.
+        """Return the URDF as MuJoCo's own importer can read it, without visual shapes.
 
-        Invalid inertials, which MuJoCo refuses, are moved as in the MJCF. Shapes of links
-        without mass are moved, too; the importer does the same.
+        As in the converted MJCF, invalid inertials, which MuJoCo refuses, and shapes of links
+        without inertial are moved to the link to which their link is fixed.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():
@@ -550,8 +558,7 @@ def convert_urdf_in_memory(
     """Convert a URDF to an MJCF in memory, with a fixed base.
 
     Invalid inertias become the nearest valid inertias; a moving link gets 1 g if the link and all
-    links fixed to the link have no mass. The notes
-    of the MJCF report the repairs.
+    links fixed to the link have no mass. The notes of the MJCF report the repairs.
 
     Args:
         urdf: URDF.
@@ -561,8 +568,8 @@ def convert_urdf_in_memory(
         URDF with repaired inertials, MJCF, and this URDF for MuJoCo's own importer.
 
     Raises:
-        ModelError: If MuJoCo cannot represent the robot, no joint moves, or no moving link has a
-            mass.
+        ModelError: If the URDF cannot be converted, for example because no joint moves; or if no
+            moving link has a mass in the URDF.
     """
     options = MjcfOptions(repair_inertia=True, defer_visuals=defer_visuals)
     converted = ConvertedMjcf.of(urdf, urdf.path, options, free=False)

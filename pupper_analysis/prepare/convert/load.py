@@ -1,6 +1,8 @@
 """Load a robot from a URDF, an MJCF, or both.
 
-If there is one file, the other model is made from this file in memory.
+Inputs are file names, or robots in memory, and options. `read_pair` reads the files. If there is
+one file, the other model is converted from it in memory (`ModelPair`). `load_robot` then runs the
+passes of the preparation (`prepare.passes`), and returns a `Robot` with notes on all changes.
 """
 
 from __future__ import annotations
@@ -72,9 +74,9 @@ class ModelPair:
         return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
     def mark(self, robot: Robot) -> Robot:
-        """Return a robot with a note and a record of the model that was made.
+        """Add the note that one model was converted from the other to a robot; return the robot.
 
-        The robot is returned unchanged if both models have files.
+        The format is stored in ``description.converted``. Unchanged if both models have files.
         """
         if not self.converted:
             return robot
@@ -110,7 +112,7 @@ def read_pair(
     xacro_args: Mapping[str, str] | None = None,
     defer_visuals: bool = False,
 ) -> ModelPair:
-    """Read the files of a robot, and make the missing model.
+    """Read the files of a robot, and convert the missing model from the other one.
 
     Args:
         *models: A URDF, an MJCF, or one of each, in any order: paths, XML texts or objects.

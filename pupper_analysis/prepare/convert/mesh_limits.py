@@ -16,26 +16,26 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_MESH_BYTES: Final = 50_000_000
-"""Maximum size of a mesh file [bytes]: twice the largest file of a published robot. For a text
-file of this size MuJoCo computes the hull within a minute."""
+"""Maximum size of a mesh file [bytes]; larger files are rejected. Chosen as twice the largest file
+of a published robot. For a text file of this size MuJoCo computes the hull within a minute."""
 
 MAX_MESH_VERTICES: Final = 1_000_000
-"""Maximum number of vertices of a mesh. MuJoCo compiles so many in 5 s, with 2 GB. The largest
-published mesh has 830,000, three per triangle (trunk of Go1)."""
+"""Maximum number of vertices of a mesh; larger meshes are rejected. Chosen above the largest
+published mesh, which has 830,000 (trunk of Go1). MuJoCo compiles a million in 5 s, with 2 GB."""
 
 MAX_MESH_PARTS: Final = 10_000
 """Maximum number of nodes and shapes of a COLLADA scene, each instance counted. Chosen: a link of a
 robot has dozens."""
 
 _MAX_INDICES: Final = 6 * MAX_MESH_VERTICES
-"""Maximum number of vertex indices of a glTF file: two triangles per vertex."""
+"""Maximum number of vertex indices of a glTF file. Derived from two triangles per vertex."""
 
 _GLB_HEADER: Final = struct.Struct("<4sIIII")
 """Magic number, version, length; length and type of the first chunk, which is JSON."""
 
 
 def check_gltf(data: bytes) -> Diagnostic | None:
-    """Return the reason if a glTF binary describes too many vertices; None otherwise.
+    """Return the reason if a glTF binary (bytes) describes too many vertices; None otherwise.
 
     Vertices and indices of all primitives are counted, and all numbers of accessors without data.
     """
@@ -75,7 +75,7 @@ class _ColladaScene:
         self._extents: dict[etree._Element, _Extent] = {}
 
     def extent(self, node: etree._Element) -> _Extent:
-        """Return the extent of a node; a node that contains itself has too many parts."""
+        """Count parts and text length of a node; a node that contains itself has too many parts."""
         if node not in self._extents:
             self._extents[node] = _Extent(MAX_MESH_PARTS + 1, 0)
             urls = [str(instance.get("url")) for instance in node.iterfind("{*}instance_node")]

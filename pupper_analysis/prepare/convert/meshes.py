@@ -63,7 +63,7 @@ class MeshFiles:
 
     @property
     def notes(self) -> list[Diagnostic]:
-        """Notes on the meshes that were left out, a note per reason."""
+        """Notes on the meshes that were left out of the MJCF, one note per reason."""
         return [
             diagnose("meshes-left", files=files, why=why, package=self._package_of(why, files))
             for why, files in self._left.items()
@@ -82,7 +82,7 @@ class MeshFiles:
 
     @property
     def lost(self) -> list[Diagnostic]:
-        """Notes on collision meshes that were left out, a note per reason."""
+        """Notes on the collision meshes that were left out of the MJCF, one note per reason."""
         return [
             diagnose("collision-meshes-lost", files=files, why=why)
             for why, files in self._lost.items()
@@ -90,13 +90,15 @@ class MeshFiles:
 
     @property
     def missing(self) -> Diagnostic | None:
-        """Note on missing files, with the remedy; None if all files exist."""
+        """Note on missing mesh files, with the remedy; None if all files exist."""
         files = self._left.get(diagnose("no-such-mesh-file"), [])
         packages = any("://" in file for file in files)
         return diagnose("meshes-missing", files=files, packages=packages) if files else None
 
     def name(self, mesh: etree._Element, *, touches: bool) -> str | None:
-        """Return the name of a URDF's <mesh> in the MJCF; None if the mesh is left out.
+        """Register a ``<mesh>`` of the URDF, and return its name in the MJCF.
+
+        None if the mesh is left out, for example because its file is missing.
 
         Args:
             mesh: The element.
@@ -146,7 +148,7 @@ class MeshFiles:
         return self._names[path, scale]
 
     def file_of(self, mesh: etree._Element, assets: dict[str, bytes]) -> str | None:
-        """Return the file name that MuJoCo reads for a URDF's collision <mesh>, or None.
+        """Return the file name that MuJoCo reads for a collision ``<mesh>`` of the URDF.
 
         Args:
             mesh: The element.
@@ -171,7 +173,7 @@ class MeshFiles:
         used: Collection[str] | None = None,
         assets: dict[str, bytes] | None = None,
     ) -> None:
-        """Add the meshes to an MJCF's <asset>.
+        """Add the registered meshes to the ``<asset>`` of an MJCF.
 
         Args:
             asset: The element.
@@ -350,7 +352,7 @@ class DeferredMeshes:
 def _describe_left_visuals(left: Mapping[Diagnostic, Sequence[str]]) -> list[Diagnostic]:
     """Describe visual meshes that cannot be converted: {reason: files}.
 
-    No verdict depends on such meshes, so the code differs from that of other meshes.
+    Visual meshes have no effect on a simulation, so the code differs from that of other meshes.
     """
     return [diagnose("visual-meshes-left", files=files, why=why) for why, files in left.items()]
 
@@ -399,8 +401,8 @@ _CONVERTIBLE_SUFFIXES: Final = (".dae", ".glb", ".off", ".ply")
 """Suffixes of the mesh formats that are converted; no archives, whose content is unbounded."""
 
 _LIMIT_CHECKS: Final = {".dae": check_collada, ".glb": check_gltf}
-"""Functions that refuse small files with large meshes, by suffix. In the other formats, the size of
-the file bounds the mesh."""
+"""{suffix: function that rejects small files which describe large meshes}. In the other formats,
+the number of vertices is bounded by the size of the file."""
 
 
 class UnreadableError(Exception):
@@ -416,7 +418,7 @@ class UnreadableError(Exception):
 
 
 def convert_to_obj(path: Path) -> bytes:
-    """Return a mesh as OBJ, with all parts merged.
+    """Convert a mesh file to the text of an OBJ file, with all parts merged.
 
     Raises:
         UnreadableError: If the format is not supported, or the file is too large or broken.
@@ -459,7 +461,7 @@ def _convert_content(data: bytes, ending: str) -> bytes:
 
 
 def read_mesh(path: Path) -> bytes:
-    """Return the content of a mesh file of at most `MAX_MESH_BYTES`.
+    """Read a mesh file of at most `MAX_MESH_BYTES`, and return its content.
 
     Raises:
         UnreadableError: If the file is larger, or cannot be read.
@@ -475,6 +477,6 @@ def read_mesh(path: Path) -> bytes:
 
 
 def _check_count(vertices: int, maximum: int) -> None:
-    """Refuse a mesh with too many vertices."""
+    """Raise `UnreadableError` for a mesh with too many vertices."""
     if vertices > maximum:
         raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=maximum))

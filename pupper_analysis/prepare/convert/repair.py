@@ -31,10 +31,12 @@ WORLD_LINK: Final = "world"
 """Name of a root link that is the world itself, as in MuJoCo's own importer."""
 
 _TRIANGLE_RTOL: Final = 1e-12
-"""Relative tolerance of A + B >= C between principal moments: rounding of the eigenvalues."""
+"""Relative tolerance with which principal moments count as satisfying A + B >= C: rounding of the
+eigenvalues."""
 
 _MIN_INERTIA: Final = 1e-14
-"""Lower bound of the principal moments [kg m^2] of a body with mass: ten times MuJoCo's."""
+"""Lower bound of the principal moments [kg m^2] of a valid inertial with mass. Chosen as ten times
+MuJoCo's bound."""
 
 ADDED_MASS: Final = 1e-3
 """Mass [kg] that a moving link gets if neither the link nor a link fixed to the link has a mass,
@@ -45,7 +47,8 @@ _GYRATION_RADIUS: Final = 0.01
 a smaller radius, the least torque moves the link faster than a time step of 2 ms can follow."""
 
 _TRIANGLE_MARGIN: Final = 1e-6
-"""Relative margin of repaired moments in A + B >= C: rounding to the written digits."""
+"""Relative margin of repaired moments in A + B >= C. Chosen larger than the rounding to the written
+digits."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +95,12 @@ class LinkBodies:
 
     @property
     def names(self) -> list[str]:
-        """Names of all bodies, parents first, without the world."""
+        """Names of all links that become bodies, parents first, without the world."""
         base = self.tree.base.name
         return [name for name in self.tree.subtree(base) if name != base or base != WORLD_LINK]
 
     def parent(self, body: str) -> str | None:
-        """Return the parent body; None for the base, and for a child of the world."""
+        """Return the name of a body's parent; None for the base, and for a child of the world."""
         above = self.tree.parent(body)
         return None if above == self.tree.base.name == WORLD_LINK else above
 
@@ -107,7 +110,7 @@ class LinkBodies:
         return self.free if joint is None else not joint.is_fixed
 
     def inertia(self, body: str) -> pin.Inertia | None:
-        """Return the spatial inertia of a body, expressed in the frame of the body.
+        """Return the spatial inertia of a body at the origin of its link frame, in link axes.
 
         None if the URDF link has no ``<inertial>``.
         """
@@ -118,9 +121,10 @@ class LinkBodies:
         return not self.moves(body) and self.parent(body) is not None
 
     def fixed_group(self, body: str) -> Iterator[tuple[str, pin.SE3]]:
-        """Yield a body and all bodies fixed to this body, in order of distance.
+        """Yield a body and all bodies fixed to it: name, and pose of the first body.
 
-        Each is given with the placement of the first body's frame in the frame of the yielded body.
+        The pose is that of the first body's frame in the frame of the yielded body. Bodies are in
+        ascending order of the number of fixed joints in between.
         """
         known, waiting = {body}, [(body, pin.SE3.Identity())]
         while waiting:
@@ -140,12 +144,12 @@ class LinkBodies:
 def repair_inertials(
     urdf: UrdfFile, bodies: LinkBodies, *, repair: bool
 ) -> tuple[list[Diagnostic], list[Repair]]:
-    """Make all inertials valid for MuJoCo, in place.
+    """Make all inertials of a URDF valid for MuJoCo, in place: move or repair them.
 
-    An invalid inertial is moved to a body in the same fixed group, over any number of links: the
-    motion is then the same. If no sum of both inertias is valid, the inertial is repaired. An
-    invalid inertial without mass remains if the body does not move, or is fixed to a mass. An
-    inertial of zeros is removed.
+    An inertial of zeros is removed. An invalid inertial is added to that of a body to which it is
+    fixed by any number of joints, which changes no motion. If no such sum is valid, an inertial
+    with mass is repaired. An invalid inertial without mass remains if its body does not move, or is
+    fixed to a body with mass.
 
     Args:
         urdf: URDF as read.
@@ -185,7 +189,10 @@ def repair_inertials(
 
 
 def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> UrdfFile:
-    """Return a URDF with the repaired inertials, which correspond to the new MJCF."""
+    """Return a copy of a URDF with the repaired inertials of the converted MJCF.
+
+    The URDF itself is returned if there are no repairs.
+    """
     if not repairs:
         return urdf
     root = parse_text(urdf.text)
@@ -196,9 +203,9 @@ def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> 
 
 
 def is_valid_inertia(inertia: pin.Inertia) -> bool:
-    """Return True if an inertia can be written to an MJCF.
+    """Return True if MuJoCo accepts a spatial inertia.
 
-    Its mass is positive and its moments are valid; or both mass and moments are zero.
+    The mass is positive and the principal moments are valid; or both mass and moments are zero.
     """
     if inertia.mass <= 0:
         return inertia.mass == 0 and not np.array(inertia.inertia).any()
@@ -207,12 +214,12 @@ def is_valid_inertia(inertia: pin.Inertia) -> bool:
 
 
 def find_nearest_moments(moments: Array, mass: float) -> Array:
-    """Return the valid principal moments that are nearest to invalid ones.
+    """Return the valid principal moments, shape (3,) [kg m^2], nearest to invalid moments.
 
-    The condition is A + B >= C for the largest moment C. The missing amount is distributed in
-    equal parts on all three moments (projection on a half-space). MuJoCo's ``balanceinertia``
+    The condition is A + B >= C for the largest moment C. The violation is distributed in equal
+    parts on all three moments (projection on a half-space). MuJoCo's ``balanceinertia``
     uses the mean of the moments instead, which is a larger change. If no moment exceeds
-    `_MIN_INERTIA`, the moments belong to a radius of gyration of `_GYRATION_RADIUS`.
+    `_MIN_INERTIA`, the moments are those of the radius of gyration `_GYRATION_RADIUS`.
 
     Args:
         moments: Principal moments, shape (3,) [kg m^2], the largest last.
@@ -278,8 +285,7 @@ def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple
     Args:
         bodies: Bodies.
         body: Name of the first body.
-        bare: True to pass only bodies without an inertial: the search then also ends at a body with
-            an inertial.
+        bare: True to end the search also at the first body that has an inertial.
 
     Returns:
         Name of the carrying body; pose of the first body in the frame of the carrying body.
@@ -318,11 +324,12 @@ def _to_triple(values: Array) -> tuple[float, float, float]:
 
 
 def move_massless_shapes(bodies: LinkBodies) -> list[str]:
-    """Move the collision shapes of fixed bodies without inertial to the supporting bodies.
+    """Move the collision shapes of fixed bodies without inertial to the body that carries them.
 
-    The compliance of MuJoCo's ground depends on the inertia of the shape's body at the body's own
-    frame: the sphere of a massless toe body sinks 25 times as far as the same sphere in the body
-    of the foot with light ankles. MuJoCo's own importer also merges both bodies.
+    This is the nearest body with inertial, or that moves, to which they are fixed. The compliance
+    of MuJoCo's ground depends on the inertia of a shape's body: the sphere of a massless toe body
+    sinks 25 times as far as the same sphere in the body of the foot. MuJoCo's own importer also
+    merges both bodies.
 
     Returns:
         Names of the bodies whose shapes were moved.

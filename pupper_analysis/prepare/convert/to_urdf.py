@@ -47,8 +47,8 @@ from pupper_analysis.models.xml import (
 Array = NDArray[np.float64]
 
 _DEFAULT_VELOCITY_LIMIT = 100.0
-"""Velocity limit of all joints [rad/s]. A URDF requires a limit, and an MJCF has none. Chosen
-above that of any motor."""
+"""Velocity limit that is written for all joints [rad/s, m/s]: a URDF requires a limit, and an MJCF
+has none. Chosen, not tuned."""
 
 
 @dataclass
@@ -83,7 +83,7 @@ class UrdfLinks:
         self.unlimited = 0
 
     def add(self, base: int) -> None:
-        """Add the links of a body and of all descendants.
+        """Convert a body and all its descendants to links and joints of the URDF.
 
         Args:
             base: Id of the base body.
@@ -148,7 +148,10 @@ class UrdfLinks:
         self._add_link(body, name, placement)
 
     def _add_movable_joint(self, joint: int, parent: str, child: str, placed: pin.SE3) -> None:
-        """Add a hinge or slide, with limits, damping and friction."""
+        """Add a hinge or slide (MuJoCo id ``joint``), with limits, damping and friction.
+
+        ``placed`` is the pose of the child link's frame in the parent link's frame.
+        """
         model = self.model
         limited = bool(model.jnt_limited[joint])
         hinge = int(model.jnt_type[joint]) == JointKind.HINGE
@@ -199,7 +202,7 @@ class UrdfLinks:
         self.shapes.add(link.element, body, inside)
 
     def add_sites(self) -> None:
-        """Add a link without mass for each named site of a body that is a link.
+        """Add a link without mass for each named site of a converted body.
 
         A site with the name of a link is left out, with a note.
         """
@@ -224,7 +227,7 @@ class UrdfLinks:
     def _add_joint(
         self, name: str, kind: str, parent: str, child: str, placed: pin.SE3
     ) -> UrdfJoint:
-        """Add a joint."""
+        """Add a joint; ``placed`` is the pose of the child link in the parent link's frame."""
         return self.tree.new_joint(name, kind, parent, child, placed, NUM_DIGITS)
 
     def _make_link_name(self, body: int) -> str:
@@ -262,7 +265,7 @@ class ConvertedUrdf:
 
     @staticmethod
     def of(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> ConvertedUrdf:
-        """Convert an MJCF.
+        """Convert the links, shapes and couplings of an MJCF to a URDF.
 
         Args:
             file: MJCF.
@@ -331,8 +334,9 @@ def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
 ShapeGeometry = tuple[str, dict[str, str], pin.SE3]
 """Tag and attributes of a shape in a URDF, and the pose in the frame of the body."""
 
-_MAX_VISIBLE_GROUP = 3
-"""Geom groups below this number are shown by MuJoCo's viewer by default."""
+_NUM_VISIBLE_GROUPS = 3
+"""Number of geom groups, from 0, that MuJoCo's viewer shows by default: groups 0, 1 and 2. Their
+geoms become visual shapes."""
 
 
 class UrdfShapes:
@@ -367,7 +371,7 @@ class UrdfShapes:
                 self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
 
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
-        """Add the shapes of a body to the link: collidable geoms and visible geoms.
+        """Add the collidable and the visible geoms of a body to a ``<link>`` as shapes.
 
         Args:
             link: Element of the link.
@@ -378,7 +382,7 @@ class UrdfShapes:
         first = int(model.body_geomadr[body])
         for geom in range(first, first + int(model.body_geomnum[body])):
             touches = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
-            seen = int(model.geom_group[geom]) < _MAX_VISIBLE_GROUP or not touches
+            seen = int(model.geom_group[geom]) < _NUM_VISIBLE_GROUPS or not touches
             for tag, attributes, placed in self._convert_geom(geom):
                 for kind in (("visual",) if seen else ()) + (("collision",) if touches else ()):
                     shape = add_element(link, kind)
@@ -410,6 +414,10 @@ class UrdfShapes:
         return []
 
     def _convert_mesh(self, geom: int, placed: pin.SE3) -> list[ShapeGeometry]:
+        """Return the mesh of a geom as URDF shape; ``placed`` is the geom's pose in the body frame.
+
+        Empty, with a note, if the mesh has no file or is moved by the MJCF.
+        """
         model = self.model
         mesh = int(model.geom_dataid[geom])
         name = str(model.mesh(mesh).name)
@@ -457,7 +465,7 @@ def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
 
 
 def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
-    """Return the id of the base body, or of the root body of a robot with a fixed base.
+    """Find the robot in a model: return the id of its base body, or of its fixed root body.
 
     A root whose only joint is a free joint is an object, and is ignored if there are other roots
     with joints. If exactly one of these roots has a free base, this root is chosen; the rest may be
@@ -490,10 +498,10 @@ def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
 
 
 def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
-    """Return an MJCF in which only a single robot moves.
+    """Return an MJCF without the other robots and moving objects of a scene.
 
-    The other moving bodies are removed by MuJoCo, with all joints, actuators, sensors and
-    couplings, and the values in keyframes. Bodies fixed in the world remain.
+    The other moving bodies are removed, with their joints, actuators, sensors, couplings and
+    keyframe values. Bodies fixed in the world remain.
 
     Args:
         file: MJCF; not modified.
