@@ -58,8 +58,8 @@ from pupper_analysis.prepare.passes import Feet
 _ZERO_VECTOR = "0 0 0"
 
 _POINT_RADIUS = "0.001"
-"""Radius [m], as text, that replaces a zero radius of a collision sphere in the URDF. Drake's models
-have such points at the corners of a sole. Chosen, not tuned."""
+"""Radius [m], as text, that replaces a zero radius of a collision sphere in the URDF. Models of
+Drake have such points at the corners of a sole. Chosen, not tuned."""
 
 _SIZE_ATTRIBUTES = {
     "box": ("size",),
