@@ -35,7 +35,7 @@ FASTER, SCALES = 50.0, 1.8
 
 
 def walk(stage: Stage, count: int, workers: int) -> list[Run]:
-    cases = [stage.case(np.array([0.5, 0.0, 0.0]), seed) for seed in range(count)]
+    cases = [stage.make_case(np.array([0.5, 0.0, 0.0]), seed) for seed in range(count)]
     return list(simulate_cases(stage, cases, SECONDS, 2.0, workers))
 
 

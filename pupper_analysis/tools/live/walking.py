@@ -136,7 +136,7 @@ class WalkSession:
     def _simulate_walk(self) -> None:
         """Simulate until a fall, a restart, or the end of the session."""
         stage, self.fall = self._stage, None
-        case = stage.case(np.array([slider.value for slider in self.sliders]))
+        case = stage.make_case(np.array([slider.value for slider in self.sliders]))
         runs, action = Lockstep(stage, [case]), stage.substeps * stage.timestep
         recent: deque[tuple[Array, Array]] = deque(maxlen=max(2, round(_AVERAGING_TIME / action)))
         draw_interval, table_interval = (
@@ -152,7 +152,7 @@ class WalkSession:
             recent.append((states[0], control[0]))
             fallen = bool(broken[0]) or stage.upright.has_fallen(runs.current[0])
             window = Run(
-                case=stage.case(runs.commands[0].copy()),
+                case=stage.make_case(runs.commands[0].copy()),
                 states=np.concatenate([array for array, _ in recent]),
                 targets=np.concatenate([array for _, array in recent]),
                 fallen=fallen,

@@ -117,7 +117,7 @@ def _unknown_text(limit: PayloadLimit) -> doc.Text:
 
     It contains the largest torque, with this mass, of a motor without a stated limit.
     """
-    torques = limit.torque_of
+    torques = limit.torque_by_joint
     hardest = max(limit.unknown_limits, key=lambda joint: abs(float(torques[joint])))
     return text(
         "payload-unknown",

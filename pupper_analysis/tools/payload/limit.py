@@ -239,7 +239,7 @@ class PayloadLimit(Result):
     continuous: tuple[str, ...] = ()
 
     @property
-    def torque_of(self) -> dict[str, float]:
+    def torque_by_joint(self) -> dict[str, float]:
         """{joint: static motor torque [N m] in the stand with the largest payload}."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
 

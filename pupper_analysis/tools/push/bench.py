@@ -118,8 +118,8 @@ class PushBench:
         axes: Push directions, horizontal unit vectors in the world, shape (n, 2).
         duration: Simulated time of a push [s].
         feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
-        unpushed: Failures without a push, from ``verify_stand``; empty if the robot stays on its
-            feet.
+        failures_without_push: Failures without a push, from ``verify_stand``; empty if the robot
+            stays on its feet.
         rollouts: Number of simulated pushes so far, including simulations without a push.
         simulated: Simulated time of these pushes [s].
     """
@@ -128,7 +128,7 @@ class PushBench:
     axes: Array
     duration: float
     feedforward: bool
-    unpushed: tuple[Diagnostic, ...]
+    failures_without_push: tuple[Diagnostic, ...]
     rollouts: int = field(default=0, init=False)
     simulated: float = field(default=0.0, init=False)
 
@@ -149,7 +149,7 @@ class PushBench:
         self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
     @cached_property
-    def creep(self) -> float:
+    def creep_speed(self) -> float:
         """Largest speed of the base at the end of a simulation without a push [m/s].
 
         Feet creep on MuJoCo's regularised friction.
@@ -339,7 +339,7 @@ class PushBench:
             height = float(monitor.base_heights(self.robot, states[-1]))
             failures.append(monitor.describe_fall(self.upright.tilt(states[-1]), height))
         speed = self._measure_final_speed(states)
-        is_fast = speed > MAX_RESTING_SPEED and speed > MAX_RESTING_SPEED + self.creep
+        is_fast = speed > MAX_RESTING_SPEED and speed > MAX_RESTING_SPEED + self.creep_speed
         if is_fast or not (failures or self._will_rest(states)):
             failures.append(diagnose("not-at-rest", speed=Quantity(speed, "m/s")))
         return failures
@@ -386,7 +386,7 @@ class PushBench:
         decay = math.log(before / speed) / (_REST_DURATION / 2) if speed < before and speed else 0.0
         time = remaining if decay * remaining < 1 else 1 / decay
         if speed * time > most:
-            speed = max(speed - self.creep, 0.0)
+            speed = max(speed - self.creep_speed, 0.0)
             if speed * time > most:
                 return False
         at_end = left < self.timestep
@@ -415,7 +415,7 @@ class PushBench:
         spectrum = evaluate_spectrum(self.drive, end, self.ctrl, settle=0.0)
         return spectrum.is_stable_for() and self._will_rest(states, spectrum)
 
-    def peak_torques(self, direction: int, impulse: float) -> Array:
+    def simulate_peak_torques(self, direction: int, impulse: float) -> Array:
         """Simulate a push, and return the largest |torque| of each motor, shape (nu,) [N m].
 
         Args:
@@ -430,12 +430,12 @@ class PushBench:
             peaks = np.maximum(peaks, np.abs(self.watcher.data.qfrc_actuator[dofs]))
         return peaks
 
-    def point(self) -> Array:
+    def find_push_point(self) -> Array:
         """Return the point of application in the world: CoM of the base body, shape (3,) [m]."""
         data = self.robot.compute_kinematics(self.stand.qpos)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
-    def settings(self) -> dict[str, Any]:
+    def list_settings(self) -> dict[str, Any]:
         """Return the settings of the simulations and pushes: {field of ``PushSettings``: value}."""
         return {
             "feedforward": self.feedforward,
@@ -444,7 +444,7 @@ class PushBench:
             "duration": self.steps * self.timestep,
             "kp": self.drive.kp,
             "kd": self.drive.kd,
-            "point": self.point(),
+            "point": self.find_push_point(),
             "pulse": self.pulse_steps * self.timestep,
         }
 
@@ -492,7 +492,7 @@ def make_push_bench(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     forward = Configuration(robot, stand.qpos).base_rotation()[:2, 0]
-    unpushed = verification or verify_stand(
+    run_without_push = verification or verify_stand(
         robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
     )
     start = make_stand_start(
@@ -504,7 +504,7 @@ def make_push_bench(
         axes=np.column_stack([np.cos(world_angles), np.sin(world_angles)]),
         duration=duration,
         feedforward=feedforward,
-        unpushed=() if unpushed.stays else unpushed.failures,
+        failures_without_push=() if run_without_push.stays else run_without_push.failures,
     )
 
 
@@ -602,8 +602,8 @@ def simulate_push(
     (states,) = bench.simulate_pushes(np.zeros(1, dtype=np.int64), np.array([impulse]))
     states = bench.extend_until_rest(states)
     failure = bench.find_failure(states)
-    if bench.unpushed:
-        failure = diagnose("without-a-push", failures=bench.unpushed)
+    if bench.failures_without_push:
+        failure = diagnose("without-a-push", failures=bench.failures_without_push)
     frames = states[:: max(1, round(_FRAME_TIME / bench.timestep))]
     frames = frames[np.isfinite(frames).all(axis=1)]  # also after a divergence
     return PushTrial(
@@ -614,5 +614,5 @@ def simulate_push(
         velocity_step=impulse / robot.total_mass,
         motion_time=frames[:, 0].copy(),
         motion=np.round(frames[:, 1 + robot.mj_convention.qpos_index], 6),
-        **bench.settings(),
+        **bench.list_settings(),
     )

@@ -12,7 +12,7 @@ def _measure_weakest_push(design: Any) -> float:
     """Compute a design's largest push in its weakest direction [N s]; NaN for unknown limits."""
     if unknown_push_limits(design.robot):
         return math.nan
-    return push_recovery(design.robot, design.held).weakest_impulse
+    return push_recovery(design.robot, design.simulated_stand).weakest_impulse
 
 
 METRICS: dict[str, dict[str, Any]] = {

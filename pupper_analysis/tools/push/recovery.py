@@ -143,7 +143,7 @@ def study_pushes(
                     integrator=None,
                     verification=verification,
                 )
-                peaks = bench.peak_torques(0, recovery.weakest_impulse)
+                peaks = bench.simulate_peak_torques(0, recovery.weakest_impulse)
         results[robot.name] = PushedStance(
             name=robot.name,
             joint_names=robot.joint_names,
@@ -316,7 +316,7 @@ def push_recovery(
         verification=verification,
     )
     config = Configuration(robot, stand.qpos)
-    estimate = tipping_impulses(config, bench.point(), bench.axes, stand.stance_feet)
+    estimate = tipping_impulses(config, bench.find_push_point(), bench.axes, stand.stance_feet)
     impulses, bisected, failures = _find_push_limits(bench, estimate, resolution)
     weakest = int(np.argmin(impulses))
     return PushRecovery(
@@ -333,8 +333,8 @@ def push_recovery(
         resolution=float(resolution),
         rollouts=bench.rollouts,
         simulated=bench.simulated,
-        failures_without_push=bench.unpushed,
-        **bench.settings(),
+        failures_without_push=bench.failures_without_push,
+        **bench.list_settings(),
     )
 
 
@@ -405,8 +405,8 @@ def _find_push_limits(
         resolution: Resolution of the impulses [N s].
     """
     count = len(bench.axes)
-    if bench.unpushed:
-        failure_without_push = diagnose("without-a-push", failures=bench.unpushed)
+    if bench.failures_without_push:
+        failure_without_push = diagnose("without-a-push", failures=bench.failures_without_push)
         return np.zeros(count), np.zeros(count), (failure_without_push,) * count
     search = _LimitSearch(bench, np.zeros(count), np.full(count, np.inf), {})
     initial = np.where(np.isfinite(estimate), estimate, 1.0).clip(resolution)

@@ -337,12 +337,12 @@ def progress_bar() -> Iterator[Callable[[StudyProgress], None]]:
 
         def show(progress: StudyProgress) -> None:
             rate = (
-                f"{progress.rate:.1f}/s, {format_duration(progress.left)} left"
+                f"{progress.rate:.1f}/s, {format_duration(progress.remaining_time)} left"
                 if progress.done
                 else ""
             )
             words = f"{rate} {format_failures(progress.failures)}"
-            completed = progress.there + progress.done
+            completed = progress.num_stored + progress.done
             bar.update(task, total=progress.total, completed=completed, description=words)
 
         yield show

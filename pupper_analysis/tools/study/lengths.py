@@ -53,7 +53,7 @@ class Stretch:
     along: Array
     factor: float
 
-    def matrix(self, rotation: Array) -> Array:
+    def compute_matrix(self, rotation: Array) -> Array:
         """Return the matrix A, shape (3, 3), of a stretch p' = A p + b in the axes of a frame.
 
         Args:
@@ -63,7 +63,7 @@ class Stretch:
         matrix: Array = np.eye(3) + (self.factor - 1.0) * np.outer(along, along)
         return matrix
 
-    def local(self, rotation: Array, position: Array) -> tuple[Array, Array]:
+    def express_in_frame(self, rotation: Array, position: Array) -> tuple[Array, Array]:
         """Express the stretch p' = A p + b of points p in the coordinates of a given frame.
 
         The frame itself is not stretched: p and p' are both coordinates in the same frame.
@@ -75,7 +75,7 @@ class Stretch:
         Returns:
             A, shape (3, 3); b, shape (3,) [m].
         """
-        matrix = self.matrix(rotation)
+        matrix = self.compute_matrix(rotation)
         return matrix, (np.eye(3) - matrix) @ rotation.T @ (self.origin - position)
 
 
@@ -168,7 +168,7 @@ def stretch_links(
         link = urdf.moved_links[joint]
         for part in urdf.fixed_group(link):
             pose = _link_pose(config, part)
-            matrix, shift = stretch.local(pose.rotation, pose.translation)
+            matrix, shift = stretch.express_in_frame(pose.rotation, pose.translation)
             if part != link:  # the joint above has moved this frame already
                 shift = np.zeros(3)
             _stretch_link(urdf, part, matrix, shift, factor)
@@ -177,7 +177,7 @@ def stretch_links(
         for part in mjcf.fixed_group(body):
             pose = data.body(part)
             rotation = pose.xmat.reshape(3, 3)
-            matrix, shift = stretch.local(rotation, pose.xpos)
+            matrix, shift = stretch.express_in_frame(rotation, pose.xpos)
             if part != body:
                 shift = np.zeros(3)
             inertia = inertia_of_body(model, model.body(part).id)

@@ -80,7 +80,7 @@ class Design:
         A search that fails is not repeated.
         """
         try:
-            return steady_state(self.robot, self.held)
+            return steady_state(self.robot, self.simulated_stand)
         except PupperAnalysisError as error:
             return error
 
@@ -96,7 +96,7 @@ class Design:
         return self._equilibrium_or_error
 
     @property
-    def rest(self) -> SteadyState:
+    def standing_equilibrium(self) -> SteadyState:
         """Predicted equilibrium on the servos without feed-forward, in which the robot stays up.
 
         Raises:
@@ -109,12 +109,12 @@ class Design:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stability of `rest`, from the spectrum of a simulation step.
+        """Stability of `standing_equilibrium`, from the spectrum of a simulation step.
 
         Raises:
-            PupperAnalysisError: As `rest`.
+            PupperAnalysisError: As `standing_equilibrium`.
         """
-        return rest_stability(self.robot, self.held, self.rest)
+        return rest_stability(self.robot, self.simulated_stand, self.standing_equilibrium)
 
     @cached_property
     def workspace(self) -> BaseWorkspace:
@@ -122,7 +122,7 @@ class Design:
         return base_workspace(self.robot, self.stand.task)
 
     @cached_property
-    def held(self) -> Stand:
+    def simulated_stand(self) -> Stand:
         """Stand on MuJoCo's soft ground, the initial state of simulations."""
         return solve_stand_as_simulated(self.robot, self.stand)
 
@@ -131,12 +131,12 @@ class Design:
         """Verdict of the stand, as by the command ``stand``."""
         return judge_stand(self.robot, self.stand, **self.gains)
 
-    def per_joint(self, values: Iterable[float]) -> dict[str, float]:
+    def map_to_joints(self, values: Iterable[float]) -> dict[str, float]:
         """Return {joint: value} for values in actuator order."""
         pairs = zip(self.robot.joint_names, values, strict=True)
         return {name: float(value) for name, value in pairs}
 
-    def span(self, direction: str) -> float:
+    def compute_base_range(self, direction: str) -> float:
         """Return the length of the reachable range of the base in a direction [m or rad].
 
         Args:
@@ -146,8 +146,8 @@ class Design:
         return interval.high - interval.low
 
     def utilisation_at_rest(self) -> float:
-        """Return the largest torque / effort limit of the joints at `rest`; NaN if not known."""
-        return _find_peak(compute_utilisation(self.robot, self.rest.joint_torques))
+        """Return the largest torque / effort limit at `standing_equilibrium`; NaN if not known."""
+        return _find_peak(compute_utilisation(self.robot, self.standing_equilibrium.joint_torques))
 
 
 @dataclass(frozen=True)
@@ -225,20 +225,20 @@ _METRICS_OF_DESIGNS = (
     Metric("total_mass", lambda d: d.robot.total_mass, "kg"),
     Metric("peak_utilisation", lambda d: _find_peak(d.statics.motor_utilisation), "1"),
     Metric("peak_torque", lambda d: _find_peak(d.statics.joint_torques), "N m"),
-    Metric("torque", lambda d: d.per_joint(d.statics.joint_torques), "N m"),
-    Metric("utilisation", lambda d: d.per_joint(d.statics.motor_utilisation), "1"),
+    Metric("torque", lambda d: d.map_to_joints(d.statics.joint_torques), "N m"),
+    Metric("utilisation", lambda d: d.map_to_joints(d.statics.motor_utilisation), "1"),
     Metric("friction_utilisation", _max_friction_utilisation, "1"),
     Metric("com_margin", lambda d: d.stand.com_margin, "m"),
-    Metric("base_height", lambda d: d.rest.base_height, "m"),
-    Metric("sag", lambda d: d.rest.height_loss, "m"),
-    Metric("servo_sag", lambda d: d.rest.servo_sag, "m"),
+    Metric("base_height", lambda d: d.standing_equilibrium.base_height, "m"),
+    Metric("sag", lambda d: d.standing_equilibrium.height_loss, "m"),
+    Metric("servo_sag", lambda d: d.standing_equilibrium.servo_sag, "m"),
     Metric("stiffness", lambda d: d.equilibrium.stiffness, "rad^2/s^2"),
     Metric("rest_utilisation", lambda d: d.utilisation_at_rest(), "1"),
     Metric("stands", _check_stand, "1", fallen=0.0),
     Metric("minimum_stiffness", _compute_minimum_stiffness, "N m/rad", simulates=True),
-    Metric("height_range", lambda d: d.span("height"), "m", simulates=True),
-    Metric("roll_range", lambda d: d.span("roll"), "rad", simulates=True),
-    Metric("pitch_range", lambda d: d.span("pitch"), "rad", simulates=True),
+    Metric("height_range", lambda d: d.compute_base_range("height"), "m", simulates=True),
+    Metric("roll_range", lambda d: d.compute_base_range("roll"), "rad", simulates=True),
+    Metric("pitch_range", lambda d: d.compute_base_range("pitch"), "rad", simulates=True),
     Metric("verified", lambda d: d.verdict.passed, "1", simulates=True, fallen=0.0),
 )
 
@@ -326,7 +326,7 @@ class UserFunction:
         return self.function(design.robot, design.stand)
 
     @property
-    def place(self) -> str:
+    def import_path(self) -> str:
         """Import path of the user's function, as ``module:function``."""
         return f"{self.function.__module__}:{getattr(self.function, '__qualname__', '')}"
 
@@ -339,14 +339,14 @@ class UserFunction:
             text = inspect.getsource(self.function)
         except (OSError, TypeError):
             text = ""
-        return f"{self.place} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+        return f"{self.import_path} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
 def format_metric(metric: Metric) -> str:
     """Return a metric as written in a study file."""
     function = metric.function
     metric_name = f"{metric.name}:{metric.file}" if metric.file else metric.name
-    return function.place if isinstance(function, UserFunction) else metric_name
+    return function.import_path if isinstance(function, UserFunction) else metric_name
 
 
 def fingerprint_metric(metric: Metric) -> str:

@@ -262,7 +262,7 @@ class Progress:
 
     Attributes:
         total: Number of designs of the study; repetitions within a block are subtracted when found.
-        there: Number of designs that were stored before the run, or that repeat a design of an
+        num_stored: Number of designs that were stored before the run, or that repeat a design of an
             earlier block.
         done: Number of designs that this run has evaluated.
         failures: {failure kind: number of designs of this run}.
@@ -271,7 +271,7 @@ class Progress:
     """
 
     total: int
-    there: int = 0
+    num_stored: int = 0
     done: int = 0
     failures: Counter[str] = field(default_factory=Counter)
     seconds: float = 0.0
@@ -283,9 +283,9 @@ class Progress:
         return self.done / self.seconds if self.seconds > 0 else 0.0
 
     @property
-    def left(self) -> float:
+    def remaining_time(self) -> float:
         """Estimated remaining time of a run [s]: 0 if no design remains, infinite if no rate."""
-        rest = self.total - self.there - self.done
+        rest = self.total - self.num_stored - self.done
         return rest / self.rate if self.rate else (float("inf") if rest else 0.0)
 
 
@@ -305,19 +305,19 @@ class WorkerPool:
         self._num_submitted = 0
 
     @property
-    def renewable(self) -> bool:
+    def owns_processes(self) -> bool:
         """Whether the pool owns its processes and can replace them: no executor was given."""
         return self._given_executor is None
 
     @property
     def needs_renewal(self) -> bool:
         """True if the processes have evaluated enough designs to be replaced."""
-        return self.renewable and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
+        return self.owns_processes and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:
         """End all worker processes and start new ones; wait until the new processes are ready."""
-        self.end()
-        self.check()  # wait for the start, so that it does not count for the next design
+        self.end_processes()
+        self.check_startup()  # wait for the start, so that it does not count for the next design
 
     def submit(self, chunk: Chunk) -> Future[ChunkOutcome]:
         """Submit the evaluation of a chunk of designs to a worker; return its future result."""
@@ -325,7 +325,7 @@ class WorkerPool:
         with self._block_interrupts():
             return self._get_executor().submit(measure_designs, chunk)
 
-    def check(self) -> None:
+    def check_startup(self) -> None:
         """Check that worker processes can start.
 
         Raises:
@@ -374,7 +374,7 @@ class WorkerPool:
             process.join(EXIT_WAIT_SECONDS)
         return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._list_processes())
 
-    def end(self) -> None:
+    def end_processes(self) -> None:
         """End the processes of the pool. A given executor is not changed."""
         if self._given_executor is None and self._executor is not None:
             pool, processes = self._executor, self._list_processes()
@@ -440,7 +440,7 @@ class StudyRun:
         try:
             first = next(source, None)
             if first is not None:
-                pool.check()
+                pool.check_startup()
                 self._run_chunks(pool, first, source)
         finally:
             try:
@@ -448,7 +448,7 @@ class StudyRun:
             finally:
                 for future in self._in_flight:
                     future.cancel()
-                pool.end()
+                pool.end_processes()
         self.report(self._update_progress())
         return self.progress
 
@@ -467,7 +467,7 @@ class StudyRun:
             is_first = np.zeros(len(keys), bool)
             is_first[first] = True  # a design may occur more than once
             is_stored = np.isin(keys, stored_keys)
-            self.progress.there += int(is_stored.sum())
+            self.progress.num_stored += int(is_stored.sum())
             self.progress.total -= int((~is_first & ~is_stored).sum())
             new = np.flatnonzero(is_first & ~is_stored)
             stored_keys = np.union1d(stored_keys, keys)
@@ -551,7 +551,7 @@ class StudyRun:
         for chunk, _ in self._in_flight.values():
             self._suspects.extend(_split_singly(chunk))
         self._in_flight.clear()
-        if not pool.renewable:
+        if not pool.owns_processes:
             raise StudyError(self.store.folder, diagnose("executor-broken")) from error
         pool.renew()
 

@@ -149,7 +149,7 @@ class Study:
         if repeated is not None:
             raise ConfigurationError("measure", diagnose("there-twice", name=repeated))
 
-    def whole_source(self) -> RobotSource:
+    def make_source_with_visuals(self) -> RobotSource:
         """Return the source of the same robots, with visual geoms and meshes."""
         if isinstance(self.source, FileSource):
             return FileSource(self.source.files, self.source.files.load())

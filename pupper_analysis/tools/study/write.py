@@ -103,7 +103,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         raise ConfigurationError("number", finding)
     row = table.iloc[number - 1]
     numbers = {name: float(row[name]) for name in study.variables}
-    builder = DesignBuilder(study.whole_source(), study.task, study.point)
+    builder = DesignBuilder(study.make_source_with_visuals(), study.task, study.point)
     try:
         design = builder.design(numbers)
     except PupperAnalysisError as error:

@@ -41,14 +41,14 @@ class EditableMjcf:
         self.autolimits = bool(compiler.autolimits)
         self._bodies = self._find_bodies(file.spec)
 
-    def body(self, name: str) -> Element | None:
+    def find_body(self, name: str) -> Element | None:
         """Return the XML element of a body of the MJCF.
 
         None if the body is a copy of another element, such as by <replicate>.
         """
         return self._bodies.get(name)
 
-    def joint(self, name: str, body: str) -> Element | None:
+    def find_joint(self, name: str, body: str) -> Element | None:
         """Return the XML element of a joint; a joint without a name is found by its body's name."""
         element = self._bodies.get(body)
         if element is None:
@@ -88,7 +88,7 @@ class EditableMjcf:
         if text is not None:
             element.set(attribute, text)
 
-    def is_framed(self, element: Element) -> bool:
+    def is_in_frame_element(self, element: Element) -> bool:
         """Return True if an element is within a <frame>, so that the position is relative."""
         parent = element.parent
         while parent is not None and parent.tag not in ("body", "worldbody"):

@@ -69,7 +69,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
         return
     plans = []
     for body, part in list_single_part_changes(heavy_parts, target, top):
-        element = side.elements.body(str(model.body(body).name))
+        element = side.elements.find_body(str(model.body(body).name))
         if element is None:
             side.unwritten.update(dict.fromkeys(keys, COPIED_BODY))
             return
@@ -181,7 +181,7 @@ class MjcfSide(Side):
         for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
             plan_inertial(self, name, [key for key in taken if key[1] == name])
 
-    def _body_pose(self, body: int) -> pin.SE3:
+    def _compute_body_pose(self, body: int) -> pin.SE3:
         """Return the pose of a body in the frame of the body that a joint moves."""
         name = str(self.model.body(body).name)
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
@@ -199,15 +199,15 @@ class MjcfSide(Side):
             return
         parent = self.sides.own.joints[name].parent
         parent_frame = self.sides.mjcf_frames[parent].inverse()
-        frame = self._body_pose(int(self.model.body_parentid[body]))
+        frame = self._compute_body_pose(int(self.model.body_parentid[body]))
         old_pose = make_placement(self.model.body_quat[body], self.model.body_pos[body])
         joint = parent_frame * self.target.joints[name].placement * self.sides.mjcf_frames[name]
         own_placement = self.sides.own.joints[name].placement
         target_pose = frame.inverse() * joint * own_placement.inverse() * frame * old_pose
-        element = self.elements.body(str(self.model.body(body).name))
+        element = self.elements.find_body(str(self.model.body(body).name))
         if element is None:
             self.unwritten[key] = COPIED_BODY
-        elif self.elements.is_framed(element):
+        elif self.elements.is_in_frame_element(element):
             self.unwritten[key] = diagnose("place-in-a-frame")
         elif (
             float(np.abs(np.array(target_pose.translation) - old_pose.translation).max())
@@ -215,15 +215,15 @@ class MjcfSide(Side):
         ):
             self.elements.write(element, "pos", target_pose.translation, 1.0)
 
-    def joint_in_file(self, name: str) -> Element | None:
+    def find_joint_element(self, name: str) -> Element | None:
         """Return the XML element of a joint in the files of the MJCF; None if absent."""
         body = int(self.model.jnt_bodyid[self.model.joint(name).id])
-        return self.elements.joint(name, str(self.model.body(body).name))
+        return self.elements.find_joint(name, str(self.model.body(body).name))
 
     def _plan_limits(self, key: Key) -> None:
         """Plan the range of a joint."""
         name = key[1]
-        element, joint = self.joint_in_file(name), self.target.joints[name]
+        element, joint = self.find_joint_element(name), self.target.joints[name]
         if element is None:
             self.unwritten[key] = COPIED_BODY
             return
@@ -256,7 +256,7 @@ class MjcfSide(Side):
         if target < 0:
             self.unwritten[key] = diagnose("motors-have-more")
             return
-        element = self.joint_in_file(name)
+        element = self.find_joint_element(name)
         stated_higher = ([] if element is None else (element.get("damping") or "").split())[1:]
         higher = [float(word) for word in stated_higher]
         self._plan_number(key, "damping", [target, *higher])
@@ -275,7 +275,7 @@ class MjcfSide(Side):
 
     def _plan_number(self, key: Key, attribute: str, values: list[float]) -> None:
         """Plan numbers of a joint."""
-        element = self.joint_in_file(key[1])
+        element = self.find_joint_element(key[1])
         if element is None:
             self.unwritten[key] = COPIED_BODY
             return
@@ -361,7 +361,7 @@ def plan_effort(side: MjcfSide, key: Key) -> None:
     name, model = key[1], side.model
     target = side.target.joints[name].effort
     joint = model.joint(name).id
-    element = side.joint_in_file(name)
+    element = side.find_joint_element(name)
     actuators, motors = list_joint_actuators(model, joint), side.elements.find_actuators(name)
     if element is None or len(motors) != len(actuators):
         side.unwritten[key] = diagnose("actuators-are-copies")

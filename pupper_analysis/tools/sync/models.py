@@ -209,10 +209,10 @@ def _compare_planned(plan: Plan, tolerances: Tolerances) -> FilesCompared:
     contents = {
         place: documents[file].render() if file in documents else read_input(file, MAX_FILE_BYTES)
         for copies in plan.copies
-        for file, place in copies.places.items()
+        for file, place in copies.copy_paths.items()
     }
     with write_temporary_files(contents) as folder:
-        urdf, mjcf = (folder / copies.places[copies.main] for copies in plan.copies)
+        urdf, mjcf = (folder / copies.copy_paths[copies.main] for copies in plan.copies)
         try:
             return _compare_files(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
         except ModelError as error:

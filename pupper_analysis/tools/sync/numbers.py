@@ -171,7 +171,7 @@ def write_numbers(
     if urdf_path is not None:
         documents[urdf.path] = read_document(urdf.path)
         into_urdf = UrdfSide(
-            tree=UrdfTree(documents[urdf.path].root), sides=robots, target=changes.tree("urdf")
+            tree=UrdfTree(documents[urdf.path].root), sides=robots, target=changes.make_tree("urdf")
         )
         kinds = (*BODY_KINDS, "damping", "friction")
         into_urdf.plan([key for key in changes.wanted if key[0] in kinds])
@@ -184,7 +184,11 @@ def write_numbers(
             key: float(value) for key, value in changes.wanted.items() if key[0] in SERVO_KINDS
         }
         into_mjcf = MjcfSide(
-            file=mjcf, elements=elements, sides=robots, target=changes.tree("mjcf"), gains=gains
+            file=mjcf,
+            elements=elements,
+            sides=robots,
+            target=changes.make_tree("mjcf"),
+            gains=gains,
         )
         into_mjcf.plan([key for key in changes.wanted if key not in gains])
         unwritten |= into_mjcf.unwritten
@@ -196,7 +200,7 @@ def write_numbers(
         raise make_refusal(robot, unwritten)
     if len(layout) == 2:
         layout = list(combine_layouts(*layout))
-    places = {copies.main: copies.places[copies.main] for copies in layout}
+    places = {copies.main: copies.copy_paths[copies.main] for copies in layout}
     written = WrittenNumbers(
         urdf=None if urdf_path is None else places[urdf_path],
         mjcf=None if mjcf_path is None else places[mjcf_path],
@@ -206,7 +210,7 @@ def write_numbers(
             if file in documents
             else read_input(file, MAX_FILE_BYTES)
             for copies in layout
-            for file, place in copies.places.items()
+            for file, place in copies.copy_paths.items()
         },
         sources=tuple(file for copies in layout for file in copies.files),
     )
@@ -298,7 +302,7 @@ def _find_wrong_numbers(
     """Yield the numbers that an engine reads differently than requested."""
     trees = dict(zip(("urdf", "mjcf"), kinematic_trees(after), strict=True))
     for side in sides:
-        target, frames = changes.tree(side), changes.both.mjcf_frames if side == "mjcf" else {}
+        target, frames = changes.make_tree(side), changes.both.mjcf_frames if side == "mjcf" else {}
         for mover, body in trees[side].bodies.items():
             frame = frames.get(mover, pin.SE3.Identity())
             if not is_same_body(
@@ -429,7 +433,7 @@ class NumberChanges:
             for kind, values in values_of_kind.items()
         }
 
-    def tree(self, side: str) -> MultibodyTree:
+    def make_tree(self, side: str) -> MultibodyTree:
         """Return the multibody tree that a file shall have after the change of its numbers.
 
         Args:

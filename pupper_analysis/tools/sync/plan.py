@@ -322,15 +322,15 @@ class FileLayout:
         return FileLayout(main, Path(os.path.commonpath(folders)), files)
 
     @cached_property
-    def places(self) -> Mapping[Path, Path]:
+    def copy_paths(self) -> Mapping[Path, Path]:
         """{file of the model: path of its copy in the output folder}, including the main file."""
         return {
             file: self.aside / _normalise_path(file).relative_to(self.top) for file in self.files
         }
 
-    def place(self) -> Path:
+    def get_main_copy_path(self) -> Path:
         """Return the path of the main file's copy in the output folder."""
-        return self.places[self.main]
+        return self.copy_paths[self.main]
 
 
 def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:

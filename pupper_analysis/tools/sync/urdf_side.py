@@ -73,7 +73,7 @@ class UrdfSide(Side):
         for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
             self._plan_inertial(name, [key for key in taken if key[1] == name])
 
-    def _link_pose(self, link: str) -> pin.SE3:
+    def _compute_link_pose(self, link: str) -> pin.SE3:
         """Return the pose of a link in the frame of the link that a joint moves."""
         pose = pin.SE3.Identity()
         while link not in self._mover_of_link and link in self._parent_joints:
@@ -90,7 +90,7 @@ class UrdfSide(Side):
     def _plan_position(self, name: str) -> None:
         """Plan the origin of a joint."""
         joint = self._find_joint(name)
-        frame = self.sides.urdf_frames[self._find_mover(joint.parent)] * self._link_pose(
+        frame = self.sides.urdf_frames[self._find_mover(joint.parent)] * self._compute_link_pose(
             joint.parent
         )
         target = frame.inverse() * self.target.joints[name].placement
@@ -163,7 +163,7 @@ class UrdfSide(Side):
         members = self._list_members(mover)
         stated_inertias = {link: self._links[link].inertia for link in members}
         inertias = {
-            link: self._link_pose(link).act(inertia)
+            link: self._compute_link_pose(link).act(inertia)
             for link, inertia in stated_inertias.items()
             if inertia is not None
         }
@@ -176,7 +176,7 @@ class UrdfSide(Side):
             return
 
         def changed(link: str, part: pin.Inertia) -> Changes:
-            in_link_frame = self._link_pose(link).actInv(part)
+            in_link_frame = self._compute_link_pose(link).actInv(part)
             return make_inertial_changes(self._links[link].element, in_link_frame)
 
         candidates = [(link, changed(link, part)) for link, part in part_changes]
@@ -209,12 +209,12 @@ def make_inertial_changes(link: Element, target: pin.Inertia) -> Changes:
         None if inertia_element is None else inertia_element.get(name) for name in INERTIA_ENTRIES
     ]
     in_inertial_axes = rotation.T @ np.array(target.inertia) @ rotation
-    changes |= dict(_tensor_changes(old_entries, inertia_entries(in_inertial_axes)))
+    changes |= dict(_list_tensor_changes(old_entries, inertia_entries(in_inertial_axes)))
     text = make_xyz_text(inertial, np.array(target.lever))
     return changes if text is None else changes | {("origin", "xyz"): text}
 
 
-def _tensor_changes(
+def _list_tensor_changes(
     old_entries: list[str | None], values: Array
 ) -> Iterator[tuple[tuple[str, str], str]]:
     """Yield the changed entries of the inertia tensor."""

@@ -246,7 +246,7 @@ def simulate_walk(
     checked_command = check_command(command)
     check_runs(seeds, seconds, warm_up)
     stage = prepare_stage(robot, policy)
-    cases = [stage.case(checked_command, seed) for seed in range(seeds)]
+    cases = [stage.make_case(checked_command, seed) for seed in range(seeds)]
     runs = simulate_cases(stage, cases, seconds, warm_up, workers)
     gaits = tuple(measure_gait(stage, run, warm_up) for run in runs)
     return Walk(

@@ -64,7 +64,7 @@ class Quantity:
     range: tuple[float, float]
     apply: Change | None
 
-    def between(self, first: float, second: float) -> float:
+    def compute_midpoint(self, first: float, second: float) -> float:
         """Return the arithmetic mean of two values; for a factor (unit "x"), the geometric mean."""
         return math.sqrt(first * second) if self.unit == "x" else (first + second) / 2
 
@@ -354,7 +354,7 @@ def tracked_intervals(
             brackets[name, side, seed] = [brackets[name, side, seed][1], math.nan]
     for _ in range(NUM_HALVINGS):
         open_keys = [key for key, (_, bound) in brackets.items() if not math.isnan(bound)]
-        middles = [QUANTITIES[key[0]].between(*brackets[key]) for key in open_keys]
+        middles = [QUANTITIES[key[0]].compute_midpoint(*brackets[key]) for key in open_keys]
         trials = [(key[0], value, key[2]) for key, value in zip(open_keys, middles, strict=True)]
         for key, value, tracks in zip(open_keys, middles, track(trials), strict=True):
             brackets[key][0 if tracks else 1] = value

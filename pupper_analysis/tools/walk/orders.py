@@ -182,7 +182,7 @@ def rank_orders(
     joints = tuple(robot.joint_names[index] for index in find_joint_indices(robot, policy))
     contract = replace(contract, joints=joints)
     candidates = [
-        _evaluate_reading(
+        _evaluate_interpretation(
             robot,
             replace(policy, contract=changed_contract),
             checked_commands,
@@ -190,10 +190,10 @@ def rank_orders(
             change,
             workers,
         )
-        for change, changed_contract in _list_readings(robot, contract)
+        for change, changed_contract in _list_interpretations(robot, contract)
     ]
     stated_candidate = candidates[0]
-    ranked = sorted(candidates, key=lambda reading: (-reading.tracked, reading.cost))
+    ranked = sorted(candidates, key=lambda candidate: (-candidate.tracked, candidate.cost))
     lead = None
     if len(ranked) > 1 and ranked[1].tracked == ranked[0].tracked:
         lead = ranked[1].cost / ranked[0].cost
@@ -225,7 +225,7 @@ Change = tuple[str, str, tuple[str, ...]]
 """Kind of a change, detail, and the flipped joints."""
 
 
-def _list_readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
+def _list_interpretations(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
     """Yield each interpretation: change from the stated contract, and changed contract."""
     stated_joints = contract.joints
     limbs = group_limbs(robot, stated_joints)
@@ -298,7 +298,7 @@ def _group_by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tup
     return tuple(ordered)
 
 
-def _evaluate_reading(
+def _evaluate_interpretation(
     robot: Robot,
     policy: Policy,
     commands: Array,
@@ -308,7 +308,7 @@ def _evaluate_reading(
 ) -> Candidate:
     """Simulate an interpretation of a policy with all commands, and return its result."""
     stage = prepare_stage(robot, policy)
-    cases = [stage.case(command) for command in commands]
+    cases = [stage.make_case(command) for command in commands]
     tracked = fallen = 0
     squares, errors = [], []
     for run in simulate_cases(stage, cases, seconds, WARM_UP_SECONDS, workers):

@@ -126,7 +126,7 @@ class Stage:
         """Time step of the simulation [s]."""
         return float(self.model.opt.timestep)
 
-    def case(self, command: Array, seed: int = 0) -> Case:
+    def make_case(self, command: Array, seed: int = 0) -> Case:
         """Create the definition of a run with the robot as in its files; nothing is simulated.
 
         Args:

@@ -57,7 +57,7 @@ def test_sliders_set_the_walk_command(session: WalkSession) -> None:
 def test_played_walk_equals_the_simulation_of_walk(tmp_path: Path) -> None:
     """The same start, command and push: equal to the last bit."""
     stage = prepare_stage(load("v3"), Policy.load(made.trot(tmp_path / "trot.json")))
-    case = stage.case(np.array(made.TROT[0]), 3)
+    case = stage.make_case(np.array(made.TROT[0]), 3)
     played = Lockstep(stage, [case])
     states = np.concatenate([played.advance()[0][0] for _ in range(60)])
     [run] = simulate_cases(stage, [case], 3.0, 1.0, 1)
@@ -67,7 +67,7 @@ def test_played_walk_equals_the_simulation_of_walk(tmp_path: Path) -> None:
 def test_push_changes_the_momentum_by_its_impulse(tmp_path: Path) -> None:
     """Reference: momentum = impulse, in the air without horizontal forces."""
     stage = prepare_stage(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
-    run = Lockstep(stage, [replace(stage.case(np.zeros(3)), lift=1.0)])
+    run = Lockstep(stage, [replace(stage.make_case(np.zeros(3)), lift=1.0)])
     run.advance(make_push_forces(stage, [(0.6, -0.2)]))
     data = mujoco.MjData(stage.model)
     mujoco.mj_setState(stage.model, data, run.current[0], mujoco.mjtState.mjSTATE_FULLPHYSICS)

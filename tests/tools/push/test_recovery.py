@@ -113,7 +113,7 @@ class Bench:
         self.axes = np.zeros((2, 2))
         self.survives = survives
 
-        self.unpushed = ()
+        self.failures_without_push = ()
 
     def simulate_fully(self, directions: np.ndarray, impulses: np.ndarray) -> list[str | None]:
         return self.simulate_until_decided(directions, impulses)

@@ -17,4 +17,8 @@ def test_sag_of_a_study_equals_that_of_stand() -> None:
     stand = pa.solve_stand(robot)
     settled = steady_state(robot, solve_stand_as_simulated(robot, stand))
     design = measures.Design(robot, stand)
-    assert design.rest.height_loss == settled.height_loss == pytest.approx(7.4e-3, abs=1e-4)
+    assert (
+        design.standing_equilibrium.height_loss
+        == settled.height_loss
+        == pytest.approx(7.4e-3, abs=1e-4)
+    )

@@ -172,10 +172,10 @@ def test_existing_results_are_not_computed_again(
     part = study({**FEW, "kp": [20.0, 5.0]})
     assert part.execute(tmp_path, executor=threads).done == 8
     progress = study().execute(tmp_path, executor=threads)
-    assert (progress.total, progress.there, progress.done) == (12, 8, 4)
+    assert (progress.total, progress.num_stored, progress.done) == (12, 8, 4)
     same(study().table(tmp_path), undisturbed)
     again = study().execute(tmp_path, executor=threads)
-    assert (again.there, again.done) == (12, 0)
+    assert (again.num_stored, again.done) == (12, 0)
     assert len(pa.read_study(tmp_path)) == 12
     same(pa.read_study(tmp_path), undisturbed)
 
@@ -421,7 +421,7 @@ def test_second_run_in_one_folder_is_refused(tmp_path: Path, threads: Executor) 
     killed = start("-c", f"{LOCKED}: os.kill(os.getpid(), signal.SIGKILL)", tmp_path)
     killed.communicate()
     assert killed.returncode == -signal.SIGKILL
-    assert study({"kp": [5.0]}).execute(tmp_path, executor=threads).there == 1
+    assert study({"kp": [5.0]}).execute(tmp_path, executor=threads).num_stored == 1
 
 
 @pytest.mark.slow

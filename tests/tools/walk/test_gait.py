@@ -82,9 +82,9 @@ def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
 def test_latency_delays_the_commands_by_its_time(still: Policy) -> None:
     stage = prepare_stage(load("v3"), still.with_contract(latency=0.03))
     moving = prepare_stage(load("v3"), still)
-    case = stage.case(np.zeros(3), 1)
+    case = stage.make_case(np.zeros(3), 1)
     late = next(iter(simulate_cases(stage, [case], 0.4, 0.1)))
-    now = next(iter(simulate_cases(moving, [moving.case(np.zeros(3), 1)], 0.4, 0.1)))
+    now = next(iter(simulate_cases(moving, [moving.make_case(np.zeros(3), 1)], 0.4, 0.1)))
     assert (late.targets[:15] == stage.ctrl).all()
     assert (late.targets[15] == now.targets[0]).all()
     assert (now.targets[0] != moving.ctrl).any()
@@ -163,7 +163,7 @@ def test_stance_torques_equal_the_energy_gradient(tmp_path: Path) -> None:
     """
     robot = load("v3")
     stage = prepare_stage(robot, Policy.load(made.trot(tmp_path / "trot.json")))
-    [run] = simulate_cases(stage, [stage.case(np.array(made.TROT[0]))], 3.0, 1.0, 1)
+    [run] = simulate_cases(stage, [stage.make_case(np.array(made.TROT[0]))], 3.0, 1.0, 1)
     states = run.states[round(1.0 / stage.timestep) :: stage.substeps]
     seen, _ = find_ground_contacts(stage, run.case.model, states, statics=True)
     whole = np.sqrt(np.mean([one.static**2 for one in seen], axis=0))
