@@ -66,6 +66,20 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
     assert np.abs(rest).max() < 1e-9
 
 
+def test_joints_of_a_robot_with_a_fixed_base_sag_until_the_servos_hold_its_weight() -> None:
+    """Reference: MuJoCo's gravity torques at the predicted positions equal those of the servos."""
+    robot = load("v3", fixed_base=True)
+    stand = pa.solve_stand(robot)
+    pose = steady_state(robot, stand)
+    sag = stand.qpos - pose.qpos
+    torques = model_with_servos(robot).kp * sag
+    bias = mujoco_at(robot, pose.qpos).qfrc_bias[robot.mj_convention.qvel_index]
+    assert np.abs(sag).max() > 1e-3
+    np.testing.assert_allclose(torques, bias, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(pose.joint_torques, torques, rtol=0, atol=1e-12)
+    assert pose.contact_forces == {}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SETTLING)
 def test_steady_states_of_nominal_stands_are_mujocos(name: str) -> None:
