@@ -12,19 +12,25 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
 from tests.support.legged import quadruped, rewritten
 
-_SHANK = '<geom type="capsule" size="0.01" fromto="0 0 -0.1 0 0 -0.2" solref="0.004 1"/>'
+_SHANK = '<geom type="capsule" size="0.01" fromto="0 0 -0.1 0 0 -0.2" solref="{} 1"/>'
 
 
-def _soft_footed(folder: Path, gap: float) -> pa.Robot:
-    """A quadruped with soft feet, and stiff shanks that end higher than the feet by a gap [m]."""
+def _soft_footed(folder: Path, gap: float, time_constant: float = 0.004) -> pa.Robot:
+    """Return a quadruped with soft feet, and shanks that end higher than the feet.
+
+    Args:
+        folder: Folder of the files.
+        gap: Height of the lower ends of the shanks above those of the feet [m].
+        time_constant: Time constant of the contacts of the shanks [s]; small values are stiff.
+    """
     foot = f'<geom type="sphere" size="{0.01 + gap}" pos="0 0 -0.2" solimp="0.015 1 0.036"/>'
-    pair = quadruped(folder, foot=foot + _SHANK, floor=True)
+    pair = quadruped(folder, foot=foot + _SHANK.format(time_constant), floor=True)
     rewritten(pair.mjcf, ("<worldbody>", '<option cone="elliptic"/><worldbody>'), count=1)
     return pa.load_robot(pair.mjcf)
 
 
-def _height_at_rest(robot: pa.Robot, stand: pa.Stand, kp: float, kd: float) -> float:
-    """Return the base height [m] at which bare MuJoCo holds a stand on the unmodified shapes."""
+def _state_at_rest(robot: pa.Robot, stand: pa.Stand, kp: float, kd: float) -> mujoco.MjData:
+    """Return the state in which bare MuJoCo holds a stand on the unmodified shapes."""
     assert robot.published is not None
     assert robot.published.file is not None
     spec = robot.published.file.spec.copy()
@@ -42,7 +48,7 @@ def _height_at_rest(robot: pa.Robot, stand: pa.Stand, kp: float, kd: float) -> f
     data.ctrl[:] = stand.joint_positions(robot)
     mujoco.mj_step(model, data, nstep=round(4.0 / model.opt.timestep))
     assert np.abs(data.qvel).max() < 1e-3
-    return float(data.qpos[2])
+    return data
 
 
 @pytest.mark.slow
@@ -60,5 +66,22 @@ def test_a_stiff_shank_beside_a_soft_foot_is_the_contact_point(
     assert radii == pytest.approx([0.01 if hull else 0.01 + gap] * 4)
     stand = pa.solve_stand(robot)
     held = pa.solve_stand_as_simulated(robot, stand)
-    assert _height_at_rest(robot, held, 4000.0, 200.0) == pytest.approx(held.qpos[2], abs=5e-4)
+    height = _state_at_rest(robot, held, 4000.0, 200.0).qpos[2]
+    assert height == pytest.approx(held.qpos[2], abs=5e-4)
     assert judge_stand(robot, stand).passed
+
+
+def test_a_soft_foot_stays_the_contact_point_if_it_carries_more_than_its_shank(
+    tmp_path: Path,
+) -> None:
+    """Reference: contact forces of bare MuJoCo at rest, where foot and shank touch the floor."""
+    robot = _soft_footed(tmp_path, 0.003, time_constant=0.12)
+    assert "hulls-carry-instead-of-feet" not in {note.code for note in robot.notes}
+    assert list(robot.contact_radius.values()) == pytest.approx([0.013] * 4)
+    data = _state_at_rest(robot, pa.solve_stand(robot), 4000.0, 200.0)
+    forces = dict.fromkeys((mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE), 0.0)
+    for number, contact in enumerate(data.contact):
+        force = np.zeros(6)
+        mujoco.mj_contactForce(data.model, data, number, force)
+        forces[mujoco.mjtGeom(data.model.geom_type[max(contact.geom)])] += force[0]
+    assert 0 < forces[mujoco.mjtGeom.mjGEOM_CAPSULE] < forces[mujoco.mjtGeom.mjGEOM_SPHERE]
