@@ -183,13 +183,16 @@ def look_into(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 SHORTER_SEARCHES = {
+    r"(pupper-analysis push (?!.*--directions).*)": r"\1 --directions 3 --resolution 0.2",
+    r"(pupper-analysis walk .*--seeds) 20\b": r"\1 2",
     r"(pupper-analysis walk .*--(?:vary|orders)\b.*)": r"\1 --seconds 3",
     r"(pupper-analysis walk .*)--seeds 3\b": r"\1--seeds 1",
     r"seeds=3\)": "seeds=1, seconds=3)",
     r"rank_orders\(robot, policy\)": f"rank_orders(robot, policy, commands=[({SPEED})], seconds=3)",
 }
-"""Shorter runs and fewer initial states of searches over a walk: {pattern: replacement}. The pages
-state no numbers of these searches; tests/tools/walk/test_changes.py asserts their numbers."""
+"""Shorter runs, and fewer initial states or directions, of searches over a walk or a push:
+{pattern: replacement}. The pages state no numbers of these searches; the numbers are asserted by
+tests/tools/walk/test_changes.py and tests/tools/push/test_recovery.py."""
 
 
 def slowly(text: str) -> str:
