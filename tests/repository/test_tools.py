@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import random
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -25,7 +28,7 @@ QUICK = (
 """Quick tests of the core that use no tool."""
 
 ALONE = ("best", "hold", "path", "payload", "sync")
-"""Tools that no test of what is left imports: without one of them all tests are collected."""
+"""Tools that no test of another tool imports: without them all other tests are collected."""
 
 ALSO = ("diff", "workspace", "crosscheck", "audit")
 """Tools of which some quick tests are run, too: of two that are left, and do not know the other."""
@@ -43,19 +46,23 @@ def known_to() -> dict[str, set[str]]:
     return found
 
 
-def without(tool: str, folder: Path) -> Path:
-    """Copies the checkout without a tool, and without those that are allowed to know it."""
-    known = known_to()
-    gone = {tool}
+def dependents(tools: Iterable[str]) -> set[str]:
+    """Return tools, and the tools that are allowed to import them."""
+    known, gone = known_to(), set(tools)
     while more := {one for one, others in known.items() if others & gone} - gone:
         gone |= more
+    return gone
+
+
+def without(tools: Iterable[str], folder: Path) -> Path:
+    """Copy the checkout without some tools and their dependents; return the copy."""
     left_out = shutil.ignore_patterns(".git", ".venv*", "build", ".*_cache", "docs")
     copy = folder / "checkout"
     shutil.copytree(ROOT, copy, ignore=left_out)
     shutil.copytree(ROOT / "docs/how-to", copy / "docs/how-to")  # of which tests take examples
     shutil.copytree(ROOT / "docs/data", copy / "docs/data")  # tables that are tests
     shutil.copy(ROOT / "docs/draw_architecture.py", copy / "docs")  # which knows who imports whom
-    for one in gone:
+    for one in dependents(tools):
         shutil.rmtree(copy / "pupper_analysis/tools" / one)
         shutil.rmtree(copy / "tests/tools" / one, ignore_errors=True)
     return copy
@@ -118,10 +125,40 @@ def test_the_core_names_no_tool_that_only_reads() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", own_packages())
 def test_the_package_is_imported_without_a_tool(tool: str, tmp_path: Path) -> None:
-    copy = without(tool, tmp_path)
-    check_imports(tool, copy)
-    if tool in ALONE:
-        run(copy, "-m", "pytest", "-n", "0", "--collect-only", "-q", "tests")
+    check_imports(tool, without((tool,), tmp_path))
+
+
+@cache
+def imports_of_tests() -> dict[Path, list[str]]:
+    """Return {test file: names that its import statements contain}, in functions too."""
+    found: dict[Path, list[str]] = {}
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        names = found.setdefault(path, [])
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tool", ALONE)
+def test_tests_of_other_tools_do_not_import_a_tool(tool: str) -> None:
+    """Reference: the syntax trees. Tests of dependent tools are deleted with the tool."""
+    gone = dependents((tool,))
+    imported = re.compile(rf"(pupper_analysis|tests)\.tools\.({'|'.join(sorted(gone))})(\.|$)")
+    assert [
+        path
+        for path, names in imports_of_tests().items()
+        if not gone & set(path.parts) and any(map(imported.match, names))
+    ] == []
+
+
+@pytest.mark.slow
+def test_all_other_tests_are_collected_without_five_tools(tmp_path: Path) -> None:
+    """The tools are deleted together: each collection takes 7 s."""
+    run(without(ALONE, tmp_path), "-m", "pytest", "-n", "0", "--collect-only", "-q", "tests")
 
 
 @pytest.mark.slow
@@ -131,4 +168,4 @@ def test_quick_tests_pass_without_a_tool_drawn_by_the_commit(tmp_path: Path) -> 
         ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     tool = random.Random(head.stdout.strip()).choice(sorted(own_packages()))
-    run_tests(without(tool, tmp_path))
+    run_tests(without((tool,), tmp_path))
