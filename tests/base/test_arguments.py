@@ -133,7 +133,9 @@ def test_wrong_task_raises(field: str, junk: Any) -> None:
 @pytest.mark.parametrize("kind", [pa.Ground, pa.matching.Tolerances, pa.pupper.VariantSpec])
 @pytest.mark.parametrize("junk", [object(), b"x", [None], {5: 1}])
 def test_wrong_values_raise(kind: type, junk: Any) -> None:
-    for field in (one.name for one in fields(kind) if one.init):
+    names = [one.name for one in fields(kind) if one.init]
+    assert names
+    for field in names:
         with pytest.raises(pa.PupperAnalysisError):
             kind(**{field: junk})
 

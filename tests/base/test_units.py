@@ -66,6 +66,7 @@ def test_each_published_number_states_a_unit_or_is_dimensionless() -> None:
 
 
 def test_units_are_written_in_one_form() -> None:
+    assert list_published_classes()
     for kind in list_published_classes():
         for each in published_fields(kind):
             unit = each.metadata.get("unit", DIMENSIONLESS_UNIT)

@@ -77,6 +77,7 @@ def test_spheres_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
             numbers[number] = repr(float(-0.06 - 5e-5 * random.uniform()))
     with_vertices(pair, " ".join(numbers))
     robot = load(pair)
+    assert len(robot.feet) == 2
     for points in robot.feet.values():
         places = np.array([robot.contact_places[point][1] for point in points])
         assert len(places) == 8
@@ -288,6 +289,7 @@ def test_osculating_sphere_has_the_point_and_mean_curvature_of_the_support_funct
 def test_round_sole_touches_at_its_rim(tmp_path: Path) -> None:
     """Reference: the radius of the cylinder, 90 mm from its axis."""
     robot = load(biped(tmp_path, BIPED_FEET["cylinder"]))
+    assert len(robot.feet) == 2
     for points in robot.feet.values():
         places = np.array([robot.contact_places[point][1] for point in points])
         assert len(points) >= 3

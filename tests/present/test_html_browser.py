@@ -149,6 +149,7 @@ def test_view_draws_forces_from_the_contact_points(opened: Opened) -> None:
         [group.position.toArray(), group.matrixWorld.elements.slice(4, 7)])"""
     )
     statics = analysis().statics
+    assert len(drawn) == 4
     for foot, (place, along) in zip(statics.contact_forces, drawn, strict=True):
         force = statics.contact_forces[foot]
         assert place == pytest.approx(statics.contact_points[foot], abs=1e-5)

@@ -19,6 +19,7 @@ SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\
 
 @pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])
 def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]]) -> None:
+    assert words
     for key, both in words.items():
         assert set(both) == set(LANGUAGES), key
         english, chinese = both["en"], both["zh"]

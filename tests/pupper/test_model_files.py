@@ -100,6 +100,7 @@ def test_feet_are_spheres_of_the_robots_radius(
 ) -> None:
     robot = load(base)
     model = robot.mj_model
+    assert len(robot.contact_frames) == 4
     for frame in robot.contact_frames.values():
         site = model.site(frame)
         touching = [

@@ -102,7 +102,9 @@ def test_commands_have_the_options_that_pages_name(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "crouch.toml").write_text("height = '12cm'\n")  # the one file that is read at once
-    for command in {command for page in PAGES for command in commands(page.read_text())}:
+    named = {command for page in PAGES for command in commands(page.read_text())}
+    assert named
+    for command in named:
         name, *arguments = shlex.split(command)[1:]
         if name == "inertia":  # of test_write_a_tool.py
             continue

@@ -95,6 +95,7 @@ def test_contact_jacobian_follows_the_material_point(
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
     config = pa.Configuration(any_robot, qpos)
     points, centres = config.contact_points(), config.foot_positions()
+    assert any_robot.contact_frames
     for foot, frame in any_robot.contact_frames.items():
         down = points[foot] - centres[foot]
         (jacobian,) = config.point_jacobians([foot], down[None])

@@ -105,6 +105,7 @@ def test_friction_bounds_the_region_between_sloped_contacts() -> None:
             return False
         return True
 
+    assert len(region.corners) > 4
     for corner in region.corners[::4]:
         out = (corner - center) / np.linalg.norm(corner - center)
         assert balances(corner - 1e-3 * out)

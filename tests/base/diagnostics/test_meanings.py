@@ -86,6 +86,7 @@ def test_english_meanings_equal_the_docstrings_of_listed_fields() -> None:
 
 def test_meanings_are_in_both_languages_with_the_same_units() -> None:
     units = r"[(（\[](N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)[)）\]]"
+    assert listed()
     for key, both in listed().items():
         assert set(both) == set(LANGUAGES), key
         assert re.findall(units, both["en"]) == re.findall(units, both["zh"]), key

@@ -81,6 +81,7 @@ def test_converted_model_has_the_masses_of_the_other_engine(
 ) -> None:
     """MuJoCo's model of the URDF, and Pinocchio's of the MJCF: masses, by the bodies' names."""
     own = mujoco.MjModel.from_xml_path(str(MJCF))
+    assert len(of_urdf.joint_names) == own.nu
     for name in of_urdf.joint_names:
         body = own.jnt_bodyid[own.joint(name).id]
         made = of_urdf.mj_model

@@ -323,7 +323,9 @@ def test_the_message_gives_both_values_and_the_likely_slip(tmp_path: Path, hint:
 def test_no_slip_is_suggested_without_reason(tmp_path: Path) -> None:
     mjcf = changed(quadruped(), "shank0", mass=0.31, com=(0.01, 0.002, -0.1), lower=-2.0)
     mjcf = changed(mjcf, "shank0", quaternion=turned_about(SHANK, (0, 1, 1), 0.1))
-    for difference in explained(tmp_path, quadruped(), mjcf).differences:
+    differences = explained(tmp_path, quadruped(), mjcf).differences
+    assert {difference.element for difference in differences} == {"knee0"}
+    for difference in differences:
         assert "?" not in difference.message
         assert "other sign" not in difference.message
         assert "zero angles" not in difference.message

@@ -114,6 +114,7 @@ def test_behaviour_of_a_tree_in_mujoco_equals_pinocchio(name: str, fixed: bool) 
 def test_mujoco_tree_keeps_limits_efforts_and_damping() -> None:
     tree = kinematic_trees(load("v3"))[0]
     model = MujocoTree(tree).model
+    assert len(tree.joints) == 12
     for name, joint in tree.joints.items():
         found = model.joint(name)
         effort = model.jnt_actfrcrange[found.id, 1]

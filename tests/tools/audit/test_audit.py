@@ -665,7 +665,9 @@ def test_our_own_models_are_sound(path: Path) -> None:
 
 @pytest.mark.slow
 def test_derived_variants_are_sound(variant: str, tmp_path: Path) -> None:
-    for path in pa.pupper.write_variant(variant, tmp_path):
+    written = pa.pupper.write_variant(variant, tmp_path)
+    assert len(written) == 2
+    for path in written:
         result = audit_model(path)
         assert result.counts["error"] == result.counts["warning"] == 0, list(
             map(str, result.findings)

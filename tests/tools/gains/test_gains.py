@@ -53,6 +53,7 @@ def test_least_stiffness_without_feedforward_is_that_of_the_steady_state() -> No
 def test_bounds_of_torque_and_encoder_equal_closed_forms() -> None:
     """Reference: limit / error, and 10 % of the limit per count of 2 pi / 2^14 in 2 ms."""
     study = gains_of("v3")
+    assert study.classes
     for one in study.classes:
         assert one.largest_kp_of_torque == pytest.approx(3.0 / 0.2)
         count = 2 * math.pi / 2**14

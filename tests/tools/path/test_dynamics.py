@@ -150,6 +150,7 @@ def test_rolling_contact_on_a_slope_is_at_the_cone_boundary() -> None:
         normals=dict.fromkeys(robot.contact_points, up),
         held=True,
     )
+    assert found.contact_forces
     for foot, force in found.contact_forces.items():
         pressing, moment = float(force @ up), found.contact_moments[foot]
         friction = robot.contacts[foot].friction
@@ -204,6 +205,7 @@ def test_spinning_foot_has_only_torsional_friction() -> None:
         np.zeros(robot.nv),
         dict.fromkeys(robot.contact_points, UP),
     )
+    assert len(levers) == 4
     for foot, lever in levers.items():
         spin, roll = robot.contacts[foot].friction[2:4]
         assert roll > 0

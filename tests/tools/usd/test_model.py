@@ -60,6 +60,7 @@ def test_joint_frames_equal_those_of_usd_physics(tmp_path: Path) -> None:
     parsed = UsdPhysics.LoadUsdPhysicsFromRange(stage, ["/leg"])
     kinds = UsdPhysics.ObjectType
     for kind in (kinds.RevoluteJoint, kinds.PrismaticJoint, kinds.FixedJoint):
+        assert parsed[kind]
         for path_, found in zip(*parsed[kind], strict=True):
             edge = mine.edges[path_.name]
             assert [mine.file.bodies[name] for name in edge.bodies] == [found.body0, found.body1]
