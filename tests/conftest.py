@@ -15,7 +15,6 @@ import pytest
 from hypothesis.internal.conjecture import providers
 
 import pupper_analysis as pa
-from tests.support.rooms import trees
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import NAMES, load, stand_of
 
@@ -102,12 +101,6 @@ def mujoco_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config.logfile = str(log)
     mujoco.MjLogConfig.set(config)
     return log
-
-
-@pytest.fixture(scope="session")
-def syntax() -> None:
-    """Parses the whole package, which takes seconds: no test's own time."""
-    trees()
 
 
 @pytest.fixture(scope="session", params=NAMES)

@@ -11,7 +11,7 @@ import pytest
 from pupper_analysis.base.csv_text import cell_text, csv_text
 from pupper_analysis.pupper.variant_files import write_variant
 from tests.support.commands import answer
-from tests.support.rooms import PACKAGE, trees
+from tests.support.rooms import PACKAGE
 
 FORMULAS = [
     "=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(1)", "\t=1", "\r=1", "\n=1", "\uff1d1+1", "-", "-a",
@@ -45,5 +45,5 @@ def test_stand_writes_a_joint_whose_name_is_a_formula_as_text(tmp_path: Path) ->
 
 
 def test_all_tables_are_written_by_this_function() -> None:
-    users = [path for path in trees() if "csv.writer" in (PACKAGE / path).read_text()]
-    assert users == ["base/csv_text.py"]
+    users = [path for path in PACKAGE.rglob("*.py") if "csv.writer" in path.read_text("utf-8")]
+    assert users == [PACKAGE / "base/csv_text.py"]

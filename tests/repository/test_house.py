@@ -15,8 +15,6 @@ import pytest
 from tests.support.repository import script
 from tests.support.rooms import trees
 
-pytestmark = pytest.mark.usefixtures("syntax")
-
 drawing = script("docs/draw_architecture.py")
 
 
@@ -31,6 +29,7 @@ def imported(tree: ast.Module) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
 
 
+@pytest.mark.slow
 def test_no_modules_import_each_other_in_a_circle() -> None:
     """Checked for all modules; a package's `__init__` may import its own modules."""
     graph = {}

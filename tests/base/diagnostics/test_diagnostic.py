@@ -48,8 +48,6 @@ MEANINGS = WORDS.pop("meanings") | {
 CODES = sorted(codes())
 HAN = re.compile("[\u4e00-\u9fff]")
 
-pytestmark = pytest.mark.usefixtures("syntax")
-
 
 def uses(template: str) -> set[str]:
     """The names of the values that a template needs or asks for."""
@@ -146,6 +144,7 @@ def test_catalogue_tables_equal_tomllibs_and_no_code_is_in_two_files() -> None:
 
 @pytest.mark.slow
 def test_each_code_has_a_message_in_both_languages() -> None:
+    assert CODES
     for code in CODES:
         message = entry(code)
         assert message.severity in list(Severity), code
