@@ -46,6 +46,7 @@ def test_numbers_that_are_not_finite_are_refused(function: object) -> None:
         function(np.array([[1.0, np.nan], [0.0, 1.0]]))  # type: ignore[operator]
 
 
+@pytest.mark.slow
 def test_modules_of_a_stand_do_not_import_scipy_linalg() -> None:
     """In a new process; SciPy's own import afterwards works, with the same routines."""
     program = """

@@ -142,6 +142,7 @@ def test_impossible_values_stand_in_the_verdict(tmp_path: Path, slip: Slip, mess
     assert f"audit lists them): {message}" in format_verdict(verdict_of(pa.load_robot(urdf)))
 
 
+@pytest.mark.slow
 def test_a_robot_without_friction_fails_and_slides_in_mujoco(tmp_path: Path) -> None:
     """In bare MuJoCo a nudge of 0.05 m/s moves the robot on at 0.04 m/s or more after 10 s."""
     pair = slips.standing(tmp_path)

@@ -72,6 +72,7 @@ def test_a_file_settles_in_place_only_if_the_motion_after_a_nudge_ends(tmp_path:
     assert not settles_in_place(model, robot, robot.home)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False])
 def test_a_keyframe_with_zero_commands_fails_if_the_file_falls(
     tmp_path: Path, stated: bool
@@ -225,6 +226,7 @@ def test_own_run_does_not_depend_on_the_welds_of_the_task(tmp_path: Path) -> Non
         assert "on-servos-made-up" in codes(verdict)
 
 
+@pytest.mark.slow
 def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path: Path) -> None:
     """MuJoCo itself raises an error for the missing file."""
 

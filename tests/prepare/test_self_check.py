@@ -119,6 +119,7 @@ def test_robot_that_slides_away_counts_as_collapsed(tmp_path: Path) -> None:
     assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 
+@pytest.mark.slow
 def test_robot_that_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
     """The robot starts above the ground and ends on its knees, at a CoM height of 0.195 m."""
     pair = standing(tmp_path)

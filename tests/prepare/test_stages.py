@@ -97,6 +97,7 @@ def test_joint_order_with_a_coupled_joint_is_final_after_loading(tmp_path: Path)
     )
 
 
+@pytest.mark.slow
 def test_changes_of_pinocchio_model_do_not_affect_deferred_stages(tmp_path: Path) -> None:
     """Reference: servos of the same robot without the change."""
     pair = quadruped(tmp_path)
@@ -106,6 +107,7 @@ def test_changes_of_pinocchio_model_do_not_affect_deferred_stages(tmp_path: Path
     assert robot.pin_model.effortLimit.max() == 0.1
 
 
+@pytest.mark.slow
 def test_pickled_and_copied_robots_are_complete(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     whole = pa.load_robot(*pair)
@@ -118,6 +120,7 @@ def test_pickled_and_copied_robots_are_complete(tmp_path: Path) -> None:
         assert robot.pin_model == whole.pin_model
 
 
+@pytest.mark.slow
 def test_threads_read_one_model_of_a_robot(tmp_path: Path) -> None:
     robot = pa.load_robot(*quadruped(tmp_path))
     with ThreadPoolExecutor(4) as pool:
@@ -181,6 +184,7 @@ def _with_visual_meshes(folder: Path) -> Path:
     return pair.urdf
 
 
+@pytest.mark.slow
 def test_visual_meshes_are_converted_when_the_model_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,6 +215,7 @@ def test_visual_meshes_are_converted_when_the_model_is_read(
     assert [note.code for note in pair.mark(whole).notes] == [note.code for note in robot.notes]
 
 
+@pytest.mark.slow
 def test_verdict_without_visual_meshes_equals_the_verdict_with_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

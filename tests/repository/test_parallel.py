@@ -157,6 +157,7 @@ def test_massless_shape_stays_massless_after_pickling() -> None:
         np.testing.assert_allclose(back.body_mass, masses, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_infinite_limits_are_equal_after_pickling(tiny: pa.Robot) -> None:
     """Pinocchio cannot read the infinity that Pinocchio writes, which would stop studies of Mini
     Cheetah."""

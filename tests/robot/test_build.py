@@ -77,6 +77,7 @@ def test_negative_masses_and_inertias_are_refused_for_a_stand(
     assert "unexpected" not in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "floating"])
 def test_joints_of_more_coordinates_are_refused_or_fixed(
     kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]

@@ -74,6 +74,7 @@ def test_fitted_plane_of_random_corner_depths_has_the_same_force_and_moments() -
     assert lifted > 10
 
 
+@pytest.mark.slow
 def test_stand_is_rigid_if_the_legs_are_too_short_for_soft_ground() -> None:
     """Legs that are straight on rigid ground do not reach down by the depth of the feet."""
     robot = load("v3")

@@ -44,6 +44,7 @@ def test_joint_motions_follow_from_their_axes() -> None:
     assert [joint.motion for joint in skeleton] == ["roll", "pitch", "pitch"] * 4
 
 
+@pytest.mark.slow
 def test_a_prismatic_joint_slides(tiny: pa.Robot, tmp_path: Path) -> None:
     found = {joint.name: joint.motion for joint in summarise_joints(tiny)}
     assert found["push"] == "along z"

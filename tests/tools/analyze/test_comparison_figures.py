@@ -110,6 +110,7 @@ def test_torque_figure_states_the_torque_of_a_motor_without_limit(figures: list[
     assert f"{knee:.3f} N m, no limit" in texts
 
 
+@pytest.mark.slow
 def test_panels_of_robots_with_equal_joints_share_axes(figures: list[Figure]) -> None:
     names = ("v3", "original", "v3-heavy")
     for name in ("torques.png", "heights.png"):

@@ -12,6 +12,7 @@ from tests.support.repository import ROOT
 URDF, MJCF = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
 
 
+@pytest.mark.slow
 def test_findings_of_a_spec_are_those_of_its_file() -> None:
     spec = mujoco.MjSpec.from_file(str(MJCF))
     spec.joint("leg_front_r_1").damping = [-1.0, 0.0, 0.0]

@@ -24,6 +24,7 @@ LOOKS = {"order": "order", "sign": "sign", "unit": "unit"}
 """{slip: what it is called}; an order of names alone too."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind", "slip"), CASES)
 def test_planted_mistake_is_found_with_both_lines(
     tmp_path: Path, name: str, kind: str, slip: str

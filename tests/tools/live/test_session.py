@@ -137,6 +137,7 @@ def test_pending_result_is_marked(page: Open, monkeypatch: pytest.MonkeyPatch) -
     assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in page.numbers
 
 
+@pytest.mark.slow
 def test_unreachable_stance_is_reported_before_its_explanation(page: Open) -> None:
     page.ask(State(roll=35.0))
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
@@ -201,6 +202,7 @@ def move(control: Any, value: object) -> None:
         call(Hand(control))
 
 
+@pytest.mark.slow
 def test_each_foot_can_be_lifted_or_put_on_a_step(page: Open) -> None:
     controls = page.controls
     for foot, height in (("FL", 12.0), ("RR", 30.0)):
@@ -234,6 +236,7 @@ def test_typed_value_beyond_a_slider_is_kept(page: Open) -> None:
     wait_for(lambda: page.shows(asked), "not shown")
 
 
+@pytest.mark.slow
 def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
     """A foot on a slope and a foot on a table; sliders move the planes, and the saved file
     contains them."""

@@ -35,6 +35,7 @@ def session(tmp_path: Path, server: Any) -> Iterator[WalkSession]:  # noqa: F811
     end(one)
 
 
+@pytest.mark.slow
 def test_walk_restarts_after_a_fall(session: WalkSession) -> None:
     def shown(words: str) -> bool:
         return words in session._numbers.content

@@ -227,6 +227,7 @@ def test_study_of_published_files_scales_both_models(
     assert {one.name for one in check.quantities if not one.passed} == {"effort limits"}
 
 
+@pytest.mark.slow
 def test_other_files_are_other_designs(tmp_path: Path) -> None:
     files = {}
     for kind, name in (("urdf", "pupper_skeleton.urdf"), ("mjcf", "pupper_skeleton.xml")):

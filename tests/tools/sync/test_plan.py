@@ -237,6 +237,7 @@ def test_missing_limits_are_inserted(tmp_path: Path) -> None:
     assert agree(files)
 
 
+@pytest.mark.slow
 def test_unstated_values_overwrite_nothing(tmp_path: Path) -> None:
     """An effort of 0 is no limit, and a missing <dynamics> or attribute is not 0."""
     heavy = changed(ROBOT, "base", mass=7.0)
