@@ -12,6 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic, Subject
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.stance.posture import find_posture, held_stand
 from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import (
@@ -69,7 +70,7 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
 def test_joints_of_a_robot_with_a_fixed_base_sag_until_the_servos_hold_its_weight() -> None:
     """Reference: MuJoCo's gravity torques at the predicted positions equal those of the servos."""
     robot = load("v3", fixed_base=True)
-    stand = pa.solve_stand(robot)
+    stand = held_stand(robot, find_posture(robot))
     pose = steady_state(robot, stand)
     sag = stand.qpos - pose.qpos
     torques = model_with_servos(robot).kp * sag
