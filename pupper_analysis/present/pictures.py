@@ -184,7 +184,8 @@ def show_result(
         elevation: Elevation of the picture's camera [deg], in MuJoCo's convention.
 
     Raises:
-        ConfigurationError: If the result has no picture, or the robot is missing.
+        ConfigurationError: If the result has no picture, the robot is missing, or an argument is
+            out of range.
         DisplayError: If there is no OpenGL.
     """
     view = list_views(result, robot)
@@ -220,7 +221,8 @@ def animate_result(
         elevation: Elevation of the camera [deg], in MuJoCo's convention.
 
     Raises:
-        ConfigurationError: If the result has no picture, or the robot is missing.
+        ConfigurationError: If the result has no picture, the robot is missing, or an argument is
+            out of range.
         DisplayError: If there is no OpenGL.
     """
     view = list_views(result, robot)

@@ -72,12 +72,12 @@ class JointSummary(Result):
     effort_origin: EffortStatement | None
 
     @property
-    def oblique(self) -> bool:
+    def is_oblique(self) -> bool:
         """True if the joint axis is not parallel to x, y or z of the base, within 1 degree."""
         return self.motion in OBLIQUE_MOTIONS
 
     @property
-    def slides(self) -> bool:
+    def is_sliding(self) -> bool:
         """True for a sliding (prismatic) joint, False for a revolute joint."""
         return self.motion.startswith("along ") or self.motion == OBLIQUE_MOTIONS[1]
 

@@ -251,11 +251,11 @@ def _make_joint_table(analysis: Analysis) -> doc.Table:
     """Create the table of joint axes, limits and passive terms."""
     rows: list[tuple[doc.Cell, ...]] = []
     for joint in analysis.joints:
-        scale = 1e3 if joint.slides else math.degrees(1.0)
+        scale = 1e3 if joint.is_sliding else math.degrees(1.0)
         cells: list[doc.Cell] = [
             doc.Name(joint.name),
             word(joint.motion),
-            doc.vector_cell(joint.axis, "+.2f" if joint.oblique else "+.0f"),
+            doc.vector_cell(joint.axis, "+.2f" if joint.is_oblique else "+.0f"),
             doc.number_cell(joint.lower, "+.1f", scale=scale),
             doc.number_cell(joint.upper, "+.1f", scale=scale),
             *(
@@ -272,7 +272,7 @@ def _make_joint_table(analysis: Analysis) -> doc.Table:
         rows.append(tuple(cells))
     origins = (joint.effort_origin for joint in analysis.joints)
     notes: list[doc.Words] = [text("axes-at-zero-angles")]
-    if slides := [joint.name for joint in analysis.joints if joint.slides]:
+    if slides := [joint.name for joint in analysis.joints if joint.is_sliding]:
         notes.append(text("limits-of-slides", joints=", ".join(slides)))
     return doc.Table(
         text("joints-in-actuator-order"),

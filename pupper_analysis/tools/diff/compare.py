@@ -480,7 +480,12 @@ class RandomStates:
 
 
 def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
-    """Rename joints of a tree, {name: new name}; names that are not listed stay."""
+    """Return a tree with renamed joints, bodies included; names that are not listed stay.
+
+    Args:
+        values: Tree.
+        names: {name of a joint or of the base: new name}.
+    """
 
     def new(name: str) -> str:
         return names.get(name, name)
@@ -497,7 +502,7 @@ def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyT
 
 
 def fix_joint(values: MultibodyTree, name: str) -> MultibodyTree:
-    """Replace a joint by a fixed joint at zero, merging the body with the parent."""
+    """Return a tree with a joint fixed at position zero, so that its body is part of the parent."""
     joint = values.joints[name]
     pose, joints = joint.placement, {}
     for other_name, child in values.joints.items():

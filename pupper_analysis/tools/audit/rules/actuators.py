@@ -44,7 +44,7 @@ class ActuatorDrive(ActuatorLaw):
     joint_name: str
 
     @property
-    def servo(self) -> bool:
+    def is_servo(self) -> bool:
         """True for a position servo: an actuator whose force depends on the joint position."""
         return self.stiffness != 0
 
@@ -120,7 +120,7 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
     The actuator must drive a hinge with limits.
     """
     found = list(_list_robot_drives(robot))
-    others = [(model, drive) for model, drive in found if not drive.servo]
+    others = [(model, drive) for model, drive in found if not drive.is_servo]
     if len(others) != 1 or len(found) - 1 < MIN_SERVOS:
         return
     model, drive = others[0]
@@ -171,9 +171,9 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
     """
     for model, drive in _list_robot_drives(robot):
         limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]
-        by_input = not drive.servo and model.actuator_ctrllimited[drive.control]
+        by_input = not drive.is_servo and model.actuator_ctrllimited[drive.control]
         if not limited and not by_input:
-            kind = Term("position servo" if drive.servo else "motor")
+            kind = Term("position servo" if drive.is_servo else "motor")
             message = diagnose("actuator-unlimited", kind=kind, gain=drive.gain)
             yield CheckFinding("actuator", drive.name, message)
 

@@ -185,7 +185,7 @@ def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
     motors = [
         drive
         for drive in list_drives(model)
-        if not drive.servo and drive.gain and model.jnt_type[drive.joint] == hinge
+        if not drive.is_servo and drive.gain and model.jnt_type[drive.joint] == hinge
     ]
     controls = [drive.control for drive in motors]
     addresses = [int(model.jnt_qposadr[drive.joint]) for drive in motors]
@@ -398,7 +398,7 @@ def _choose_keyframe(model: mujoco.MjModel) -> int | None:
 def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
     """Command position servos to the pose; return True if half of the joints have a servo."""
     assert robot.mj_model is not None
-    holding = [drive for drive in list_drives(robot.mj_model) if drive.servo]
+    holding = [drive for drive in list_drives(robot.mj_model) if drive.is_servo]
     for drive in holding:
         angle = float(data.qpos[robot.mj_model.jnt_qposadr[drive.joint]])
         data.ctrl[drive.control] = drive.gear * angle * drive.stiffness / (drive.gain or 1.0)
