@@ -224,7 +224,7 @@ class OwnRun(BodyMotion):
         """True if the published file does not stand in this simulation.
 
         * Most joints have no servo and no command (``limp``): False.
-        * With a keyframe: True if the robot ``falls`` or is ``tilted``. The commands are the ctrl
+        * With a keyframe: True if the robot ``falls`` or ``is_tilted``. The commands are the ctrl
           of the keyframe, or the zeros after a reset if it has none.
         * Without a keyframe: True if a joint is not held (``unheld``).
         """

@@ -38,8 +38,8 @@ CLOSED_ATOL = 1e-10
 loop. Chosen, not tuned."""
 
 MAX_OPENING = 1e-6
-"""Largest opening of a loop [m, rad] beyond its static deflection, with which the loop counts as
-closed; a configuration with larger openings is rejected. Chosen, not tuned."""
+"""Largest constraint violation of a loop [m, rad], in excess of its static deflection, with which
+the loop counts as closed; other configurations are rejected. Chosen, not tuned."""
 
 _RANK_RTOL = 1e-7
 """Singular value, relative to the largest, above which constraint equations count as independent.

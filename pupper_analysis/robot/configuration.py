@@ -466,9 +466,9 @@ class Configuration(Pictured):
         """Transfer the loads of joints without motor to the motors, through loops and couplings.
 
         Constraint forces transfer the load of dependent joints, which have no motor, to the motors
-        of other joints (`Closure.load_transfer`). The rows of dependent
-        joints become zero. Without loops and couplings the result equals ``forces``. The first nv -
-        nu rows (the base) are unchanged.
+        of other joints (`Closure.load_transfer`). The rows of dependent joints become zero. Without
+        loops and couplings the result is ``forces``. The first nv - nu rows (the base) are
+        unchanged.
 
         Args:
             forces: Generalised forces that motors and constraints must exert together, shape (nv,)

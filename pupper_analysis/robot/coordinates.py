@@ -95,10 +95,10 @@ class PinocchioConvention:
         return 6 if self.floating else 0
 
     def q(self, qpos: Array) -> Array:
-        """Convert a public qpos to Pinocchio's q, shape (model.nq,), with normalised quaternion.
+        """Convert qpos to Pinocchio's q, shape (model.nq,), with normalised quaternion.
 
         Args:
-            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z).
+            qpos: Configuration, shape (nq,): quaternion (w, x, y, z), joints in actuator order.
         """
         q = self.unit_q(qpos)
         if self.floating:
@@ -106,10 +106,10 @@ class PinocchioConvention:
         return q
 
     def unit_q(self, qpos: Array) -> Array:
-        """Convert a public qpos, whose quaternion is normalised already, to Pinocchio's q.
+        """Convert a qpos, whose quaternion is normalised already, to Pinocchio's q.
 
         Args:
-            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z).
+            qpos: Configuration, shape (nq,): quaternion (w, x, y, z), joints in actuator order.
 
         Returns:
             Shape (model.nq,); a continuous joint has the entries cos and sin.
@@ -143,7 +143,7 @@ class PinocchioConvention:
 
         Args:
             q: Pinocchio's configuration, shape (model.nq,).
-            joints: Joint positions in public order, shape (n,) [rad, m].
+            joints: Joint positions in actuator order, shape (n,) [rad, m].
         """
         result = q.copy()
         unbounded = self.unbounded
@@ -153,7 +153,7 @@ class PinocchioConvention:
         return result
 
     def qpos(self, q: Array) -> Array:
-        """Convert Pinocchio's q to the public qpos, shape (nq,), quaternion (w, x, y, z).
+        """Convert Pinocchio's q to qpos, shape (nq,): quaternion (w, x, y, z), actuator order.
 
         Continuous joints are between -pi and pi.
 
@@ -176,7 +176,8 @@ class PinocchioConvention:
         T is orthogonal: qvel = T^T v_pin, tau_pin = T tau, J = J_pin T and M = T^T M_pin T.
 
         Args:
-            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z), not zero.
+            qpos: Configuration, shape (nq,): quaternion (w, x, y, z), not zero, joints in actuator
+                order.
         """
         base, count = self.base_nv, len(self.v_index)
         result = np.zeros((self.nv, base + count))
@@ -192,8 +193,9 @@ class PinocchioConvention:
         It is zero for a fixed base: T changes with the orientation of the base.
 
         Args:
-            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z), not zero.
-            qvel: Velocity in public order, shape (nv,).
+            qpos: Configuration, shape (nq,): quaternion (w, x, y, z), not zero, joints in actuator
+                order.
+            qvel: Velocity, shape (nv,), joints in actuator order.
         """
         result = np.zeros(self.nv)
         if self.floating:
@@ -252,16 +254,16 @@ class MujocoConvention:
         )
 
     def set_state(self, data: mujoco.MjData, qpos: Array, qvel: Array | None = None) -> None:
-        """Write a state in public order to MuJoCo's data, without computing anything.
+        """Write a state to MuJoCo's data, without computing anything.
 
         Args:
             data: MuJoCo data; modified.
-            qpos: Configuration, shape (nq,).
-            qvel: Velocity, shape (nv,). Default: zero.
+            qpos: Configuration, shape (nq,), joints in actuator order.
+            qvel: Velocity, shape (nv,), joints in actuator order. Default: zero.
         """
         data.qpos[self.qpos_index] = qpos
         data.qvel[self.qvel_index] = 0.0 if qvel is None else qvel
 
     def read_state(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Return qpos (nq,) and qvel (nv,) of MuJoCo's data, in public order."""
+        """Return qpos (nq,) and qvel (nv,) of MuJoCo's data, with joints in actuator order."""
         return data.qpos[self.qpos_index], data.qvel[self.qvel_index]

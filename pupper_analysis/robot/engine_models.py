@@ -42,11 +42,11 @@ class EngineModels:
 
         @property
         def nq(self) -> int:
-            """Size of the public qpos."""
+            """Size of qpos: 7 for a free base, and 1 per joint."""
 
         @property
         def nv(self) -> int:
-            """Size of the public qvel."""
+            """Size of qvel: 6 for a free base, and 1 per joint."""
 
         @property
         def shapes(self) -> tuple[CarriedShape, ...]:
@@ -101,7 +101,7 @@ class EngineModels:
     def to_pinocchio(
         self, qpos: ArrayLike, qvel: ArrayLike | None = None
     ) -> Array | tuple[Array, Array]:
-        """Convert a public state to Pinocchio's q, or to q and v.
+        """Convert qpos, or qpos and qvel, to Pinocchio's q, or q and v.
 
         Args:
             qpos: Configuration (nq,); its quaternion (w, x, y, z) is normalised.
@@ -129,7 +129,9 @@ class EngineModels:
     def to_mujoco(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]: ...
 
     def to_mujoco(self, q: ArrayLike, v: ArrayLike | None = None) -> Array | tuple[Array, Array]:
-        """Convert Pinocchio's q, or q and v, to the public state: the inverse of `to_pinocchio`.
+        """Convert Pinocchio's q, or q and v, to qpos, or qpos and qvel.
+
+        The inverse of `to_pinocchio`.
 
         Args:
             q: Pinocchio's configuration (pin_model.nq,).
@@ -260,7 +262,7 @@ class EngineModels:
         return columns @ self.velocity_map(qpos)
 
     def _check_qpos(self, qpos: ArrayLike) -> Array:
-        """Return a copy of a public qpos (nq,) with normalised quaternion."""
+        """Return a checked copy of a qpos (nq,) with normalised quaternion."""
         result = check_vector("qpos", qpos, self.nq)
         if self.floating:
             normalise_quaternion(result)

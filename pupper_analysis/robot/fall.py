@@ -102,7 +102,7 @@ def nudge_velocity(model: mujoco.MjModel) -> Array:
 
 
 def keyframe_duration(model: mujoco.MjModel) -> float:
-    """Return the simulated time [s] of a run from a keyframe."""
+    """Return the simulated time [s] of a run from a keyframe: 5 s, less for short time steps."""
     affordable = _MAX_KEYFRAME_STEPS * float(model.opt.timestep)
     return min(MAX_KEYFRAME_DURATION, max(_MIN_KEYFRAME_DURATION, affordable))
 
@@ -354,7 +354,10 @@ def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[
 
 
 def _find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
-    """Return the moving bodies that touch the world: ids, fixed bodies count as their parent."""
+    """Return the ids of moving bodies that touch the world.
+
+    A body that is fixed to a moving body counts as this moving body.
+    """
     bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
     return set(bodies[_find_world_contacts(model, data)].ravel().tolist()) - {0}
 

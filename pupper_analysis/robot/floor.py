@@ -59,7 +59,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     A floor on another fixed body is moved to the world, a tilted, higher or lower floor is replaced
     by a level floor at z = 0, and a missing floor is added. Contacts of other fixed geoms (stairs,
     tables, walls), except planes at z = 0, are disabled, because slopes and steps are part of the
-    task. Parameters of a ``<pair>`` with the floor are moved to the geom.
+    task. Parameters of a ``<pair>`` with the floor are moved to the other geom.
 
     Returns:
         Diagnostics of the changes.
@@ -177,7 +177,7 @@ def _disable_geoms(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
 
 
 def _replace_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
-    """Move the contact parameters of each ``<pair>`` with the floor to the floor geom, in place."""
+    """Replace each ``<pair>`` with the floor by contact parameters of the other geom, in place."""
     geoms = {geom.name: geom for geom in spec.geoms if geom.name}
     used_bits = floor.contype | floor.conaffinity
     for geom in spec.geoms:

@@ -31,7 +31,7 @@ _MAX_ITERATIONS = 1000
 """Maximum number of fixed-point iterations for the violation of a soft constraint under a force, if
 its stiffness falls with the violation. Chosen, not tuned."""
 
-_OPENING_RTOL = 1e-14
+_VIOLATION_RTOL = 1e-14
 """Relative change of the violation per iteration at which the fixed-point iteration ends: rounding
 level. Chosen, not tuned."""
 
@@ -134,12 +134,12 @@ class EqualityCompliance:
         openings = self._base_compliance * forces
         for rows, solimp in self._row_groups:
             openings[rows] *= _compliance_factor(
-                solimp, _solve_opening(solimp, float(np.linalg.norm(openings[rows])))
+                solimp, _solve_violation(solimp, float(np.linalg.norm(openings[rows])))
             )
         return openings
 
 
-def _solve_opening(solimp: tuple[float, ...], force: float) -> float:
+def _solve_violation(solimp: tuple[float, ...], force: float) -> float:
     """Return the smallest violation x [m, rad] that satisfies x = ``force`` (1 - d(x)) / d(x)^2.
 
     ``force`` is the constraint force times A / k [m, rad], d the impedance. If the stiffness falls
@@ -150,7 +150,7 @@ def _solve_opening(solimp: tuple[float, ...], force: float) -> float:
     if low < high:
         for _ in range(_MAX_ITERATIONS):
             previous, low = low, force * _compliance_factor(solimp, low)
-            if low - previous <= _OPENING_RTOL * low:
+            if low - previous <= _VIOLATION_RTOL * low:
                 break
         return low
     if high >= solimp[2]:
@@ -167,7 +167,7 @@ def _compliance_factor(solimp: tuple[float, ...], violation: float) -> float:
     """Return (1 - d) / d^2, to which the compliance of a soft constraint at rest is proportional.
 
     Args:
-        solimp: Parameters from ``clip_solimp``, which determine the impedance d at the opening.
+        solimp: Parameters from ``clip_solimp``, which determine the impedance d.
         violation: Violation of the constraint [m, rad].
     """
     d, _ = solimp_impedance(solimp, violation)

@@ -20,8 +20,8 @@ def make_mujoco_spec(
 ) -> tuple[mujoco.MjSpec, Array, list[Diagnostic]]:
     """Return a copy of the MJCF of a description with its base free or fixed, ready to compile.
 
-    With a fixed base, free joints and keyframes are removed and the ground does not collide. A free
-    base without a floor gets one.
+    With a fixed base, free joints and keyframes are removed; if the MJCF had a free joint, its
+    ground does not collide. A robot with a free base and without a floor gets a floor.
 
     Returns:
         Spec; qpos of the keyframe ``home``, else of the first keyframe, else empty; notes.

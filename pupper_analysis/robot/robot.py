@@ -452,12 +452,12 @@ class Robot(EngineModels):
 
     @property
     def nq(self) -> int:
-        """Size of the public qpos."""
+        """Size of qpos: 7 for a free base, and 1 per joint."""
         return len(self.joint_names) + (7 if self.floating else 0)
 
     @property
     def nv(self) -> int:
-        """Size of the public qvel."""
+        """Size of qvel: 6 for a free base, and 1 per joint."""
         return len(self.joint_names) + (6 if self.floating else 0)
 
     @property
@@ -502,7 +502,7 @@ class Robot(EngineModels):
     def closure(self) -> Closure | None:
         """Closed loops and couplings of the MJCF's joints.
 
-        None if there are none, or as for `find_closure`.
+        None in the cases that `find_closure` lists.
         """
         return find_closure(self.mj_model, self.mj_convention, self.joint_names)
 
@@ -683,8 +683,9 @@ class Robot(EngineModels):
     def foot_of(self, point: str) -> str:
         """Return the foot of an existing contact point.
 
-        Raises: StopIteration: If there is no such contact point. (Other methods raise
-            UnknownNameError.)
+        Raises:
+            StopIteration: If there is no such contact point, unlike the UnknownNameError of
+                ``points_of``.
         """
         return next(foot for foot, points in self.feet.items() if point in points)
 

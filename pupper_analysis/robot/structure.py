@@ -131,7 +131,7 @@ class Structure:
         return self.model
 
     def normalise_qpos(self, qpos: ArrayLike) -> Array:
-        """Return a copy of a public qpos (nq,) with normalised quaternion.
+        """Return a checked copy of a qpos (nq,) with normalised quaternion.
 
         Raises:
             ConfigurationError: If the length is wrong, a value is not finite, or the quaternion is

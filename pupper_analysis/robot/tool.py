@@ -147,7 +147,8 @@ def find_place(robot: Robot, point: Place) -> Tool:
 
     Raises:
         ConfigurationError: If the point is not valid.
-        UnknownNameError: If the robot has no such frame, or no link with the name of the tool's.
+        UnknownNameError: If the robot has no such frame, or no link with the name of the tool's
+            link.
     """
     if not isinstance(point, Tool):
         frame, at = split_place(point)
@@ -175,7 +176,7 @@ def split_place(point: Any) -> tuple[str, Any]:
 
 
 def check_point(point: ArrayLike) -> Array:
-    """Return a point (3,) [m].
+    """Check the coordinates of a point, and return these as an array, shape (3,) [m].
 
     Raises:
         ConfigurationError: If the point has another shape, or a coordinate is not a finite number

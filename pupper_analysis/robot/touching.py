@@ -63,8 +63,8 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
         ConfigurationError: For each of these conflicts:
 
             * a named frame moves with a foot, but is not the foot;
-            * the contact of a foot has ``offset`` or ``radius``, or the weld of a foot ``place`` or
-              ``offset``, which are options of hands;
+            * options of hands: ``offset`` or ``radius`` in the contact of a foot, ``place`` or
+              ``offset`` in the weld of a foot or of the base;
             * a foot with several contact points touches a bar, or grips;
             * a contact other than a weld is on the base;
             * two welds are on links that move with the same joint;
@@ -173,8 +173,8 @@ def _free_base(robot: Robot) -> Robot:
     """Return a robot with a free base instead of a base fixed by the file or the caller.
 
     Without feet, ``home`` has the default posture of the fixed robot (`default_positions`), with
-    closed loops. If the file has no floor, the added floor does not collide, because a robot with a
-    fixed base may extend below it.
+    loops closed if possible. If the file has no floor, the added floor does not collide, because
+    the robot with a fixed base has no floor.
     """
     description, model = robot.description, robot.mj_model
     spec, base = description.mjcf.copy(), model.body(robot.mj_base).id

@@ -203,9 +203,9 @@ class Balance:
     def maximize(self, linear: Array, friction: Array, rows: Array, upper: Array) -> Array | None:
         """Compute the forces that maximise a linear function within the friction cones.
 
-        Args: linear: Coefficients of the maximised function ``linear @ f``, shape (size,) in the
-            order
-                contacts (3 n,), welds (6 w,), grips (3 g,).
+        Args:
+            linear: Coefficients of the maximised function ``linear @ f``, shape (size,), in the
+                order contacts (3 n,), welds (6 w,), grips (3 g,).
             friction: Shape (n,); friction coefficients.
             rows: Shape (m, size); coefficients of the inequality ``rows @ f <= upper``.
             upper: Shape (m,); upper bounds.

@@ -162,7 +162,8 @@ class Contacts:
         """Return the equations of equilibrium between a load, contacts and motors.
 
         Args:
-            transposed: Transposed contact Jacobian, as returned by ``jacobian``.
+            transposed: Transposed Jacobian, shape (nv, 3 n + 6 w + 3 g), from
+                ``transposed_jacobian``; possibly after `Configuration.transfer_to_motors`.
             load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce.
         """
         base, base_load = transposed[: self.free], load[: self.free]

@@ -8,7 +8,7 @@ import pytest
 
 from pupper_analysis.robot.impedance import (
     EqualityCompliance,
-    _solve_opening,
+    _solve_violation,
     clip_solimp,
     solimp_impedance,
 )
@@ -101,7 +101,7 @@ def test_opening_satisfies_the_equation_of_its_impedance(force: float) -> None:
     """Reference: x = F (1 - d(x)) / d(x)^2, with x within the width over which the impedance d
     rises."""
     solimp = clip_solimp((0.6, 0.95, 0.01, 0.5, 2))
-    opened = _solve_opening(solimp, force)
+    opened = _solve_violation(solimp, force)
     d, _ = solimp_impedance(solimp, opened)
     assert 0 < opened < solimp[2]
     assert opened == pytest.approx(force * (1 - d) / d**2, rel=1e-12)

@@ -538,9 +538,10 @@ def _find_causes(*of: object) -> tuple[PatternCause, ...]:
     The mistakes are found by the first installed tool that has a module ``causes``; without such a
     tool the result is empty.
 
-    Args: *of: Arguments of the tool's ``find_causes``: robot, tree of the MJCF in the URDF's link
-        frames, all differences, tolerances, and
-            bodies of the MJCF whose mass is computed from geoms.
+    Args:
+        *of: Arguments of the tool's ``find_causes``: robot, tree of the MJCF in the URDF's link
+            frames, all differences, tolerances, and bodies of the MJCF whose mass is computed from
+            geoms.
     """
     modules = (
         import_module(f"{package}.causes") for package in find_tool_modules("causes").values()

@@ -69,7 +69,10 @@ class Tolerances:
         return replace(Tolerances.strict(), gravity=Tolerances().gravity)
 
     def changed(self, changes: Mapping[str, float]) -> Tolerances:
-        """Return a copy with changed values.
+        """Return a copy with changed tolerances.
+
+        Args:
+            changes: {kind (attribute of this class): tolerance in the unit of the attribute}.
 
         Raises:
             ConfigurationError: If a kind is unknown (the message lists the valid kinds), or a value
