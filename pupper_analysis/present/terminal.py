@@ -314,7 +314,7 @@ def _style_words(words: Words) -> Text:
 
 
 COLUMN_GAP = 2
-"""Space between columns [characters]."""
+"""Space between the columns of a table [characters]. Chosen, not tuned."""
 
 _MIN_HEADER_WIDTH = 12
 """Smallest width [characters] to which a header is wrapped. Chosen, not tuned."""
@@ -333,7 +333,7 @@ MARK_STYLES = {
 
 
 _HEADER_RULE_BOX = "    \n    \n ── \n" + "    \n" * 5
-"""Box of rich with a line below the header and no other lines."""
+"""Characters of a table's lines, as rich's ``Box`` expects them: one line below the header."""
 
 
 class _PrintedColumn(NamedTuple):

@@ -112,7 +112,7 @@ _VERDICT_WORDS = {
     Question.TRACKED: ("tracked", "FAILED"),
     Question.LASTS: ("lasts", "FAILS"),
 }
-"""{question: (word of a good verdict, word of a bad verdict)}."""
+"""{question: (key of a good verdict, key of a bad verdict)}, keys of the text catalogue."""
 
 
 def get_verdict_key(verdict: Verdict) -> str:

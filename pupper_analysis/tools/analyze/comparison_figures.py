@@ -44,7 +44,8 @@ MIN_SHOWN_LOSS = 0.1
 """Smallest range of the axis of heights [mm]. Chosen, not tuned: less is rounding of a picture."""
 
 _LOSS_WINDOW = 1.0
-"""Length [s] of the window at the end of a curve, over which the legend states the mean height."""
+"""Length [s] of the window at the end of a curve, over which the legend states the mean height.
+Chosen, not tuned."""
 
 
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:

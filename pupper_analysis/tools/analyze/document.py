@@ -111,7 +111,8 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
 
 
 _MAX_SHOWN_FAILURES = 2
-"""Largest number of failures in the short answer. Chosen."""
+"""Largest number of failures in the short answer; further failures are details. Chosen, not
+tuned."""
 
 _CAUSE_CODE = "files-of-two-robots"
 """Code of the failure that names two robots as the cause of the other failures."""

@@ -49,7 +49,7 @@ class Rule:
 
 
 def _read_catalogue() -> dict[str, Rule]:
-    """Read all rules: the catalogue, and ``rules.toml`` of each further format."""
+    """Read all rules: the catalogue, and ``rules.toml`` of each format of another package."""
     own = Path(__file__).parent / "rules/catalogue.toml"
     entries = tomllib.loads(own.read_text(encoding="utf-8"))
     for format in formats().values():

@@ -33,7 +33,7 @@ class BestStance(Result):
     Attributes:
         objective: Objective of the search.
         stand: Stand of the best stance, on rigid ground.
-        value: Objective of ``stand``: peak torque / effort limit on the simulated ground, CoM
+        value: Objective of ``stand``: peak torque / effort limit on MuJoCo's soft ground, CoM
             margin, or payload [1, m or kg].
         nominal_value: Objective of ``nominal``, with the same meaning as ``value`` [1, m or kg].
         nominal: Stand of the initial task (by default the nominal stand).

@@ -198,8 +198,8 @@ class Conversion(Result):
         comparison: Comparison of the new file with the source.
         verification: Simulation of the stand for 12 s. None if the base is fixed, or the robot is
             known not to stand.
-        kept: Simulation of a new MJCF from the keyframe, with a nudge. None for a new URDF, and in
-            the cases of ``verification``.
+        kept: Simulation of a new MJCF from the keyframe, with a small velocity disturbance (nudge).
+            None for a new URDF, and in the cases of ``verification``.
         failures: Reasons for a negative result: unexplained differences from the source, a robot
             that does not stand, lost collision meshes.
         agree: True if both files agree, except for repaired inertials and replaced feet.

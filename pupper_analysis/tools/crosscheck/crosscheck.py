@@ -110,7 +110,7 @@ def compare_models(
 ) -> Comparison:
     """Compare a URDF with an MJCF of the same robot, and explain the differences.
 
-    Files of further formats (`base.tools.formats`) are accepted in place of either file.
+    Files of registered formats, such as USD, are accepted in place of either file.
 
     Args:
         urdf: Path of the URDF or the replacement; or a robot in memory that is a URDF: its text,
@@ -581,7 +581,7 @@ URDF_MUJOCO = "URDF in MuJoCo"
 """Name of the evaluation of the URDF with MuJoCo."""
 
 MJCF_MUJOCO = "MJCF in MuJoCo"
-"""Name of the evaluation with MuJoCo of those parts of the MJCF that a URDF can express."""
+"""Name of the evaluation of the MJCF with MuJoCo, without the terms that a URDF cannot express."""
 
 MJCF_AS_IT_IS = "MJCF as it is"
 """Name of the evaluation of the MJCF with MuJoCo, including the terms that a URDF cannot express,

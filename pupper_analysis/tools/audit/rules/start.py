@@ -40,7 +40,7 @@ MAX_FLOOR_DEPTH = 5e-3
 standing robot sinks a few mm into soft contacts. Chosen, not tuned."""
 
 MAX_KEYFRAMES = 100
-"""Largest number of keyframes that are checked. Chosen, to bound the time."""
+"""Largest number of keyframes of a file that are checked. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
 """Accepted offset between the command and the joint position of a keyframe [rad, m], for a servo
