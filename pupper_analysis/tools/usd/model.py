@@ -396,8 +396,8 @@ class UsdModel(RobotModel):
         """Whether the base of the robot is free to move."""
         return self.floating
 
-    def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the name of a joint's number in messages, and None for its unit or default.
+    def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
+        """Return the name of a joint parameter in messages, and None: it has no child element.
 
         The name is the kind, such as ``damping``, since attribute names differ between schemas.
         """

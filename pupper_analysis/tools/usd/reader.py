@@ -180,8 +180,8 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
 
     usd: UsdFile | None = None
 
-    def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
-        """Return the location of an element's numbers: the prim of the joint.
+    def find_attribute(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
+        """Return the location of an element's attributes: its prim in the USD file.
 
         None if the USD file has no such prim.
         """
@@ -189,17 +189,13 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
         found = self.place(kind, name)
         return None if found.element is None else found
 
-    def weighing(self, body: str) -> Place:
-        """Return the location of a body's mass: the prim in the USD file."""
-        return self.place("body", body)
-
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
         """Yield nothing: a USD has no scene options of an MJCF."""
         del tag
         yield from ()
 
-    def numbered(self, section: str, number: int) -> Place:
-        """Return the file, since unnamed elements have no prim."""
+    def place_by_number(self, section: str, number: int) -> Place:
+        """Return the USD file as the location of an element without a name, which has no prim."""
         del section, number
         return Place(self.path)
 
