@@ -158,7 +158,7 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
         robot: Prepared robot, with the gains of the added servos.
         qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
     """
-    published = with_unstated_options(PublishedModel.of(model, robot), robot)
+    published = with_unstated_options(PublishedModel.from_model(model, robot), robot)
     start = place_published(published, robot, qpos)
     if start is None:
         return False
@@ -186,7 +186,7 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
     model = robot.compute_once(get_published_model)
     if model is None:
         return None
-    return simulate_model_from_keyframe(PublishedModel.of(model, robot), robot)
+    return simulate_model_from_keyframe(PublishedModel.from_model(model, robot), robot)
 
 
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
@@ -352,7 +352,7 @@ def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
     model = None if robot.floating else robot.compute_once(get_published_model)
     if model is None:
         return None
-    published = PublishedModel.of(model, robot)
+    published = PublishedModel.from_model(model, robot)
     if published.floating or find_self_controlled_joints(published, robot):
         return None
     for key, qpos in enumerate(model.key_qpos):

@@ -170,7 +170,7 @@ class Draft:
         return self.found_match
 
     @property
-    def described(self) -> Description:
+    def matched_description(self) -> Description:
         """URDF and MJCF with matched names; available after the matching pass."""
         assert self.description is not None
         return self.description
@@ -341,14 +341,14 @@ def _match(draft: Draft) -> PassOutput:
 @_register_pass(Term("couples joints that follow others"), _applies_always)
 def _couple_mimics(draft: Draft) -> PassOutput:
     """Add the ``<mimic>`` couplings of the URDF to the MJCF."""
-    description, messages = couple_mimics(draft.match, draft.described)
+    description, messages = couple_mimics(draft.match, draft.matched_description)
     return replace(draft, description=description), messages
 
 
 @_register_pass(Term("builds the robot on its fixed base"), _has_fixed_base)
 def _build_with_fixed_base(draft: Draft) -> PassOutput:
     """Build the robot with the base fixed; named feet are kept as frames."""
-    described = start.with_keyframes(draft.described, draft.keyframes)
+    described = start.with_keyframes(draft.matched_description, draft.keyframes)
     described = replace(described, contact_points=draft.request.feet or {})
     robot = build_robot(described, fixed_base=draft.request.fixed_base)
     return replace(draft, description=described, built=robot), ()
@@ -357,10 +357,12 @@ def _build_with_fixed_base(draft: Draft) -> PassOutput:
 @_register_pass(Term("adds a level ground, or makes it level"), _has_free_base)
 def _level_ground(draft: Draft) -> PassOutput:
     """Add a level floor, or level the file's floor; set friction options of a new floor."""
-    leveled = draft.described.mjcf.copy()  # passes before ``build`` modify it in place
+    leveled = draft.matched_description.mjcf.copy()  # passes before ``build`` modify it in place
     messages = level_ground(leveled)
     floors = tuple(Floor(note) for note in messages if note.code == "ground-added")
-    described = replace(draft.described, mjcf=leveled, added=(*draft.described.added, *floors))
+    described = replace(
+        draft.matched_description, mjcf=leveled, added=(*draft.matched_description.added, *floors)
+    )
     # The file of a robot without ground and free joint does not specify the friction of a ground.
     adds_ground = floors and not has_free_joint(draft.mjcf.spec)
     options = (attributes.keys() for attributes, _ in draft.mjcf.elements("option"))
@@ -375,14 +377,14 @@ def _level_ground(draft: Draft) -> PassOutput:
 @_register_pass(Term("takes dry friction off the free joint"), _has_free_base)
 def _remove_free_joint_friction(draft: Draft) -> PassOutput:
     """Remove the dry friction of free joints."""
-    return draft, remove_free_joint_friction(draft.described.mjcf)
+    return draft, remove_free_joint_friction(draft.matched_description.mjcf)
 
 
 @_register_pass(Term("builds the robot"), _has_free_base)
 def _build(draft: Draft) -> PassOutput:
     """Build the robot; refuse joints with several motors."""
     check_motors(draft.mjcf.model, draft.mjcf.path)
-    return replace(draft, built=build_robot(draft.described)), ()
+    return replace(draft, built=build_robot(draft.matched_description)), ()
 
 
 @_register_pass(Term("limits joints of loops that have none"), _has_free_base)

@@ -88,7 +88,7 @@ class PublishedModel:
     drives: tuple[Drive, ...]
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, robot: Robot) -> PublishedModel:
+    def from_model(cls, model: mujoco.MjModel, robot: Robot) -> PublishedModel:
         """Create the `PublishedModel` of a compiled model: find ground, base and joint drives."""
         drives = tuple(
             classify_joint_drive(model, model.joint(name).id) for name in robot.joint_names
@@ -179,7 +179,7 @@ def with_requested_gains(
             write_position_servos(model, np.array(actuators), stiffness, damping)
     described = replace(robot.description, made_servos=tuple(added))
     changed = replace(robot, description=described, mj_model=drive.model)
-    return PublishedModel.of(model, robot), changed
+    return PublishedModel.from_model(model, robot), changed
 
 
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:

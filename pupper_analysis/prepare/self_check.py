@@ -170,7 +170,9 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
     if model is None and (robot.published.file is None or not robot.floating):
         return None
     published = (
-        None if model is None else with_unstated_options(PublishedModel.of(model, robot), robot)
+        None
+        if model is None
+        else with_unstated_options(PublishedModel.from_model(model, robot), robot)
     )
     if published is not None and gains is not None:
         published, robot = with_requested_gains(published, robot, *gains)
@@ -229,7 +231,7 @@ def _find_loading_causes(
     """
     file = None if robot.published is None else robot.published.file
     computed = simulate_prediction(
-        PublishedModel.of(copy.copy(robot.mj_model), robot), robot, prediction
+        PublishedModel.from_model(copy.copy(robot.mj_model), robot), robot, prediction
     )
     if computed is None:
         return ()
@@ -409,7 +411,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
     model = robot.compute_once(get_published_model)
     if run is None or not run.fails or model is None:
         return run
-    published = PublishedModel.of(model, robot)
+    published = PublishedModel.from_model(model, robot)
     if any(drive.has_invalid_stiffness for drive in published.drives):
         return run  # the bad servos are reported, and make other causes meaningless
     causes = list_command_causes(run, published) or _find_run_causes(run, published, robot)
@@ -464,7 +466,7 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
     model = loaded.compute_once(get_published_model)
     if model is None or not loaded.floating:
         return ()
-    published = PublishedModel.of(model, loaded)
+    published = PublishedModel.from_model(model, loaded)
     for candidate in list_soft_servos(published, loaded):
         stiffer = copy.copy(model)
         candidate.switch_off(stiffer)

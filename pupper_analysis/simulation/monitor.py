@@ -95,7 +95,9 @@ class StandReference:
     joints: Array
 
     @classmethod
-    def of(cls, robot: Robot, qpos: Array, rotation: Array | None = None) -> StandReference:
+    def from_configuration(
+        cls, robot: Robot, qpos: Array, rotation: Array | None = None
+    ) -> StandReference:
         """Create the reference of the stand at a configuration, for the check of simulated states.
 
         Args:

@@ -108,7 +108,9 @@ def comes_to_rest(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
-    reference = monitor.StandReference.of(held.robot, held.stand.qpos, held.stand.task.rotation())
+    reference = monitor.StandReference.from_configuration(
+        held.robot, held.stand.qpos, held.stand.task.rotation()
+    )
     last_second = _simulate_until_rest(held, reference)
     if last_second is None:
         return False

@@ -273,7 +273,7 @@ def verify_stand(
     )
     robot, drive, prediction = held.robot, held.drive, held.prediction
     start, ctrl = held.start, held.ctrl
-    reference = monitor.StandReference.of(robot, stand.qpos, stand.task.rotation())
+    reference = monitor.StandReference.from_configuration(robot, stand.qpos, stand.task.rotation())
     run = settle_and_nudge(
         drive, start, ctrl, duration - nudge_duration, nudge_duration, reference.has_collapsed
     )

@@ -124,7 +124,7 @@ class StandTask:
                 raise ConfigurationError("contacts", diagnose("contact-placed-twice", name=name))
 
     @classmethod
-    def of(cls, given: Mapping[str, Any]) -> StandTask:
+    def from_dict(cls, given: Mapping[str, Any]) -> StandTask:
         """Create a stand task from a mapping with plain data, for example from JSON or TOML.
 
         Args:

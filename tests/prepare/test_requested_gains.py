@@ -83,7 +83,7 @@ def test_added_servos_bring_the_options_that_the_file_does_not_state(
     robot.mj_model.opt.timestep = 0.001
     model = get_published_model(robot)
     assert model is not None
-    changed = with_unstated_options(PublishedModel.of(model, robot), robot).model
+    changed = with_unstated_options(PublishedModel.from_model(model, robot), robot).model
     assert changed.opt.timestep == timestep
     assert changed.opt.integrator == integrator.value
     assert model.opt.timestep == (0.004 if "0.004" in option else 0.002)  # the file is unchanged
@@ -94,7 +94,7 @@ def test_options_of_a_file_with_servos_are_kept(tmp_path: Path) -> None:
     robot = slipped(tmp_path, lambda text: text.replace('<option integrator="implicitfast"/>', ""))
     model = get_published_model(robot)
     assert model is not None
-    bare = PublishedModel.of(model, robot)
+    bare = PublishedModel.from_model(model, robot)
     assert with_unstated_options(bare, robot) is bare
 
 
@@ -115,7 +115,7 @@ def test_velocity_servos_hold_no_position(tmp_path: Path, drive: Drive, few: boo
     robot = slipped(tmp_path, lambda text: text + "\n")
     model = get_published_model(robot)
     assert model is not None
-    bare = PublishedModel.of(model, robot)
+    bare = PublishedModel.from_model(model, robot)
     joints = len(bare.drives)
     most = (drive,) * 7 + (Drive.SERVO if few else Drive.MOTOR,) * (joints - 7)
     assert has_few_servos(replace(bare, drives=most)) is few

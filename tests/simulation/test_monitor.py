@@ -75,7 +75,7 @@ def test_fallen_is_leaning_too_far_or_too_low(
     """As high above the ground as its base's frame may be, or as deep below."""
     robot, stand = load(NAME), stand_of(NAME)
     there = stand.qpos.copy()
-    upright = monitor.StandReference.of(robot, there)
+    upright = monitor.StandReference.from_configuration(robot, there)
     assert upright.com_height == pytest.approx(stand.qpos[2], rel=0.3)
     there[2] -= lost * upright.com_height
     there[3:7] = quaternion(np.array([leaning, 0.0, 0.0]))
@@ -102,7 +102,7 @@ def test_a_robot_stands_if_it_is_upright_at_its_height_and_only_its_feet_touch(
     tilt: float, lost: float, touching: tuple[str, ...], stands: bool
 ) -> None:
     robot, stand = load(NAME), stand_of(NAME)
-    upright, there = monitor.StandReference.of(robot, stand.qpos), stand.qpos.copy()
+    upright, there = monitor.StandReference.from_configuration(robot, stand.qpos), stand.qpos.copy()
     there[2] -= lost * upright.com_height
     there[3:7] = quaternion(np.array([tilt, 0.0, 0.0]))
     turned = rotation_from_quaternion(there[3:7])

@@ -385,7 +385,7 @@ def test_contacts_are_equal_after_json_and_command_line_round_trips() -> None:
         "tail": pa.Contact(pa.Bar((0.1, 0, 1.2), (0, 2, 0), 0.01, 0.5), grip=60.0),
     }
     task = pa.StandTask(contacts=contacts, ground=pa.Ground(slope=0.1))
-    assert pa.StandTask.of(json.loads(to_json(task))) == task
+    assert pa.StandTask.from_dict(json.loads(to_json(task))) == task
     for contact in contacts.values():
         assert parse_contact("contact", str(contact), "") == contact
     assert str(contacts["FL"]).startswith("wall:0.4m,mu=0.6")
@@ -429,7 +429,7 @@ def plane(**more: object) -> pa.Contact:
         (lambda: pa.Plane((0, 0), (0, 0, 1)), r"plane\.point"),  # type: ignore[arg-type]
         (lambda: plane(radius=0), "radius"),
         (lambda: pa.StandTask(contacts={"FL": "wall"}), r"contacts\[FL\]"),  # type: ignore[dict-item]
-        (lambda: pa.StandTask.of({"contacts": {"FL": {"wall": 1}}}), "is no contact"),
+        (lambda: pa.StandTask.from_dict({"contacts": {"FL": {"wall": 1}}}), "is no contact"),
         (
             lambda: pa.StandTask(contacts={"FL": plane()}, ground=pa.Ground(heights={"FL": 0.01})),
             "FL has a plane of its own, and is in heights",
@@ -444,7 +444,10 @@ def plane(**more: object) -> pa.Contact:
             "in the middle of the bar",
         ),
         (lambda: pa.Slope(0.1, friction=-1), "friction: -1"),
-        (lambda: pa.StandTask.of({"contacts": {"FL": {"plane": {"angle": 4}}}}), r"slope\.angle"),
+        (
+            lambda: pa.StandTask.from_dict({"contacts": {"FL": {"plane": {"angle": 4}}}}),
+            r"slope\.angle",
+        ),
         (
             lambda: pa.StandTask(
                 contacts={"FL": plane(place=(0, 0, 0))}, foot_offsets={"FL": (0, 0)}

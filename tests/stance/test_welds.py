@@ -469,7 +469,7 @@ def test_welds_are_equal_after_a_command_line_round_trip() -> None:
     pressed = "table:0.4m,mu=0.6,force=20.0N"
     assert str(parse_contact("contact", pressed, pressed)) == pressed
     task = pa.StandTask(contacts={"base": pa.Weld(), "hand": parse_contact("contact", pressed, "")})
-    assert pa.StandTask.of(json.loads(to_json(task))) == task
+    assert pa.StandTask.from_dict(json.loads(to_json(task))) == task
 
 
 @pytest.mark.parametrize(

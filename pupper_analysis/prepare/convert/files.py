@@ -33,7 +33,7 @@ class RobotFiles:
     options: Mapping[str, Any]
 
     @staticmethod
-    def of(*models: str, **options: Any) -> RobotFiles:
+    def from_arguments(*models: str, **options: Any) -> RobotFiles:
         """Create the specification of a robot from arguments of ``load_robot``.
 
         File paths become absolute; they are not checked.
@@ -74,7 +74,7 @@ class RobotFiles:
 
         return load_robot(*self.models, **self.options, **more)
 
-    def plain(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return files and options as a dict for TOML or JSON: ``models``, and each option."""
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
 
@@ -112,4 +112,4 @@ class FileSource:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the robot's files and options as a dict for a study file (TOML)."""
-        return self.files.plain()
+        return self.files.to_dict()

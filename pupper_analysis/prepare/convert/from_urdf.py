@@ -88,7 +88,7 @@ class MjcfXml:
     root: etree._Element
 
     @staticmethod
-    def of_urdf(name: str) -> MjcfXml:
+    def create_empty(name: str) -> MjcfXml:
         """Create an empty MJCF with the conventions of a URDF.
 
         ``name`` is the name of the model. Euler angles are about fixed axes, and a body without
@@ -353,7 +353,7 @@ class UrdfBodies:
             self.notes += [message] if message not in self.notes else []
             return None
         if tag == "mesh":
-            name = self.meshes.name(geometry, touches=kind == "collision")
+            name = self.meshes.register_mesh(geometry, touches=kind == "collision")
             return None if name is None else {"type": "mesh", "mesh": name}
         if tag == "sphere":
             return {
@@ -479,7 +479,7 @@ class ConvertedMjcf:
     repairs: tuple[Repair, ...]
 
     @staticmethod
-    def of(
+    def from_urdf(
         urdf: UrdfFile, output: Path, options: MjcfOptions, *, free: bool | None
     ) -> ConvertedMjcf:
         """Convert the links, shapes and couplings of a URDF to an MJCF.
@@ -508,7 +508,7 @@ class ConvertedMjcf:
         meshes = MeshFiles(urdf, output, copied=options.copy_meshes, defers=options.defer_visuals)
         rotors = options.armature or {}
         bodies = UrdfBodies(urdf, tree, meshes, rotors)
-        mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
+        mjcf = MjcfXml.create_empty(str(urdf.root.get("name")))
         bodies.add(mjcf, free=has_free_base)
         for name, rgba in bodies.materials.items():
             add_element(mjcf.section("asset"), "material", name=name, rgba=rgba)
@@ -518,7 +518,7 @@ class ConvertedMjcf:
             mended, mjcf, meshes, bodies, has_free_base, tuple(notes), tuple(repairs)
         )
 
-    def file(self, *, visuals: bool = False) -> MjcfFile:
+    def make_file(self, *, visuals: bool = False) -> MjcfFile:
         """Return the new MJCF as an `MjcfFile`, as if it were read from the URDF's path.
 
         Args:
@@ -534,7 +534,7 @@ class ConvertedMjcf:
         self.meshes.write(draft.section("asset"), used=used, assets=assets)
         return replace(mjcf_of_text(self.urdf.path, draft.text, assets), of_urdf=True)
 
-    def imported(self) -> UrdfImport:
+    def make_import(self) -> UrdfImport:
         """Return the URDF as MuJoCo's own importer can read it, without visual shapes.
 
         As in the converted MJCF, invalid inertials, which MuJoCo refuses, and shapes of links
@@ -572,7 +572,7 @@ def convert_urdf_in_memory(
             moving link has a mass in the URDF.
     """
     options = MjcfOptions(repair_inertia=True, defer_visuals=defer_visuals)
-    converted = ConvertedMjcf.of(urdf, urdf.path, options, free=False)
+    converted = ConvertedMjcf.from_urdf(urdf, urdf.path, options, free=False)
     massless = {repair.link for repair in converted.repairs if not repair.mass > 0}
     if {joint.child for joint in converted.bodies.tree.moving} <= massless:
         # All torques would depend on masses that the file does not state.
@@ -584,11 +584,11 @@ def convert_urdf_in_memory(
     left = (*converted.bodies.notes, *converted.meshes.notes)
     deferred = converted.meshes.deferred
     mjcf = replace(
-        converted.file(visuals=True),
+        converted.make_file(visuals=True),
         notes=(*converted.notes, *left),
         deferred_visuals=None if deferred is None else deferred.insert,
     )
-    return converted.urdf, mjcf, converted.imported()
+    return converted.urdf, mjcf, converted.make_import()
 
 
 def _remove_massless_root(tree: UrdfTree) -> bool:

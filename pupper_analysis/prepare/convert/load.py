@@ -56,7 +56,7 @@ class ModelPair:
     imported: UrdfImport | None = None
 
     @staticmethod
-    def of(file: UrdfFile | MjcfFile, *, defer_visuals: bool = False) -> ModelPair:
+    def from_file(file: UrdfFile | MjcfFile, *, defer_visuals: bool = False) -> ModelPair:
         """Convert a URDF to an MJCF, or an MJCF to a URDF, in memory; return both.
 
         Args:
@@ -73,7 +73,7 @@ class ModelPair:
             return ModelPair(urdf, mjcf, "mjcf", imported)
         return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
-    def mark(self, robot: Robot) -> Robot:
+    def add_conversion_note(self, robot: Robot) -> Robot:
         """Add the note that one model was converted from the other to a robot; return the robot.
 
         The format is stored in ``description.converted``. Unchanged if both models have files.
@@ -95,7 +95,7 @@ def _convert_mjcf_in_memory(file: MjcfFile) -> UrdfFile:
     Raises:
         ModelError: If a URDF cannot represent the robot, or no joint moves.
     """
-    text = ConvertedUrdf.of(file, file.path, fix_balls=True).text
+    text = ConvertedUrdf.from_mjcf(file, file.path, fix_balls=True).text
     urdf = urdf_from(file.path, text, parse_text(text), None)
     if all(joint.is_fixed for joint in urdf.tree.joints.values()):
         raise ModelError(file.path, diagnose("no-joints"))
@@ -206,7 +206,7 @@ def _pair_files(
             mjcf_file = with_one_robot(mjcf_file, body)
     if isinstance(urdf_file, UrdfFile) and isinstance(mjcf_file, MjcfFile):
         return ModelPair(urdf_file, mjcf_file)
-    return ModelPair.of(mjcf_file or next(iter(found.values())), defer_visuals=defer_visuals)
+    return ModelPair.from_file(mjcf_file or next(iter(found.values())), defer_visuals=defer_visuals)
 
 
 @check_arguments
@@ -300,5 +300,5 @@ def load_robot(
         keyframe=keyframe,
         as_is=as_is,
         visuals=visuals,
-        finish=lambda robot: pair.mark(replace(robot, published=published)),
+        finish=lambda robot: pair.add_conversion_note(replace(robot, published=published)),
     )

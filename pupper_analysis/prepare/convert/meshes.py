@@ -81,7 +81,7 @@ class MeshFiles:
         return next(named, "").partition("/")[0]
 
     @property
-    def lost(self) -> list[Diagnostic]:
+    def lost_collision_meshes(self) -> list[Diagnostic]:
         """Notes on the collision meshes that were left out of the MJCF, one note per reason."""
         return [
             diagnose("collision-meshes-lost", files=files, why=why)
@@ -89,13 +89,13 @@ class MeshFiles:
         ]
 
     @property
-    def missing(self) -> Diagnostic | None:
+    def missing_files(self) -> Diagnostic | None:
         """Note on missing mesh files, with the remedy; None if all files exist."""
         files = self._left.get(diagnose("no-such-mesh-file"), [])
         packages = any("://" in file for file in files)
         return diagnose("meshes-missing", files=files, packages=packages) if files else None
 
-    def name(self, mesh: etree._Element, *, touches: bool) -> str | None:
+    def register_mesh(self, mesh: etree._Element, *, touches: bool) -> str | None:
         """Register a ``<mesh>`` of the URDF, and return its name in the MJCF.
 
         None if the mesh is left out, for example because its file is missing.
@@ -116,7 +116,7 @@ class MeshFiles:
         if not touches and file in self._collided:
             # MuJoCo caches a mesh as it first occurs. If its first occurrence had no hull, the
             # hull, which takes most of the time, would be computed again for each model.
-            hulled = self.name(mesh, touches=True)
+            hulled = self.register_mesh(mesh, touches=True)
             if hulled is not None:
                 return hulled
         is_visual = not touches and path.suffix.lower() in _CONVERTIBLE_SUFFIXES
@@ -139,7 +139,7 @@ class MeshFiles:
                 self._record_loss(reason, file, touches=touches, is_visual=is_visual)
                 return None
             self._shells.add(path)
-            return self.name(mesh, touches=touches)
+            return self.register_mesh(mesh, touches=touches)
         if touches:
             self._touching.add((path, scale))
             self._deferred.pop((path, scale), None)
@@ -157,7 +157,7 @@ class MeshFiles:
         Returns:
             File name; None if the mesh is left out.
         """
-        if self.name(mesh, touches=True) is None:
+        if self.register_mesh(mesh, touches=True) is None:
             return None
         path = self.urdf.resolve_mesh(str(mesh.get("filename")))
         assert path is not None

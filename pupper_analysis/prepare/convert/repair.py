@@ -104,7 +104,7 @@ class LinkBodies:
         above = self.tree.parent(body)
         return None if above == self.tree.base.name == WORLD_LINK else above
 
-    def moves(self, body: str) -> bool:
+    def can_move(self, body: str) -> bool:
         """Return True if a body can move relative to its parent, or is a free base."""
         joint = self.tree.parent_joints.get(body)
         return self.free if joint is None else not joint.is_fixed
@@ -116,9 +116,9 @@ class LinkBodies:
         """
         return self.tree.links[body].inertia
 
-    def carried(self, body: str) -> bool:
+    def is_carried(self, body: str) -> bool:
         """Return True if a body is fixed to a parent body."""
-        return not self.moves(body) and self.parent(body) is not None
+        return not self.can_move(body) and self.parent(body) is not None
 
     def fixed_group(self, body: str) -> Iterator[tuple[str, pin.SE3]]:
         """Yield a body and all bodies fixed to it: name, and pose of the first body.
@@ -132,7 +132,7 @@ class LinkBodies:
             yield current, placement
             below = [joint for joint in self.tree.child_joints.get(current, ()) if joint.is_fixed]
             neighbours = [(joint.child, joint.origin.inverse()) for joint in below]
-            if self.carried(current):
+            if self.is_carried(current):
                 joint = self.tree.parent_joints[current]
                 neighbours.insert(0, (joint.parent, joint.origin))
             for neighbour, offset in neighbours:
@@ -181,7 +181,7 @@ def repair_inertials(
         elif inertia.mass > 0:
             raise _make_inertia_error(urdf, body, inertia)
     for body in bodies.names:
-        if bodies.moves(body) and not _has_mass(bodies, body):
+        if bodies.can_move(body) and not _has_mass(bodies, body):
             if not repair:
                 raise _make_mass_error(urdf, body)
             repairs.append(_repair_inertia(bodies, body))
@@ -291,7 +291,7 @@ def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple
         Name of the carrying body; pose of the first body in the frame of the carrying body.
     """
     placement = pin.SE3.Identity()
-    while bodies.carried(body) and not (bare and bodies.inertia(body) is not None):
+    while bodies.is_carried(body) and not (bare and bodies.inertia(body) is not None):
         above = bodies.tree.parent_joints[body]
         body, placement = above.parent, above.origin * placement
     return body, placement

@@ -264,7 +264,7 @@ class ConvertedUrdf:
     left: tuple[Diagnostic, ...]
 
     @staticmethod
-    def of(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> ConvertedUrdf:
+    def from_mjcf(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> ConvertedUrdf:
         """Convert the links, shapes and couplings of an MJCF to a URDF.
 
         Args:

@@ -226,7 +226,7 @@ class EquilibriumScales:
     moves: int = 3
 
     @staticmethod
-    def of(robot: Robot, stand: Stand) -> EquilibriumScales:
+    def from_stand(robot: Robot, stand: Stand) -> EquilibriumScales:
         """Return the weight [N] and height [m] that scale the equations of a robot in a stand."""
         weight = robot.usual_weight
         if robot.is_base_fixed or robot.welds:
@@ -367,7 +367,7 @@ class SagEquilibrium:
             foot: Anchor(stand.foot_targets[foot], config.frame_rotation(frames[foot]))
             for foot in stand.stance_feet
         }
-        self.units = EquilibriumScales.of(robot, stand)
+        self.units = EquilibriumScales.from_stand(robot, stand)
         self._force_rows: slice | list[int] = []
         self._sole_compliance, self._compliance = contact_compliance(robot, self.units)
         self._is_compliant, self._compliance_factor = any(self._compliance.values()), 1.0

@@ -679,7 +679,7 @@ def minimum_stiffness(
         """Return the reason why the robot does not stand with kp [N m/rad]; None if it stands."""
         return find_sag_failure(robot, stand, kp=kp, feet=feet)
 
-    unit = EquilibriumScales.of(robot, stand).stiffness
+    unit = EquilibriumScales.from_stand(robot, stand).stiffness
     low, high = 0.0, unit / 4
     while (problem := find_failure(high)) is not None:
         low, high = high, 2 * high

@@ -280,5 +280,7 @@ class _SweepTrial:
         """Return True if the robot stands in the last of ``states``, MuJoCo states of a rollout."""
         if monitor.has_diverged(states, self.timestep):
             return False
-        upright = monitor.StandReference.of(self.robot, self.stand.qpos, self.stand.task.rotation())
+        upright = monitor.StandReference.from_configuration(
+            self.robot, self.stand.qpos, self.stand.task.rotation()
+        )
         return upright.check_stand(states[-1], watcher.find_ground_bodies(states[-1])).stands

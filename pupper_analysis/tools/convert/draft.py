@@ -244,7 +244,7 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
             cannot be built.
     """
     free = None if options.fixed_base is None else not options.fixed_base
-    bare = ConvertedMjcf.of(urdf, output, options, free=free)
+    bare = ConvertedMjcf.from_urdf(urdf, output, options, free=free)
     mjcf, meshes = NewMjcf(bare.mjcf.root), bare.meshes
     left = [*bare.bodies.notes, *meshes.notes, *_list_losses_in_mjcf(urdf)]
     notes, failure, on_balls = list(bare.notes), None, frozenset[str]()
@@ -269,7 +269,7 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
         urdf=bare.urdf,
         stands=bare.free,
         failure=failure,
-        lost=tuple(meshes.lost),
+        lost=tuple(meshes.lost_collision_meshes),
         on_balls=on_balls,
     )
 
@@ -310,24 +310,24 @@ def _add_stand(
     """
     mjcf, meshes, bodies = NewMjcf(bare.mjcf.root), bare.meshes, bare.bodies
     try:
-        robot = make_robot(bare.urdf, bare.file(), feet=options.feet)
+        robot = make_robot(bare.urdf, bare.make_file(), feet=options.feet)
     except ModelError as error:
         if options.feet is not None:
             raise
         apply_additions(list_urdf_ground_additions(), mjcf)
         messages = [addition.reason for addition in list_urdf_ground_additions()]
         messages += _add_servos_of_fixed_base(bare, options)
-        _lift_base(mjcf, bodies, bare.file().model)
-        problem = diagnose("does-not-stand", missing=meshes.missing, problem=error.cause)
+        _lift_base(mjcf, bodies, bare.make_file().model)
+        problem = diagnose("does-not-stand", missing=meshes.missing_files, problem=error.cause)
         return messages, problem, frozenset()
     added, failure = robot.description.added, None
     try:
         solve_stand_on_soft_ground(robot)
     except PupperAnalysisError as error:
         problem = error.diagnostic
-        failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
+        failure = diagnose("does-not-stand", missing=meshes.missing_files, problem=problem)
         added = tuple(addition for addition in added if not isinstance(addition, StartKeyframe))
-    published = PublishedModel.of(bare.file().model, robot)
+    published = PublishedModel.from_model(bare.make_file().model, robot)
     apply_additions([_convert_start_pose(addition, published, robot) for addition in added], mjcf)
     _lift_base(mjcf, bodies, published.model)
     messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
@@ -363,7 +363,9 @@ def _add_servos_of_fixed_base(bare: ConvertedMjcf, options: MjcfOptions) -> list
     mjcf = NewMjcf(bare.mjcf.root)
     if not mjcf.joints:
         return [diagnose("nothing-moves")]
-    robot = _free_legged_robot(bare, options) or make_robot(bare.urdf, bare.file(), fixed_base=True)
+    robot = _free_legged_robot(bare, options) or make_robot(
+        bare.urdf, bare.make_file(), fixed_base=True
+    )
     # A robot that hangs from the world needs neither a ground nor a pose of its base.
     added = [
         addition
@@ -383,7 +385,7 @@ def _free_legged_robot(bare: ConvertedMjcf, options: MjcfOptions) -> Robot | Non
     if options.fixed_base is not None or bare.bodies.root != WORLD_LINK:
         return None
     try:
-        robot = make_robot(bare.urdf, bare.file(), feet=options.feet)
+        robot = make_robot(bare.urdf, bare.make_file(), feet=options.feet)
         solve_stand_on_soft_ground(robot)
     except PupperAnalysisError:
         return None
@@ -506,7 +508,7 @@ def draft_urdf(file: MjcfFile, output: Path) -> ConversionDraft:
     Raises:
         ModelError: If a URDF cannot represent the robot.
     """
-    bare = ConvertedUrdf.of(file, output)
+    bare = ConvertedUrdf.from_mjcf(file, output)
     left = [*bare.left, *_list_losses_in_urdf(bare.model, bare.bodies)]
     left += _list_lost_contact_numbers(bare.model, bare.bodies)
     missing, why = file.missing_collision_meshes, diagnose("no-such-mesh-file")

@@ -92,7 +92,7 @@ def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
         qpos[2] -= _foot_clearance(robot, qpos)
     state = full_state(robot.mj_model, data)
     touching = ContactSampler(robot, robot.mj_model).find_ground_bodies(state)
-    return StandReference.of(robot, qpos).check_stand(state, touching)
+    return StandReference.from_configuration(robot, qpos).check_stand(state, touching)
 
 
 def _foot_clearance(robot: Robot, qpos: Array) -> float:

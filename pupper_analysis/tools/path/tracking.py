@@ -536,7 +536,9 @@ def _check_states(
         base = watcher.data.qpos[robot.mj_convention.qpos_index[:7]]
         turn = rotation.T @ rotation_from_quaternion(base[3:])
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
-        if monitor.StandReference.of(robot, goal, rotation).has_fallen(states[index]):
+        if monitor.StandReference.from_configuration(robot, goal, rotation).has_fallen(
+            states[index]
+        ):
             found.append(diagnose("fell-over", tilt=None, height=None, time=None))
         centres = monitor.foot_centres(robot, watcher.data)
         targets = Configuration(robot, goal).foot_positions()

@@ -137,7 +137,7 @@ class PushBench:
         self.robot, self.stand, self.drive = held.robot, held.stand, held.drive
         self.start, self.ctrl = held.start, held.ctrl
         model = self.drive.model
-        self.upright = monitor.StandReference.of(
+        self.upright = monitor.StandReference.from_configuration(
             self.robot, self.stand.qpos, self.stand.task.rotation()
         )
         self.timestep = float(model.opt.timestep)

@@ -159,7 +159,7 @@ def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
     if unknown or not (models or "urdf" in options or "mjcf" in options):
         problem = diagnose("no-files-of-a-robot", given=repr(dict(arguments)), known=_FILE_OPTIONS)
         raise ConfigurationError("robot", problem)
-    files = RobotFiles.of(*models, **options)
+    files = RobotFiles.from_arguments(*models, **options)
     robot = files.load()
     if not robot.floating or not robot.contact_points:
         raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))

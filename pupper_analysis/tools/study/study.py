@@ -269,7 +269,7 @@ class Study:
         options = dict(data)
         stand = options.pop("stand", {})
         check_type("stand", stand, Mapping[str, Any])
-        task = StandTask.of(stand)
+        task = StandTask.from_dict(stand)
         return cls(
             options.pop("robot"), options.pop("vary"), options.pop("measure"), stand=task, **options
         )

@@ -189,7 +189,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
         ctrl=servos.command(robot, default[7:]),
         default=default,
         substeps=substeps,
-        upright=StandReference.of(robot, default),
+        upright=StandReference.from_configuration(robot, default),
     )
 
 
