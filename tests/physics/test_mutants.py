@@ -41,6 +41,7 @@ def rods(timestep: float) -> mujoco.MjModel:
 
 
 def test_suggested_gain_of_a_held_joint_gives_the_default_sag() -> None:
+    """Reference: the gravity torque m g l of the rod, which the servo holds at the default sag."""
     kp, _ = suggest_fixed_base_gains(rods(1e-3))
     np.testing.assert_allclose(kp * DEFAULT_SAG, 2 * GRAVITY * 0.1, rtol=1e-2)
 
@@ -131,6 +132,7 @@ def test_angles_are_unwound_by_whole_turns() -> None:
 
 
 def test_scenery_is_named_by_its_geom_or_body() -> None:
+    """Reference: the names of the geoms and bodies in the text of the file."""
     spec = mujoco.MjSpec.from_string(
         '<mujoco><worldbody><geom type="plane" size="0 0 1"/><geom type="box" size="1 1 1"/>'
         '<body name="table"><geom type="box" size="1 1 1"/><geom name="leg" size="1"/></body>'

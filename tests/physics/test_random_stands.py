@@ -19,7 +19,8 @@ stances.STARTS = 60  # the benchmark has 200
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BASES_FIRST)
-def test_no_verdict_is_wrong(name: str) -> None:
+def test_verdicts_of_random_stands_are_confirmed(name: str) -> None:
+    """References: checks of benchmarks/stances.py, which share no code with the solvers; MuJoCo."""
     robot = load(name)
     outcomes = stances.judged(robot, 8, seed=100 + NAMES.index(name))
     assert not [(str(outcome.task), outcome.wrong) for outcome in outcomes if outcome.wrong]
@@ -75,6 +76,7 @@ FOUND_IN_REACH = {
 
 @pytest.mark.parametrize("name", FOUND_IN_REACH)
 def test_stand_with_com_inside_is_found_with_a_joint_at_its_limit(name: str) -> None:
+    """Reference: checks of benchmarks/stances.py, which share no code with the solvers."""
     outcome = stances.judge(load(name), FOUND_IN_REACH[name], np.random.default_rng(0))
     pa.solve_stand(load(name), FOUND_IN_REACH[name], explain=False)
     assert outcome.verdict is stances.Verdict.HELD
@@ -85,7 +87,8 @@ def test_stand_with_com_inside_is_found_with_a_joint_at_its_limit(name: str) -> 
 
 
 @pytest.mark.slow
-def test_the_check_sees_a_stand_that_is_a_little_off() -> None:
+def test_checks_of_a_stand_detect_errors_of_1e_5_and_of_a_thousandth() -> None:
+    """Coordinates are moved by 1e-5 (rad and m), and forces changed by 0.1 %."""
     robot = load("v3")
     for task in (
         pa.StandTask(roll=0.05, yaw=0.1, ground=pa.Ground(0.05, 1.0, {"FL": 0.01})),

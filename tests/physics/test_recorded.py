@@ -61,6 +61,7 @@ def check(name: str, job: str) -> None:
 @pytest.mark.parametrize("job", QUICK_JOBS)
 @pytest.mark.parametrize("name", NAMES)
 def test_numbers_are_unchanged(name: str, job: str) -> None:
+    """Reference: results of an earlier version, in tests/data/recorded.json."""
     check(name, job)
 
 
@@ -68,10 +69,12 @@ def test_numbers_are_unchanged(name: str, job: str) -> None:
 @pytest.mark.parametrize("job", SLOW_JOBS)
 @pytest.mark.parametrize("name", NAMES)
 def test_numbers_of_long_searches_and_simulations_are_unchanged(name: str, job: str) -> None:
+    """Reference: results of an earlier version, in tests/data/recorded.json."""
     check(name, job)
 
 
 def test_all_jobs_of_all_variants_are_recorded() -> None:
+    """Reference: the variants and the jobs of `recorded.py`, in their order."""
     assert list(recorded()["results"]) == list(NAMES)
     for results in recorded()["results"].values():
         assert list(results) == list(JOBS)

@@ -117,6 +117,7 @@ def published_numbers() -> dict[str, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.02, 1.0, 2800.0])
 def test_dimensionless_results_do_not_depend_on_mass(mass: float) -> None:
+    """Reference: results of the published robot; all masses, torques and gains are scaled alike."""
     robot, factor = load("v3"), mass / load("v3").total_mass
     found = numbers(resized(robot, 1.0, factor), factor)
     assert found == pytest.approx(published_numbers(), rel=1e-6)

@@ -77,6 +77,7 @@ def test_knee_springs_reduce_the_motor_torques_as_in_closed_form(tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.parametrize("joint", ["_knee", "_roll"])
 def test_a_quadruped_with_springs_stands_as_predicted(joint: str, tmp_path: Path) -> None:
+    """Reference: MuJoCo's simulation of the stand."""
     robot = load(with_springs(quadruped(tmp_path), joint))
     assert any(note.code == "springs-are-the-mjcfs" for note in robot.notes)
     verified(robot)
@@ -84,6 +85,7 @@ def test_a_quadruped_with_springs_stands_as_predicted(joint: str, tmp_path: Path
 
 @pytest.mark.slow
 def test_a_biped_with_springs_stands_as_predicted(tmp_path: Path) -> None:
+    """Reference: MuJoCo's simulation of the stand."""
     verified(load(with_springs(biped(tmp_path), "_ankle")))
 
 
@@ -126,7 +128,8 @@ def test_gravity_compensation_takes_weight_off_motors_and_feet(
 
 
 @pytest.mark.slow
-def test_the_stiffness_of_springs_counts_in_the_sag(tmp_path: Path) -> None:
+def test_sag_of_a_quadruped_with_knee_springs_equals_the_simulation(tmp_path: Path) -> None:
+    """Reference: loss of height in MuJoCo, whose feet creep until no tangential force is left."""
     robot = load(with_springs(quadruped(tmp_path), "_knee"))
     stand = pa.solve_stand(robot)
     sag = pa.steady_state(robot, stand, feet="sliding")  # MuJoCo's feet creep to where none pushes
@@ -138,6 +141,7 @@ def test_the_stiffness_of_springs_counts_in_the_sag(tmp_path: Path) -> None:
 
 
 def test_torque_derivatives_equal_finite_differences(tmp_path: Path) -> None:
+    """Reference: central differences of the static load, with gravity compensation and springs."""
     robot = load(with_springs(compensated(quadruped(tmp_path), "trunk", 0.3), "_knee"))
     random = np.random.default_rng(3)
     qpos = pa.solve_stand(robot).qpos
@@ -160,6 +164,7 @@ def test_torque_derivatives_equal_finite_differences(tmp_path: Path) -> None:
 
 
 def test_inverse_dynamics_at_rest_is_the_balance(tmp_path: Path) -> None:
+    """Reference: joint torques of the static balance, without velocity and acceleration."""
     robot = load(with_springs(quadruped(tmp_path), "_knee"))
     qpos = pa.solve_stand(robot).qpos
     found = pa.statics.inverse_dynamics(pa.Configuration(robot, qpos), np.zeros(robot.nv))

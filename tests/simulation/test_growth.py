@@ -75,6 +75,7 @@ def test_dry_friction_hides_a_mode_from_the_nudge_that_it_holds(
 
 
 def test_a_drift_at_constant_speed_does_not_double() -> None:
+    """Reference: doubling times of closed forms: a line, 2^(t/7), and 2^(t/7) after a decay."""
     time = np.arange(200.0)
     assert _doubling_time_of(1.0 + time, 1.0, lost=False) is None
     doubling = _doubling_time_of(2.0 ** (time / 7.0), 1.0, lost=False)

@@ -29,7 +29,8 @@ def state_at(
     return full_state(model, data)
 
 
-def test_watcher_reports_contacts_of_feet_above_on_and_below_the_ground() -> None:
+def test_sampler_reports_contacts_of_feet_above_and_in_the_ground() -> None:
+    """The stand is moved 10 mm up and 2 mm down."""
     robot, stand = load(NAME), stand_of(NAME)
     drive = model_with_servos(robot)
     watcher = monitor.ContactSampler(robot, drive.model)
@@ -51,6 +52,7 @@ def test_watcher_reports_contacts_of_feet_above_on_and_below_the_ground() -> Non
 
 
 def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
+    """The base is turned by 180 deg about its x axis, 20 mm above the ground."""
     robot = load(NAME)
     drive = model_with_servos(robot)
     qpos = robot.neutral()
@@ -101,6 +103,7 @@ def test_fallen_is_leaning_too_far_or_too_low(
 def test_a_robot_stands_if_it_is_upright_at_its_height_and_only_its_feet_touch(
     tilt: float, lost: float, touching: tuple[str, ...], stands: bool
 ) -> None:
+    """Reference: tilt and height are set, with the CoM above its place."""
     robot, stand = load(NAME), stand_of(NAME)
     upright, there = monitor.StandReference.from_configuration(robot, stand.qpos), stand.qpos.copy()
     there[2] -= lost * upright.com_height
@@ -113,7 +116,8 @@ def test_a_robot_stands_if_it_is_upright_at_its_height_and_only_its_feet_touch(
     assert found.stands is stands
 
 
-def test_yaw_is_no_lean_and_a_turn_is() -> None:
+def test_tilt_excludes_yaw_and_rotation_angle_includes_it() -> None:
+    """Reference: the angle of each rotation vector."""
     robot = load(NAME)
     qpos = robot.neutral()
     for vector, lean in (((0, 0, 0.7), 0.0), ((0.3, 0, 0), 0.3), ((0, -0.2, 0), 0.2)):
@@ -125,6 +129,7 @@ def test_yaw_is_no_lean_and_a_turn_is() -> None:
 
 
 def test_diverged_rollout_is_detected() -> None:
+    """A diverged rollout has a reset of the time, or a value that is not a number."""
     robot, stand = load(NAME), stand_of(NAME)
     drive = model_with_servos(robot)
     timestep = float(drive.model.opt.timestep)
@@ -154,4 +159,5 @@ def test_diverged_rollout_is_detected() -> None:
 def test_collapse_depends_on_tilt_height_and_displacement(
     leaning: float, end: float, away: float, collapsed: bool
 ) -> None:
+    """Values on both sides of each limit, and values that are not numbers."""
     assert has_collapsed(leaning, 0.2 - end, away, 0.2) is collapsed

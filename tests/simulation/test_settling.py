@@ -43,6 +43,7 @@ def test_settling_agrees_with_the_verification(
 def test_settling_ends_as_soon_as_the_robot_is_at_rest(
     standing: tuple[pa.Robot, Stand], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Reference: the simulated time, summed over all calls of the simulation."""
     robot, stand = standing
     simulated = []
     run = settling.simulate_commands

@@ -165,6 +165,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_verdict_is_never_better_than_its_evidence(case: str) -> None:
+    """Reference: code, result and words of each combination of simulations, written by hand."""
     given, code, passed, said = CASES[case]
     asked: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE, **given}
     verdict = judge_stance(asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked)
@@ -220,6 +221,7 @@ def test_a_robot_that_stands_otherwise_than_predicted_disagrees(
 
 @pytest.mark.parametrize(("unit", "said"), [("rad", "0.29 deg (knee"), ("m", "5 mm (knee")])
 def test_displacement_of_a_slide_is_in_mm(unit: str, said: str) -> None:
+    """Reference: 0.005 rad and 0.005 m in the printed units."""
     joint = JointOff("knee", 0.005, Drive.SERVO, unit=unit)
     verdict = judge_stance(
         run(), run(), FILE, keyframe_run=replace(own(collapses=False), worst=joint)
@@ -228,6 +230,7 @@ def test_displacement_of_a_slide_is_in_mm(unit: str, said: str) -> None:
 
 
 def test_the_worst_check_decides_the_verdict() -> None:
+    """Several checks fail; the published file differs most."""
     verdict = judge_stance(
         run(), run(0.1, passed=False), made(Drive.MOTOR), published=published(0.65)
     )

@@ -48,7 +48,8 @@ def plain_run(
 
 
 @pytest.mark.slow
-def test_stand_is_verified(variant: str) -> None:
+def test_stand_of_each_variant_is_verified_to_the_stated_accuracy(variant: str) -> None:
+    """Reference: the static prediction: 1e-3 rad, and 1 % of torque and force."""
     result = verified(variant)
     assert result.passed, result.failures
     assert result.failures == ()
@@ -110,7 +111,8 @@ def test_sag_is_explained(variant: str) -> None:
     assert result.servo_sag == pytest.approx(lower, rel=0.03)
 
 
-def test_gains_per_joint() -> None:
+def test_verification_uses_gains_per_joint_and_leaves_the_model_unchanged() -> None:
+    """Reference: the given arrays, and the gains of the model before."""
     robot, kp = load("original"), np.linspace(40, 95, 12)
     before = robot.mj_model.actuator_gainprm.copy()
     result = pa.verify_stand(robot, stand_of("original"), kp=kp, kd=np.full(12, 2.0))
@@ -124,6 +126,7 @@ def test_gains_per_joint() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("integrator", INTEGRATOR_TYPES)
 def test_integrator_is_reported_and_does_not_change_the_settled_height(integrator: str) -> None:
+    """Reference: the height with the default integrator."""
     result = pa.verify_stand(load("v3"), stand_of("v3"), integrator=integrator)
     assert result.integrator == integrator
     assert result.passed, result.failures
@@ -132,7 +135,8 @@ def test_integrator_is_reported_and_does_not_change_the_settled_height(integrato
     assert mujoco.mjtIntegrator(drive.model.opt.integrator).name == f"mjINT_{integrator.upper()}"
 
 
-def test_start_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:
+def test_initial_state_of_a_verification_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:
+    """Reference: the vertical constraint force of MuJoCo equals the weight."""
     drive = model_with_servos(robot)
     prediction = even_balance(robot, stand)
     ctrl = drive.command(robot, stand.joint_positions(robot), prediction.joint_torques)
@@ -175,7 +179,8 @@ def test_fall_is_a_failure_of_the_verification() -> None:
     assert any(str(reason).startswith("base_link touches the ground") for reason in result.failures)
 
 
-def test_the_motion_is_that_of_the_height_and_ends_at_rest() -> None:
+def test_recorded_motion_has_the_recorded_heights_and_ends_at_rest() -> None:
+    """Reference: the recorded height at the same times, and the joints of the stand."""
     robot, stand = load("original"), stand_of("original")
     report = pa.verify_stand(robot, stand, duration=2.0, nudged=0)
     assert report.motion.shape == (len(report.motion_time), robot.nq)
@@ -214,6 +219,7 @@ def test_verification_fails_if_motors_cannot_give_the_torque() -> None:
 
 
 def test_stand_whose_com_is_outside_is_refused() -> None:
+    """The thighs are turned by 1.2 rad, so that no contact forces balance the robot."""
     stand = stand_of("original")
     qpos = load("original").neutral()
     qpos[8::3] = 1.2
@@ -233,19 +239,22 @@ def test_stand_whose_com_is_outside_is_refused() -> None:
         ({"duration": 1e9}, "duration"),
     ],
 )
-def test_bad_requests_are_refused(arguments: dict[str, object], field: str) -> None:
+def test_verification_refuses_invalid_arguments(arguments: dict[str, object], field: str) -> None:
+    """The message names the argument."""
     with pytest.raises(pa.ConfigurationError, match=field):
         pa.verify_stand(load("v3"), stand_of("v3"), **arguments)  # type: ignore[arg-type]
 
 
-def test_fixed_base_and_foreign_stands_are_refused(tiny: pa.Robot) -> None:
+def test_verification_refuses_fixed_bases_and_stands_of_other_robots(tiny: pa.Robot) -> None:
+    """The message names the reason, and the robot."""
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.verify_stand(load("v3", fixed_base=True), stand_of("v3"))
     with pytest.raises(pa.ConfigurationError, match="solve it for tiny"):
         pa.verify_stand(tiny, stand_of("v3"))
 
 
-def test_joint_without_motor_is_named(tiny: pa.Robot) -> None:
+def test_servos_of_a_joint_without_motor_are_refused(tiny: pa.Robot) -> None:
+    """The message names the joint."""
     with pytest.raises(pa.ModelError, match="'turn' has no actuator"):
         model_with_servos(tiny)
 
@@ -265,7 +274,8 @@ def test_stability_of_each_sweep_cell_equals_stand_stability() -> None:
 
 
 @pytest.mark.slow
-def test_by_default_the_grid_is_around_the_models_own_gains() -> None:
+def test_default_grid_of_gains_contains_the_gains_of_the_model() -> None:
+    """Reference: a sweep of the single cell with the gains of the model."""
     robot, stand = load("v3"), stand_of("v3")
     result = pa.simulation.sweep_gains(robot, stand)
     np.testing.assert_allclose(result.kp, [1.25, 2.5, 5, 10, 20])
@@ -329,7 +339,8 @@ def test_sweep_marks_falls_also_if_the_robot_rests() -> None:
         ({"integrator": "magic"}, "integrator"),
     ],
 )
-def test_bad_sweeps_are_refused(arguments: dict[str, object], field: str) -> None:
+def test_gain_sweep_refuses_invalid_arguments(arguments: dict[str, object], field: str) -> None:
+    """The message names the argument."""
     with pytest.raises(pa.ConfigurationError, match=field):
         pa.simulation.sweep_gains(load("v3"), stand_of("v3"), **arguments)  # type: ignore[arg-type]
 

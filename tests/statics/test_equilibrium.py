@@ -106,6 +106,8 @@ def mujoco_joint_torques(
 def test_contact_forces_and_torques_balance_gravity(
     distribution: pa.statics.ForceDistribution, config: pa.Configuration
 ) -> None:
+    """References: Newton and Euler for the whole robot, and MuJoCo's inverse dynamics for the
+    joints."""
     try:
         result = pa.gravity_compensation(config, distribution=distribution)
     except pa.StaticsInfeasibleError:
@@ -160,6 +162,8 @@ def joint_torques(
 def test_distribution_is_optimal_among_feasible_perturbations(
     friction: float, config: pa.Configuration, seed: int
 ) -> None:
+    """Reference: costs of random forces in the null space of the balance, inside the friction
+    cones."""
     random = np.random.default_rng(seed)
     for distribution in DISTRIBUTIONS:
         try:
@@ -250,6 +254,7 @@ def test_min_max_torque_equals_a_linear_program(variant: str, friction: float) -
 
 
 def test_min_max_torque_minimises_the_torque_without_limits() -> None:
+    """Reference: the result with equal limits, which scale all torques alike."""
     config = at_stand("v3")
     free = pa.Configuration(with_efforts(config.robot, np.full(12, np.inf)), config.qpos)
     one, two = (pa.gravity_compensation(c, distribution="min-max torque") for c in (config, free))
@@ -257,6 +262,7 @@ def test_min_max_torque_minimises_the_torque_without_limits() -> None:
 
 
 def test_min_max_torque_ignores_motors_with_a_limit_of_zero() -> None:
+    """The peak of the other motors is at most the peak with twelve equal motors."""
     config = at_stand("v3")
     efforts = np.full(12, 3.0)
     efforts[0] = 0.0
@@ -271,6 +277,7 @@ def test_min_max_torque_ignores_motors_with_a_limit_of_zero() -> None:
 
 @pytest.mark.parametrize("distribution", ["x", None, 3, "MIN_TANGENTIAL"])
 def test_unknown_distribution_raises(distribution: object) -> None:
+    """The message lists the valid values."""
     with pytest.raises(
         pa.ConfigurationError, match=r"distribution.*'minimum tangential', 'minimum torque'"
     ):
@@ -288,6 +295,7 @@ def v3_at_zero() -> pa.Configuration:
 
 
 def test_minimum_tangential_forces_equal_the_lever_arm_shares() -> None:
+    """Reference: the lever rule, by the distances of the CoM to the front and hind feet."""
     result = pa.gravity_compensation(
         v3_at_zero(), distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
     )
@@ -366,6 +374,8 @@ def test_knee_torque_equals_the_lever_arm_formula() -> None:
 
 
 def test_hanging_torques_equal_the_joint_part_of_gravity(variant: str) -> None:
+    """Reference: Pinocchio's gravity torques; the base bears the weight and its moment about the
+    base."""
     config = near_stand(variant, np.linspace(-1, 1, 15))
     result = pa.gravity_compensation(config, [])
     np.testing.assert_allclose(result.joint_torques, config.gravity()[6:], atol=1e-15)
@@ -413,6 +423,7 @@ def test_required_friction_on_a_slope_is_the_tangent_of_its_angle(
 
 
 def test_friction_can_differ_between_feet() -> None:
+    """References: Newton and Euler, and the friction cone of each foot."""
     config = at_stand("original")
     coefficients = {"FL": 0.0, "FR": 0.3, "RL": 1.0, "RR": 0.0}
     result = pa.gravity_compensation(config, friction=coefficients)
@@ -422,6 +433,7 @@ def test_friction_can_differ_between_feet() -> None:
 
 
 def test_length_of_a_normal_has_no_effect() -> None:
+    """Reference: the result with a unit normal."""
     config = at_stand("original")
     one, two = (
         pa.gravity_compensation(config, normals={"FL": scale * tilted(0.2)}) for scale in (1, 7)
@@ -587,6 +599,7 @@ def test_infeasibility_error_has_no_numerical_warnings(
 
 
 def test_feet_on_a_ceiling_fail_because_they_would_pull() -> None:
+    """All normals point downwards, so that only pulling forces could hold the weight."""
     config = at_stand("v3")
     normals = dict.fromkeys(config.robot.contact_points, -UP)
     with pytest.raises(pa.StaticsInfeasibleError, match="pull") as caught:
@@ -613,6 +626,7 @@ def test_feet_on_a_ceiling_fail_because_they_would_pull() -> None:
 def test_com_margin_equals_the_distance_to_a_rectangles_edge(
     com: tuple[float, ...], margin: float
 ) -> None:
+    """Reference: the closed form for a rectangle of 4 m by 2 m; negative outside."""
     points = {f"{x}{y}": np.array([x, y, 0.1 * x]) for x in (-2, 2) for y in (-1, 1)}
     assert com_margin(np.array(com, dtype=float), points) == pytest.approx(margin, abs=1e-12)
 
@@ -636,6 +650,7 @@ def test_com_margin_equals_the_distance_to_a_rectangles_edge(
 def test_gravity_compensation_raises_for_invalid_arguments(
     arguments: dict[str, object], message: str
 ) -> None:
+    """The message names the argument."""
     with pytest.raises(pa.ConfigurationError, match=message):
         pa.gravity_compensation(at_stand("v3"), **arguments)  # type: ignore[arg-type]
 
@@ -649,11 +664,13 @@ def test_gravity_compensation_raises_for_invalid_arguments(
     ],
 )
 def test_unknown_feet_raise(arguments: dict[str, object]) -> None:
+    """The message lists the known feet."""
     with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
         pa.gravity_compensation(at_stand("v3"), **arguments)  # type: ignore[arg-type]
 
 
-def test_contacts_raise_with_a_fixed_base() -> None:
+def test_contacts_of_a_robot_with_a_fixed_base_raise() -> None:
+    """A fixed base bears all loads, so that contact forces are not determined."""
     robot = load("v3", fixed_base=True)
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.gravity_compensation(pa.Configuration(robot, robot.neutral()), ["FR"])
@@ -678,6 +695,7 @@ def test_minimum_torques_equal_the_null_space_solution(feet: int, torqueless: in
 
 
 def test_three_feet_fail_if_the_com_is_beyond_their_diagonal() -> None:
+    """The CoM is outside the support triangle, so that the single foot would have to pull."""
     with pytest.raises(pa.StaticsInfeasibleError, match="com outside") as caught:
         pa.gravity_compensation(v3_at_zero(), ["FR", "RR", "RL"])
     assert caught.value.margin < 0

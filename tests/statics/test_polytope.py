@@ -31,6 +31,7 @@ def mujoco_torques(config: pa.Configuration, foot: str, force: np.ndarray) -> di
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "original", "long-leg"])
 def test_vertices_load_three_motors_to_their_limits_in_mujoco(name: str) -> None:
+    """Reference: torques of MuJoCo's Jacobian for the force of each vertex."""
     robot = load(name)
     limits = dict(zip(robot.joint_names, robot.effort_limits, strict=True))
     for seed in range(5):
@@ -86,6 +87,7 @@ def test_vertices_equal_the_intersection_of_half_spaces() -> None:
 
 
 def test_motor_without_torque_makes_the_polytope_flat() -> None:
+    """Reference: corners of the rectangle with half sides of 1 and 2."""
     rows, room = np.eye(3), np.array([1.0, 2.0, 0.0, 1.0, 2.0, 0.0])
     vertices = find_vertices(rows, room)
     expected = [(x, y, 0) for x in (-1, 1) for y in (-2, 2)]
@@ -94,6 +96,7 @@ def test_motor_without_torque_makes_the_polytope_flat() -> None:
 
 
 def test_contradicting_and_unbounded_inequalities_have_no_vertices() -> None:
+    """An empty set has no vertices; an unbounded set returns None."""
     empty = find_vertices(
         np.vstack([np.eye(3), np.eye(3)[:1]]), np.array([1, 1, 1, -3, 1, 1, 1, 4])
     )
@@ -104,6 +107,7 @@ def test_contradicting_and_unbounded_inequalities_have_no_vertices() -> None:
 
 
 def test_sole_is_pushed_at_the_mean_of_its_contact_points(tmp_path: Path) -> None:
+    """Reference: the mean of the four corners of the sole."""
     pair = biped(tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, as_is=True)
     config = pa.Configuration(robot, robot.home)
@@ -115,6 +119,7 @@ def test_sole_is_pushed_at_the_mean_of_its_contact_points(tmp_path: Path) -> Non
 
 
 def test_unknown_limit_leaves_the_force_unknown() -> None:
+    """An infinite torque limit counts as unknown: the push is not a number."""
     unlimited = with_efforts(load("v3"), np.inf)
     free = pa.statics.force_polytope(pa.Configuration(unlimited, stand_of("v3").qpos), "FR")
     assert free.vertices is None
@@ -122,7 +127,8 @@ def test_unknown_limit_leaves_the_force_unknown() -> None:
     assert free.limiting_joint([0, 0, 1]) is None
 
 
-def test_links_and_places_of_the_base_are_points_too() -> None:
+def test_force_polytope_accepts_links_and_places_of_the_base() -> None:
+    """Reference: the position of the frame of the link; the fixed base bears any force."""
     robot = load("v3")
     config = pa.Configuration(robot, stand_of("v3").qpos)
     frame = robot.contact_frames["FR"]
@@ -135,7 +141,8 @@ def test_links_and_places_of_the_base_are_points_too() -> None:
 
 
 @pytest.mark.parametrize("direction", [[0, 0, 0], [1, 2], [0, 0, np.nan]])
-def test_direction_that_is_none_is_refused(direction: list[float]) -> None:
+def test_direction_of_zero_length_or_wrong_shape_is_refused(direction: list[float]) -> None:
+    """The message names the argument; an unknown point raises another error."""
     config = pa.Configuration(load("v3"), stand_of("v3").qpos)
     polytope = pa.statics.force_polytope(config, "FR")
     with pytest.raises(pa.ConfigurationError, match="direction"):

@@ -45,6 +45,7 @@ def is_in_balance(robot: pa.Robot, qpos: np.ndarray, friction: float | None = No
 
 
 def test_region_without_torque_limits_is_the_hull_of_the_contacts() -> None:
+    """Reference: shapely's convex hull of the contact points."""
     config = pa.Configuration(load("v3"), stand_of("v3").qpos)
     region = pa.statics.support_region(config, torque_limits=False)
     points = np.array([point[:2] for point in config.contact_points().values()])
@@ -62,6 +63,7 @@ def test_region_without_torque_limits_is_the_hull_of_the_contacts() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("effort", [0.55, 0.75, 1.0])
 def test_torque_limits_reduce_the_region_to_com_positions_that_motors_hold(effort: float) -> None:
+    """Reference: the balance of robots whose CoM is moved by 0.1 mm inwards and outwards."""
     robot, qpos = with_efforts(load("v3"), effort), stand_of("v3").qpos
     config = pa.Configuration(robot, qpos)
     region = pa.statics.support_region(config)
@@ -125,6 +127,7 @@ def test_region_without_equilibrium_has_no_corners() -> None:
 
 
 def test_unknown_limits_and_missing_contacts_are_refused() -> None:
+    """The message of an unknown limit names the option that ignores limits."""
     robot, qpos = load("v3"), stand_of("v3").qpos
     unknown = pa.Configuration(with_efforts(robot, np.inf), qpos)
     with pytest.raises(pa.ConfigurationError, match="torque_limits=False"):

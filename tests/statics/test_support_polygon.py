@@ -9,6 +9,7 @@ from pupper_analysis.statics.support_polygon import com_margin, polygon_sides, s
 
 
 def test_sides_and_margins_equal_the_convex_hull_of_shapely() -> None:
+    """Reference: shapely's convex hull of random contacts, and distances to its edge."""
     random = np.random.default_rng(0)
     for count in (3, 4, 6, 12):
         contacts = random.uniform(-0.3, 0.3, (count, 3))

@@ -86,6 +86,7 @@ def test_depth_equals_the_root_of_the_ground_law() -> None:
 
 
 def test_two_points_of_a_sole_cannot_part() -> None:
+    """Reference: slips written by hand; a sole can translate and turn, but not stretch."""
     places = {"a/1": (0.1, 0.0, 0.0), "a/2": (-0.1, 0.0, 0.0), "b": (0.0, 0.3, 0.0)}
     anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in places.items()}
     soles = {"a/1": "a", "a/2": "a", "b": "b"}

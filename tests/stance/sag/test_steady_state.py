@@ -42,7 +42,8 @@ def firm_grip(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("feet", ["pinned", "sliding"])
 @pytest.mark.parametrize("name", SETTLING)
-def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
+def test_forces_of_a_steady_state_balance_in_mujoco(name: str, feet: Feet) -> None:
+    """Reference: MuJoCo's bias forces, Jacobians and penetrations at the predicted positions."""
     robot, stand = load(name), stand_of(name)
     pose = steady_state(robot, stand, feet=feet)
     data = mujoco_at(robot, pose.qpos)
@@ -83,7 +84,8 @@ def test_joints_of_a_robot_with_a_fixed_base_sag_until_the_servos_hold_its_weigh
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SETTLING)
-def test_steady_states_of_nominal_stands_are_mujocos(name: str) -> None:
+def test_steady_states_of_nominal_stands_equal_the_simulation(name: str) -> None:
+    """Reference: rest positions of simulations without feed-forward."""
     robot, stand = load(name), stand_of(name)
     pose, run = steady_state(robot, stand), pa.verify_stand(robot, stand, feedforward=False)
     assert pose.stable
@@ -106,7 +108,10 @@ ANYWHERE = {
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ANYWHERE)
 @pytest.mark.parametrize("name", ["original", "heavy", "v3"])
-def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
+def test_steady_states_on_slopes_steps_and_three_legs_equal_the_simulation(
+    name: str, what: str
+) -> None:
+    """Reference: simulations without feed-forward, in which the feet creep."""
     # Its own servos let v3's lifted foot down to the ground.
     kp, kd = (20.0, 0.5) if name == "v3" else (None, None)
     robot, stand = load(name), pa.solve_stand(load(name), ANYWHERE[what])
@@ -187,6 +192,7 @@ LANDING = [
 def test_lifted_foot_that_sinks_to_the_ground_carries_load(
     name: str, foot: str, height: float, kp: float
 ) -> None:
+    """Reference: height and foot forces of a simulation of 8 s."""
     robot, stand = load(name), lifted(name, foot, height)
     pose = steady_state(robot, stand, kp=kp, seconds=7.5)
     assert pose.stance_feet == robot.contact_points
@@ -199,6 +205,7 @@ def test_lifted_foot_that_sinks_to_the_ground_carries_load(
 
 
 def test_friction_of_a_slipping_foot_is_at_its_limit_and_opposes_the_slip() -> None:
+    """References: Coulomb's law, and the slip as displacement of the centre minus the rolling."""
     robot, stand = load("original"), lifted("original", "FL", 0.002)
     way = HomotopyPath(SagEquilibrium(robot, stand, 12.0, "pinned"))
     way.follow(1.0)
@@ -218,7 +225,8 @@ def test_friction_of_a_slipping_foot_is_at_its_limit_and_opposes_the_slip() -> N
     assert force[:2] @ slip < -0.99 * np.linalg.norm(force[:2]) * np.linalg.norm(slip)
 
 
-def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
+def test_foot_that_would_have_to_pull_is_released() -> None:
+    """Reference: the simulation, in which this foot carries no load either."""
     robot = load("original")
     stand = pa.solve_stand(robot, pa.StandTask(offset=(0.055, 0.055)))
     assert pa.stance.stand_statics(robot, stand).contact_forces["RR"][2] > 0
@@ -233,6 +241,7 @@ def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
 
 @pytest.mark.slow
 def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
+    """Reference: steady states at, and 5 % below, the minimum stiffness."""
     robot, stand = load("v3"), lifted("v3", "RR", 0.02)
     kp = minimum_stiffness(robot, stand, tolerance=0.02)
     assert steady_state(robot, stand, kp=kp).stance_feet == stand.stance_feet
@@ -296,6 +305,7 @@ def test_steady_state_fails_if_creep_ends_the_equilibrium() -> None:
 def test_simulation_collapses_below_the_minimum_stiffness(
     name: str, feet: Feet, kd: float, ground: Callable[[mujoco.MjModel], None]
 ) -> None:
+    """Reference: simulations with stiffness 5 % above and 10 % below the minimum."""
     robot, stand = load(name), stand_of(name)
     kp = minimum_stiffness(robot, stand, feet=feet, tolerance=0.05)
     above, below = (
@@ -335,7 +345,8 @@ def test_a_missing_equilibrium_names_the_feet_that_begin_to_slide() -> None:
     assert set(problem.values["sliding"]) == {"RR", "RL"}  # type: ignore[arg-type]
 
 
-def test_steady_state_refuses_wrong_requests() -> None:
+def test_steady_state_refuses_invalid_arguments() -> None:
+    """The message names the argument."""
     robot, stand = load("v3"), stand_of("v3")
     slope = pa.solve_stand(robot, pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1)))
     no_grip = {one: replace(of, friction=(0.0,) * 5) for one, of in robot.contacts.items()}
