@@ -1,5 +1,10 @@
 """Results about the robot as published: own simulation, servos, and causes of deviations.
 
+A prepared robot differs from its file, so verdicts also simulate the unmodified file: from its own
+keyframe (`OwnRun`), and from a computed state whose equilibrium is compared (`PublishedRun`). The
+module contains these results, the limits with which a run counts as failed or deviating, and the
+servos that a result depends on (`ServosUsed`).
+
 Data only: ``prepare`` computes the results, ``simulation/verdict.py`` evaluates the results, and
 ``present/verdict.py`` formats the results.
 """

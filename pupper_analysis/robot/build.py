@@ -419,6 +419,7 @@ _GRAVITY_ATOL = 0.05
 by 0.05 m/s^2 between pole and equator."""
 
 _DISABLE_BIT = mujoco.mjtDisableBit
+"""MuJoCo's enumeration of disable flags."""
 
 _REPORTED_FLAGS = (
     (_DISABLE_BIT.mjDSBL_CONTACT, "contact"),

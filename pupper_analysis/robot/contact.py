@@ -91,9 +91,12 @@ def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> Cont
 
 
 _COMBINED_FIELDS = ("priority", "condim", "friction", "solmix", "solref", "solimp", "margin")
+"""Arrays ``geom_...`` of ``mjModel`` from which MuJoCo forms the parameters of a contact."""
+
 _DEFAULT_PLANE_MODEL = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>"
 )
+"""Model with a plane that has MuJoCo's default contact parameters."""
 
 
 def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:

@@ -1,5 +1,10 @@
 """MuJoCo's soft constraints: impedance, and static deflection under a force.
 
+Input: ``solimp`` and ``solref`` of constraints, or data with constraint rows. Output: the impedance
+at a constraint violation, the compliance of equality constraints at rest, and the violations under
+given constraint forces. The compliance depends on the violation, so the violation is solved by
+fixed-point iteration or bisection.
+
 Sources: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 """
 

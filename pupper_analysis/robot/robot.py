@@ -48,6 +48,7 @@ values. Chosen, not tuned."""
 
 
 _NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
+"""Default of `efforts_of`: no joint has an empty force range."""
 
 
 def efforts_of(
@@ -743,6 +744,7 @@ class Robot(EngineModels):
 
 
 _FIELD_NAMES = frozenset(field.name for field in fields(Robot))
+"""Names of the fields of `Robot`, which may be computed at first use."""
 
 _EARLY_FIELDS = (
     *("name", "pin_model", "floating", "base", "mj_base", "joint_names", "pin_convention"),

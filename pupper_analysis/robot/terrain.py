@@ -1,4 +1,10 @@
-"""MuJoCo model of a robot on slopes and steps, and with welds to the world."""
+"""MuJoCo model of a robot on slopes and steps, and with welds to the world.
+
+Input: a robot with a level floor, the ground of a task (`Ground`), and contact positions. Output: a
+robot whose floor is tilted, with a box, plane or cylinder under each foot on a step, plane or bar,
+and with equality constraints for welds and grips (`build_on_ground`). Contact bits decide which
+foot touches which geom. `close_welds` activates the welds at a configuration in equilibrium.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""``Tool``: a point of a robot that carries a load or is pushed; payloads welded to a robot."""
+"""``Tool``: a point of a robot that carries a load or is pushed; payloads welded to a robot.
+
+Input: the name of a frame of either file, or a position in such a frame. Output: a `Tool` with
+link, offset and the joints that move the point (`find_tool`, `find_place`), or a robot with a point
+mass at the point in both models (`with_payload`). By default, the tool is the end of the longest
+chain of joints.
+"""
 
 from __future__ import annotations
 

@@ -63,6 +63,7 @@ _MIN_RECIPROCAL_CONDITION = 1e-8
 have 1e-2. Below this bound the slower singular value decomposition is used."""
 
 _UP = np.array([0.0, 0.0, 1.0])
+"""Normal of level ground in the world frame."""
 
 
 def split_force(force: Sequence[float], normal: Sequence[float]) -> tuple[float, float]:

@@ -467,6 +467,7 @@ def peak_utilisation(shares: Array) -> float:
 
 
 _NO_WELDS = FrozenDict[str, Array]()
+"""Weld wrenches of a robot without welds."""
 
 
 def _make_result(

@@ -129,7 +129,9 @@ def test_stances_on_stated_contacts_hold_in_mujoco(stance: str) -> None:
         if isinstance(contact, pa.Weld):
             continue
         for point in stand.check(of).feet[link]:
-            assert contact.plane.height(stand.contact_points[point]) == pytest.approx(0, abs=1e-9)
+            assert contact.plane.signed_distance(stand.contact_points[point]) == pytest.approx(
+                0, abs=1e-9
+            )
     found = pa.verify_stand(of, stand)
     assert found.passed, [str(one) for one in found.failures]
     assert found.torque_error < within

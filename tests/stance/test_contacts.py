@@ -71,7 +71,7 @@ def test_mujoco_holds_a_stand_on_a_roof() -> None:
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=roof(30, 0.9)))
     for foot, point in stand.contact_points.items():
         plane = stand.task.contacts[foot].plane
-        assert plane.height(point) == pytest.approx(0, abs=1e-12)
+        assert plane.signed_distance(point) == pytest.approx(0, abs=1e-12)
         np.testing.assert_allclose(stand.normals[foot], plane.normal, atol=1e-15)
     found = pa.verify_stand(robot, stand)
     assert found.passed, [str(one) for one in found.failures]

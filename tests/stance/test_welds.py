@@ -440,7 +440,7 @@ def test_payload_of_a_welded_arm_equals_the_fixed_base_result(arm: pa.Robot) -> 
     held = pa.load_robot(arm.description.urdf_source, fixed_base=True)
     config = pa.Configuration(held, most.stand.qpos[7:])
     empty = pa.gravity_compensation(config, contacts=[]).joint_torques
-    lever = np.abs(find_tool(held, "wrist").moved((0, 0, 0.05)).load_per_mass(config))
+    lever = np.abs(find_tool(held, "wrist").translated((0, 0, 0.05)).load_per_mass(config))
     own = min((40.0 - abs(empty[one])) / lever[one] for one in range(2))
     assert most.motors.mass == pytest.approx(own, rel=1e-5)
     assert most.passed

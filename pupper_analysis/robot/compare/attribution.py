@@ -236,7 +236,10 @@ _COPIED_CODES = {
     "damping": "damping-of-the-mjcf-alone",
     "friction": "friction-of-the-mjcf-alone",
 }
+"""{parameter copied from the MJCF to the URDF: code of the note}."""
+
 _COPIED_UNITS = {"armature": "kg m^2", "damping": "N m s/rad", "friction": "N m"}
+"""{copied parameter: unit for a hinge}."""
 
 
 def _report_copied_values(

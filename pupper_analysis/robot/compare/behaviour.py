@@ -1,6 +1,9 @@
-"""Quantities for the comparison of models, evaluated at many random states.
+"""Quantities for the comparison of models, evaluated at many random states in MuJoCo.
 
-Quantities: mass matrix, gravity, bias forces, CoM, forward dynamics, positions of joints and feet.
+Input: a multibody tree (`Behaviour`) or a MuJoCo model (`MujocoBehaviour`), and random states
+within the limits of the robot (`random_states`). Output: {quantity: values at all states}, in the
+coordinates of ``robot.coordinates``. Quantities: mass matrix, gravity, bias forces, CoM, forward
+dynamics, positions of joints and feet.
 """
 
 from __future__ import annotations

@@ -238,6 +238,7 @@ def _find_feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -
 
 
 _DOWN_DIRECTION = np.array([[0.0, 0.0, -1.0]])
+"""Downward unit vector in the world frame, shape (1, 3), as argument of ``Shape.support``."""
 
 
 def _compare_feet(

@@ -46,9 +46,16 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 Array = NDArray[np.float64]
 
 INERTIAL_KINDS = ("mass", "com", "inertia")
+"""Kinds of differences in the inertial parameters of a body."""
+
 GEOMETRY_KINDS = (*INERTIAL_KINDS, "position", "rotation", "axis", "frame")
+"""Kinds of differences in bodies, joint placements and frames."""
+
 LIMIT_KINDS = ("lower limit", "upper limit", "effort")
+"""Kinds of differences in limits of joints and motors."""
+
 SERVO_GAIN_KINDS = ("servo stiffness", "servo damping")
+"""Kinds of differences in servo gains: kp, kd."""
 
 KIND_ORDER = (
     "compiler",
@@ -90,6 +97,8 @@ CONVENTION_KINDS = ("base frame", "zero")
 """Kinds of differences in coordinates only, for the same robot."""
 
 _STRUCTURE_KINDS = ("compiler", "joint", "name", "type", "parent", *CONVENTION_KINDS, "gravity")
+"""Kinds of differences that are listed first, whatever their effect."""
+
 _MIN_RELATIVE_EFFECT = 1e-3
 """Effect of a difference on the dynamics, relative to the quantity, from which the difference is
 listed before differences of limits and efforts. Chosen, not tuned."""
@@ -98,7 +107,10 @@ _MIN_RELATIVE_MASS = 0.01
 """Relative difference of a body's mass from which the difference is listed before differences of
 limits and efforts. Chosen, not tuned."""
 _MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions")
+"""Quantities of the first element of `Difference.relative_effects`."""
+
 _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
+"""Quantities whose largest relative effect orders the differences of a tier."""
 
 
 @dataclass(frozen=True)
@@ -353,6 +365,7 @@ _ABOUT_KEYS = {
     "refused": "about-refused",
     "stale": "about-stale",
 }
+"""{kind of remark: key of the description in the catalogue}; for other kinds a default is used."""
 
 
 @dataclass(frozen=True)

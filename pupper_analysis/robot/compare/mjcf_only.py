@@ -102,6 +102,7 @@ def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) ->
 
 
 DISABLE = mujoco.mjtDisableBit
+"""MuJoCo's enumeration of disable flags."""
 
 Numbers = dict[str, float | list[float]]
 
@@ -288,6 +289,7 @@ def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 EQUALITY = mujoco.mjtEq
+"""MuJoCo's enumeration of equality constraints."""
 
 
 def split_mimics(

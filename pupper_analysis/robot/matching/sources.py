@@ -1,4 +1,9 @@
-"""Locations of the values of a multibody tree in the model file, independent of the format."""
+"""Locations of the values of a multibody tree in the model file, independent of the format.
+
+Input: kind of a value and name of the element in a comparison. Output: file and line (`UrdfSources`
+for a URDF, `MjcfSources` for an MJCF). A body of the tree may consist of several links or bodies
+that are fixed to each other: the heaviest is located.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +21,7 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 _BODY_KINDS: Final = ("mass", "com", "inertia")
+"""Kinds of values in the inertial element of a link or body."""
 
 _URDF_CHILD_PATHS: Final = {
     "mass": "inertial/mass",

@@ -1,4 +1,8 @@
-"""Tolerances for the comparison of two files."""
+"""Tolerances for the comparison of two files: one number per kind of value.
+
+`Tolerances` has defaults for files with 5 to 6 digits; ``strict`` and ``fine`` accept rounding
+errors only; ``changed`` replaces single tolerances.
+"""
 
 from __future__ import annotations
 

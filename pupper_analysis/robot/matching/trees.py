@@ -1,4 +1,9 @@
-"""Multibody trees of the models of a robot, and normalisation of a URDF for matching."""
+"""Multibody trees of the models of a robot, and normalisation of a URDF for matching.
+
+Input: a robot, or the XML of a URDF. Output: `MultibodyTree` objects with equal names for URDF and
+MJCF (`kinematic_trees`), and changed copies of a URDF that can be matched with an MJCF: without
+shapes, massless root links, floating joints and the mass of a base that the MJCF lacks.
+"""
 
 from __future__ import annotations
 
