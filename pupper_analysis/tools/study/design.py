@@ -393,7 +393,7 @@ def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandT
         field_name, _, element = name.partition(":")
         values_by_element = changes.get(field_name, values[field_name])
         element_value = (
-            values_by_element[element].at(numbers[name])
+            values_by_element[element].with_plane_parameter(numbers[name])
             if field_name in LINK_STANCE_KINDS
             else numbers[name]
         )
