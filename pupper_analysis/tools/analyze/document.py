@@ -178,7 +178,9 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
         mass=f"{analysis.total_mass:.3f}",
         ground=ground_word(analysis.stand.depths.values()),
         torque=f"{abs(statics.joint_torques[most]):.3f}",
-        share=f"{100 * share[most]:.1f}" if limited else "",
+        share=f"{100 * share[most]:.1f}" if np.isfinite(share[most]) else "",
+        zero="0" if np.isinf(share[most]) else "",
+        unknown="" if limited else "unknown",
         joint=doc.Name(statics.joint_names[most]),
     )
     yield text(

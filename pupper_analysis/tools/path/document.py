@@ -29,6 +29,8 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             "path-in-short",
             seconds=f"{path.time[-1]:.4g}",
             share=f"{100 * used:.0f}" if math.isfinite(used) else "",
+            zero="0" if math.isinf(used) else "",
+            unknown="unknown" if math.isnan(used) else "",
             joint=doc.Name(path.peak_joint),
             time=f"{path.peak_time:.2f}",
         ),

@@ -25,6 +25,7 @@ from pupper_analysis.present.documents.standing import (
     task_text,
 )
 from pupper_analysis.present.verdict import judged_document
+from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Ending, VerdictCode
 from pupper_analysis.simulation.verify import StandVerification
@@ -199,23 +200,38 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
     """State the motor with the largest utilisation, its torque, and the height of the stance.
 
-    If the utilisation of no motor is known, or a motor has a limit of zero, the motor with the
-    largest torque is stated, without a utilisation.
+    If loaded motors have a limit of zero, the one with the largest torque is stated. Without any
+    known utilisation, the motor with the largest torque is stated. The height is omitted if the
+    base is bolted to the world.
     """
     statics = stance.statics
     limited = np.isfinite(statics.motor_utilisation)
-    known = bool(limited.any()) and not np.isinf(statics.motor_utilisation).any()
+    powerless = np.isinf(statics.motor_utilisation)
     torques = np.abs(statics.joint_torques)
-    peak = int(np.argmax(np.where(limited, statics.motor_utilisation, -1.0) if known else torques))
-    height = stance.stand.task.height
+    known = bool(limited.any()) and not powerless.any()
+    ranking = np.where(powerless, torques, -1.0) if powerless.any() else torques
+    peak = int(np.argmax(np.where(limited, statics.motor_utilisation, -1.0) if known else ranking))
+    bolted = _is_base_bolted(stance)
+    height = None if bolted else stance.stand.task.height
+    ground = "" if bolted else ground_word(stance.stand.depths.values(), stance.verification)
     yield text(
         "load-of-motors",
         torque=f"{torques[peak]:.2f}",
         share=f"{100 * float(statics.motor_utilisation[peak]):.0f}" if known else "",
+        zero="0" if powerless.any() else "",
+        unknown="" if known or powerless.any() else "unknown",
         joint=doc.Name(statics.joint_names[peak]),
         height="" if height is None else f"{1e3 * height:.1f}",
-        ground=ground_word(stance.stand.depths.values(), stance.verification),
+        ground=ground,
+        bolted="bolted" if bolted else "",
     )
+
+
+def _is_base_bolted(stance: Stance) -> bool:
+    """Return True if a weld fixes the base, and no foot stands on the ground."""
+    stand = stance.stand
+    welds = [contact for contact in stand.task.contacts.values() if isinstance(contact, Weld)]
+    return any(weld.place is None for weld in welds) and not stand.stance_feet
 
 
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
@@ -230,7 +246,7 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
         yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
     elif settled is not None and not _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)
-    elif settled is not None and not settled.failures:
+    elif settled is not None and not settled.failures and not _is_base_bolted(stance):
         yield text("sags-by", loss=f"{1e3 * settled.height_loss:z.1f}")
     for press in stance.presses:
         yield text("presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from pupper_analysis.prepare.passes import LoadRequest, prepare_robot
 from pupper_analysis.pupper import VariantSpec
 from pupper_analysis.stance import minimum_stiffness
 from pupper_analysis.tools.stand.stance import explain_loading, study_stance
+from tests.support import arm
 from tests.support.commands import check_refusal, run_command
 from tests.support.legged import quadruped
 from tests.support.printing import printed
@@ -163,3 +165,35 @@ def test_explain_of_a_variant_names_the_next_command_and_hides_idle_passes(
     assert "preparation passes changed or completed the files" in changes
     assert step == "  next: pupper-analysis stand v3"
     assert "nothing to do" not in out
+
+
+_BASE = (
+    '<link name="base"><inertial><mass value="2"/>'
+    '<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+"""Base of an arm with a mass [kg] and inertia [kg m^2]."""
+
+
+@pytest.mark.slow
+def test_a_limit_of_zero_is_stated_and_a_bolted_base_has_no_height(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: the URDF of an arm, in which one shoulder has ``effort="0"``.
+
+    The limit was printed as unknown, and the height of the base as 0.
+    """
+    for name, effort in (("stated", ""), ("zero", "0")):
+        text = arm.URDF.replace('<link name="base"/>', _BASE)
+        assert _BASE in text
+        if effort:
+            text = re.sub(r'effort="[^"]*"', f'effort="{effort}"', text)
+        (tmp_path / f"{name}.urdf").write_text(text)
+    weld = ("--contact", "base=weld")
+    status, out, err = run_command(capfd, "stand", str(tmp_path / "zero.urdf"), *weld)
+    assert status == 1, err
+    assert "the files state a limit of 0" in out
+    assert "limit unknown" not in out
+    status, out, err = run_command(capfd, "stand", str(tmp_path / "stated.urdf"), *weld)
+    assert status == 0, err
+    assert "base bolted to the world" in out
+    assert "height" not in out
