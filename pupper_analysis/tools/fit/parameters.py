@@ -139,7 +139,7 @@ class Parameter:
 
     @property
     def unit(self) -> str:
-        """SI unit of ``stated`` and ``width``."""
+        """SI unit of the values of a parameter, for example ``kg``; ``1`` for a factor."""
         return KINDS[self.kind].unit
 
 
@@ -211,7 +211,7 @@ def parse_prior(text: str) -> Prior:
 
 
 def parse_priors(priors: Iterable[Prior | str]) -> list[Prior]:
-    """Return priors, with texts parsed by ``parse_prior``.
+    """Return the priors of a list, in which texts are parsed by ``parse_prior``.
 
     Raises:
         ConfigurationError: If a text is not a prior.
@@ -316,7 +316,7 @@ class ParameterTable:
     def get_value(
         self, vector: Array, kind: str, subject: str, component: str, default: float
     ) -> float:
-        """Return a parameter's value from a vector, or ``default`` if not estimated."""
+        """Return a parameter's value, in its unit, from a vector; ``default`` if not estimated."""
         index = self._indices.get((kind, subject, component))
         return default if index is None else float(vector[index])
 

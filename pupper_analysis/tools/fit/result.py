@@ -113,7 +113,7 @@ class Fit(Result):
 
     @property
     def noise_inflation(self) -> float:
-        """sqrt(chi2 / degrees of freedom), at least 1: ratio of residuals to assumed noise."""
+        """Ratio of residuals to assumed noise: sqrt(chi2 / degrees of freedom), at least 1."""
         return max(
             1.0, math.sqrt(self.posterior.chi2 / max(self.posterior.degrees_of_freedom, 1.0))
         )
@@ -239,5 +239,8 @@ class MotionFit(Fit):
 
     @property
     def noise_inflation(self) -> float:
-        """RMS error of held-out samples over RMS error of fitted samples, at least 1."""
+        """Ratio of RMS position errors in held-out and fitted samples, at least 1.
+
+        1 without held-out samples.
+        """
         return max(1.0, self.held_out / self.fitted) if self.held_out > 0 else 1.0

@@ -175,7 +175,7 @@ class NumberPanel:
 
     @property
     def content(self) -> str:
-        """HTML of the panel."""
+        """HTML text that the number panel shows."""
         return str(self._panel_html.content)
 
     @content.setter

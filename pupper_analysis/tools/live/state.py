@@ -222,7 +222,7 @@ def _map_numbers(value: Any, change: Callable[[float], float]) -> Any:
 
 
 def parse_length(millimetres: float) -> float:
-    """Convert mm to m.
+    """Convert a length typed in mm to m.
 
     The exponent is appended to the decimal text, so the result is the floating-point number nearest
     to the typed decimal number. A text with an exponent (below 1e-4 mm) is multiplied by 1e-3.
@@ -231,7 +231,7 @@ def parse_length(millimetres: float) -> float:
 
 
 def parse_angle(degrees: float) -> float:
-    """Convert degrees to rad with the formula of the command line."""
+    """Convert an angle typed in degrees to rad, with the formula of the command line."""
     return degrees * (math.pi / 180)
 
 

@@ -131,7 +131,7 @@ def _unknown_text(limit: PayloadLimit) -> doc.Text:
 
 
 def payload_table(limit: PayloadLimit) -> doc.Table:
-    """Create the table of the bounds, the smallest first, with the failure above each bound.
+    """Create the table of the bounds of a payload [kg], smallest first, with the failures above.
 
     The bound of the simulation is listed only if finite.
     """

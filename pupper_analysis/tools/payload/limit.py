@@ -255,12 +255,12 @@ class PayloadLimit(Result):
 
     @property
     def failure(self) -> Failure:
-        """Kind of failure above the binding (smallest) bound."""
+        """Kind of failure of the stance with more than the largest payload."""
         return self.bounds[self.binding].failure
 
     @property
     def failing_parts(self) -> tuple[str, ...]:
-        """Names of the motors, joints, feet or bodies that fail above the binding bound."""
+        """Names of motors, joints, feet or bodies that fail with more than the largest payload."""
         return self.bounds[self.binding].failing_parts
 
     @property

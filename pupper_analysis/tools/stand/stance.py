@@ -111,7 +111,10 @@ class Stance(Tabular):
 
     @property
     def overloaded_motors(self) -> tuple[str, ...]:
-        """Motors above the effort limit in ``statics``, without motors whose limit is zero."""
+        """Names of joints whose static motor torque exceeds the effort limit.
+
+        Joints with an effort limit of zero are left out.
+        """
         return self.verdict.overloaded_motors
 
     @property

@@ -192,7 +192,7 @@ class Variants(ScalableVariant):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the base and all scales of the variant as plain data."""
+        """Return the base variant and all scale factors of a study's robots as plain data."""
         return {"base": self.spec.base, **self.scales}
 
 
@@ -480,7 +480,7 @@ def classify_failure(error: BaseException) -> str:
 def measure_design(
     builder: DesignBuilder, numbers: Mapping[str, float], metrics: tuple[Metric, ...]
 ) -> Row:
-    """Build a design, evaluate all metrics, and record failures in the row.
+    """Build a design, evaluate all metrics, and return the row of the table with the results.
 
     A metric that fails does not stop the others; the row records the first failure. If the error is
     in `STAND_FAILURES`, a metric with a ``fallen`` value gets that value.

@@ -128,7 +128,7 @@ class Design:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Verdict of the stand, as by the command ``stand``."""
+        """Verdict on the design's stand, as by the command ``stand``."""
         return judge_stand(self.robot, self.stand, **self.gains)
 
     def map_to_joints(self, values: Iterable[float]) -> dict[str, float]:
@@ -309,7 +309,7 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 
 
 def resolve_metric_file(folder: Path, requested: object) -> object:
-    """Return a requested metric; a relative path of its file is resolved against a folder."""
+    """Return a requested metric with the path of its file, if relative, resolved in a folder."""
     name, _, file = requested.partition(":") if isinstance(requested, str) else ("", "", "")
     metric = METRICS.get(name)
     return f"{name}:{folder / file}" if file and metric and metric.of_file else requested
@@ -343,14 +343,17 @@ class UserFunction:
 
 
 def format_metric(metric: Metric) -> str:
-    """Return a metric as written in a study file."""
+    """Return the text that requests a metric in a study file.
+
+    This is the name, ``NAME:FILE``, or ``module:function`` for a function of the user.
+    """
     function = metric.function
     metric_name = f"{metric.name}:{metric.file}" if metric.file else metric.name
     return function.import_path if isinstance(function, UserFunction) else metric_name
 
 
 def fingerprint_metric(metric: Metric) -> str:
-    """Return a text that differs if the metric, the function or the file has changed."""
+    """Return a text that changes if a metric's name, function or file changes."""
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()
     return function.fingerprint() if isinstance(function, UserFunction) else metric_name

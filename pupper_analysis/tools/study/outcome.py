@@ -187,7 +187,7 @@ def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
 def check_objectives(
     study: Study, minimise: Sequence[str], maximise: Sequence[str]
 ) -> dict[str, str]:
-    """Return {column: ``min`` or ``max``} of the Pareto front.
+    """Check the objectives of a Pareto front, and return {column: ``min`` or ``max``}.
 
     Raises:
         ConfigurationError: If the study has no such metric or variable, or a column occurs twice.
@@ -394,7 +394,10 @@ def _assign_cells(values: Array) -> Array:
 
 
 def find_column_unit(column: str) -> str:
-    """Return the unit of a metric or variable; empty for ratios and factors."""
+    """Return the unit of a column of a study's table (metric or variable).
+
+    Empty for ratios and factors.
+    """
     if column.partition(":")[0] in COM_OFFSET_KINDS:
         return "m"
     if column.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS):
@@ -411,7 +414,7 @@ def find_column_unit(column: str) -> str:
 
 
 def format_column_label(column: str) -> str:
-    """Return the name of a metric or variable, with the unit."""
+    """Return the name of a column of a study's table (metric or variable), with its unit."""
     unit = find_column_unit(column)
     return f"{column} ({unit})" if unit else column
 
@@ -432,11 +435,11 @@ def list_metric_columns(table: pd.DataFrame, variables: Sequence[str]) -> list[s
 
 
 def list_spread_variables(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Return the variables with several values in a table, most values first."""
+    """Return the variables of a study with several values in a table, most values first."""
     spread = [name for name in variables if name in table and table[name].nunique() > 1]
     return sorted(spread, key=lambda name: -table[name].nunique())
 
 
 def select_standing_designs(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the designs that stand; all designs if ``stands`` was not measured."""
+    """Return the rows of a study's table whose design stands; all without column ``stands``."""
     return table[table["stands"] == 1] if "stands" in table else table

@@ -89,7 +89,7 @@ class VariablePattern:
 
     @staticmethod
     def parse(name: str) -> VariablePattern | None:
-        """Parse the name of a variable; return None if the name contains no colon.
+        """Parse the name ``KIND:PATTERN`` of a study variable; None if it contains no colon.
 
         Raises:
             ConfigurationError: If the kind is unknown or the pattern is empty.

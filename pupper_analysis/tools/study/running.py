@@ -279,7 +279,7 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Number of designs that this run evaluates per second; 0 before any time has elapsed."""
+        """Number of designs that a run evaluates per second; 0 before any time has elapsed."""
         return self.done / self.seconds if self.seconds > 0 else 0.0
 
     @property
@@ -311,7 +311,7 @@ class WorkerPool:
 
     @property
     def needs_renewal(self) -> bool:
-        """True if the processes have evaluated enough designs to be replaced."""
+        """Whether the worker processes have evaluated enough designs to be replaced."""
         return self.owns_processes and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:

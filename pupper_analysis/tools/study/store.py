@@ -149,7 +149,7 @@ class Store:
         return np.unique(np.concatenate(parts))
 
     def table(self) -> pd.DataFrame:
-        """Return all stored rows, a row per design, sorted by design.
+        """Return all stored results of a study as a table, a row per design, sorted by hash.
 
         Raises:
             StudyError: If a shard cannot be read.

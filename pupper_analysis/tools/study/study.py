@@ -150,7 +150,7 @@ class Study:
             raise ConfigurationError("measure", diagnose("there-twice", name=repeated))
 
     def make_source_with_visuals(self) -> RobotSource:
-        """Return the source of the same robots, with visual geoms and meshes."""
+        """Return the source of the study's robots with the visual geoms, which runs leave out."""
         if isinstance(self.source, FileSource):
             return FileSource(self.source.files, self.source.files.load())
         return Variants(self.source.spec, whole=True)
@@ -221,7 +221,7 @@ class Study:
             yield hash_designs(self.digest, tuple(self.variables), block), block
 
     def work(self) -> bytes:
-        """Return the pickled `WorkDefinition` for the workers."""
+        """Return the definition of the study's designs for the workers, as pickled bytes."""
         work = WorkDefinition(
             source=self.source,
             metrics=self._requested_metrics,
@@ -403,7 +403,12 @@ def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[st
 
 
 def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame:
-    """Return the rows of the given designs in the given order, without empty columns."""
+    """Return the table rows of designs in the order of their hashes, without empty columns.
+
+    Args:
+        frame: Table with the columns ``design`` (hash) and results.
+        blocks: Hashes of the designs, in blocks.
+    """
     order = {name: index for index, name in enumerate(dict.fromkeys(chain.from_iterable(blocks)))}
     selected = frame[frame["design"].isin(order.keys())]
     ordered = (

@@ -173,7 +173,7 @@ def _reload_files(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str
 
 
 def format_stance(task: StandTask) -> str:
-    """Format a stand task as TOML for ``--stance``."""
+    """Return a stand task as TOML text, a file for ``--stance``."""
     lines, tables = [], []
     for name, value in task.values().items():
         field = FIELDS[name]

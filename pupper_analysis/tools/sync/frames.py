@@ -68,7 +68,10 @@ def is_physical(body: pin.Inertia) -> bool:
 
 
 def is_same_body(first: pin.Inertia, second: pin.Inertia, tolerance: float = 1e-11) -> bool:
-    """Return True if two inertias agree within a relative tolerance (absolute for the CoM [m])."""
+    """Return True if mass, CoM and rotational inertia of two bodies agree.
+
+    The tolerance is relative for mass and inertia, and in m for the CoM.
+    """
     size = max(float(np.abs(first.inertia).max()), float(np.abs(second.inertia).max()), 1e-300)
     return bool(
         abs(first.mass - second.mass) <= tolerance * max(first.mass, second.mass)

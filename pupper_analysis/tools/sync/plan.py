@@ -136,12 +136,12 @@ class Plan:
         yield from self.mjcf.values()
 
     def edits(self) -> tuple[Edit, ...]:
-        """Return the planned changes, file by file."""
+        """Return the planned changes of attributes in both models, file by file."""
         return list_edits(self.documents())
 
 
 def list_edits(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
-    """Return the planned changes of documents."""
+    """Return the planned changes of attributes in XML documents, in their order."""
     return tuple(
         edit
         for document in documents
@@ -334,7 +334,7 @@ class FileLayout:
 
 
 def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:
-    """Return the layouts of both models in a common folder.
+    """Return the layouts of both models' files in a common output folder.
 
     If the files of one model are within the top folder of the other, the files keep the relative
     position. Otherwise the MJCF gets a separate folder.
@@ -381,7 +381,7 @@ def list_urdf_files(urdf: UrdfFile) -> FileLayout:
 
 
 def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
-    """Return the layout of an MJCF with included and attached files and assets."""
+    """Return the layout of an MJCF's files: included and attached files, assets."""
     return FileLayout.arrange(mjcf.path, [*mjcf.files, *_iterate_assets(mjcf)])
 
 

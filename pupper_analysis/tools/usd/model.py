@@ -604,15 +604,17 @@ class _JointForest:
         self.order += tree
 
     def find_world_edge(self, body: str) -> Edge | None:
-        """Return the joint between a root and the world; None if the root is free."""
+        """Return the joint between a root body and the world; None if the root is free."""
         return self._world_edges.get(body)
 
     def compute_poses(
         self, placements: Mapping[str, PrimPlacement]
     ) -> tuple[dict[str, Pose], dict[str, tuple[str, Edge]], list[Edge]]:
-        """Return body poses at zero joint positions, {body: (parent, joint)}, and loops.
+        """Compute the body poses at zero joint positions, and list the joints of the tree.
 
-        The poses are in the axes of the stage [m].
+        Returns:
+            {body: pose in the axes of the stage [m]}; {body: (parent, joint)}; joints that close
+            loops.
         """
         poses: dict[str, Pose] = {}
         for body in self.order:
@@ -705,12 +707,12 @@ class StageUnits:
 
     @property
     def force(self) -> float:
-        """Force unit [N]; the time unit is the second."""
+        """Unit of force of the stage [N], with the second as the unit of time."""
         return self.mass * self.length
 
     @property
     def inertia(self) -> float:
-        """Unit of inertia [kg m^2] and of torque [N m]."""
+        """Unit of rotational inertia [kg m^2] and of torque [N m] of the stage."""
         return self.mass * self.length**2
 
 
@@ -739,7 +741,12 @@ class PrimPlacement:
     scale: Array
 
     def make_frame(self, position: Any, rotation: Any) -> Pose:
-        """Return a frame in the frame of the prim, from a position and a quaternion of the file."""
+        """Return the pose [m] of a frame relative to its prim, from stated numbers.
+
+        Args:
+            position: Position in the length unit of the stage, scaled as the prim; None for 0.
+            rotation: Quaternion of the file; None for no rotation.
+        """
         offset = np.zeros(3) if position is None else recover_decimals(position) * self.scale
         if rotation is None:
             return Pose(offset)
@@ -799,7 +806,7 @@ AXIS_INDICES: Final = {"X": 0, "Y": 1, "Z": 2}
 
 
 def read_axis(prim: Any, name: str, default: str) -> str:
-    """Return the axis of an attribute: X, Y or Z.
+    """Return the axis that an attribute of a prim names: X, Y or Z.
 
     Raises:
         ModelError: If the value is not allowed.

@@ -226,7 +226,7 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
 
 
 def list_joints_without(model: UsdModel, kind: str) -> tuple[str, ...]:
-    """Return the moving joints without a kind of number."""
+    """Return the names of moving joints for which a USD states no number of a kind."""
     return tuple(
         name for name, joint in model.joints.items() if joint.moves and kind not in joint.stated
     )
@@ -373,7 +373,7 @@ def _add_loop_constraint(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> No
 
 
 def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
-    """Yield notes on numbers that the file does not state.
+    """Yield notes on numbers that a USD file does not state.
 
     Raises:
         ModelError: If a mass would follow from shapes.

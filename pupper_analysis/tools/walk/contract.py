@@ -114,7 +114,7 @@ class Contract:
 
     @property
     def num_joints(self) -> int:
-        """Number of commanded joints."""
+        """Number of joints that the policy commands."""
         return len(self.default)
 
     def term_size(self, term: Term) -> int:
@@ -256,7 +256,7 @@ class _MergedValues:
         return float(value)
 
     def make_error(self, key: str, problem: Diagnostic) -> ModelError:
-        """Return the error for a key, with the file that states the key."""
+        """Return the error for a contract key, with the file that states the key."""
         problem = diagnose("contract-key", key=key, problem=problem)
         return ModelError(self.origins.get(key.partition(":")[0], str(self.path)), problem)
 

@@ -316,7 +316,7 @@ class Lockstep:
         return states, control, broken
 
     def keep_runs(self, is_kept: NDArray[np.bool_]) -> None:
-        """Continue the simulation with a subset of the active runs.
+        """Continue the simulation with a subset of the active runs, in place.
 
         Args:
             is_kept: Mask of the active runs that continue.
@@ -417,7 +417,7 @@ def _compute_controls(stage: Stage, actions: Array) -> Array:
 
 
 def rotations_from_quaternions(quaternions: Array) -> Array:
-    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
+    """Return rotation matrices, shape (..., 3, 3), of unit quaternions wxyz, shape (..., 4)."""
     w, x, y, z = np.moveaxis(quaternions, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

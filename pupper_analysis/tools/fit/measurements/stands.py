@@ -70,7 +70,7 @@ class MeasuredStands:
         return len(self.names)
 
     def order_joints(self, robot: Robot) -> MeasuredStands:
-        """Return the stands with joints in actuator order.
+        """Return the measured stands with the joints in actuator order.
 
         Raises:
             UnknownNameError: If the robot lacks a joint, foot or link of the stands.
@@ -97,7 +97,7 @@ class MeasuredStands:
         )
 
     def check_readings(self, robot: Robot) -> MeasuredStands:
-        """Return the stands with joints in actuator order, checked for the robot.
+        """Check measured stands for a robot, and return them with joints in actuator order.
 
         Raises:
             UnknownNameError: If the robot lacks a joint, foot or link of the stands.
@@ -155,7 +155,7 @@ class MeasuredStands:
             raise MeasurementError(self.source, finding)
 
     def average_repeats(self) -> MeasuredStands:
-        """Return the stands with repeated readings averaged.
+        """Return the measured stands with repeated readings of joint positions averaged.
 
         Repeated readings are rows with the same name, feet in the air, heading and added masses.
 
@@ -191,7 +191,7 @@ class MeasuredStands:
         )
 
     def select_rows(self, rows: Sequence[int]) -> MeasuredStands:
-        """Return the stands with the given row indices, in the given order."""
+        """Return the measured stands in some rows, in the order of the row indices."""
         chosen = list(rows)
         return replace(
             self,
@@ -268,7 +268,10 @@ def read_stands(path: str | Path) -> MeasuredStands:
 
 
 def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
-    """Return stands as CSV text for ``read_stands``."""
+    """Return measured or planned stands as CSV text for ``read_stands``, a row per stand.
+
+    Angles are in rad, masses in kg. Missing values are empty cells.
+    """
     loads = [f"added{suffix}.{link}" for link in stands.added for suffix in ("", "_x", "_y", "_z")]
     kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in stands.joints]
     rows: list[list[str]] = [["stand", "swing", "heading", *loads, *kinds]] if header else []

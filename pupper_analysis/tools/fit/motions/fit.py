@@ -622,7 +622,7 @@ class SeriesNoise:
 
 
 def compute_rms(series: Iterable[Array]) -> float:
-    """Return the root mean square of the values that are not NaN; NaN if there are none."""
+    """Return the root mean square of all finite values, in their unit; NaN if there are none."""
     values = np.concatenate([array.ravel() for array in series])
     finite_values = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite_values**2))) if finite_values.size else math.nan

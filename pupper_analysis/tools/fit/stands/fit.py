@@ -591,7 +591,15 @@ class _StandProblem:
         kp: ArrayLike | None,
         encoder: float | None,
     ) -> _StandProblem:
-        """Prepare the fit of stands whose joints are in actuator order.
+        """Prepare the fit of measured stands: check them, and list parameters and expected noise.
+
+        Args:
+            robot: Robot with a free base and feet.
+            stands: Measurements, joints in actuator order.
+            priors: Priors that replace the defaults.
+            weight: Mass of the whole robot on a scale [kg]; None if not weighed.
+            kp: Stated servo stiffness [N m/rad]; the model's if None.
+            encoder: Standard deviation of a joint position [rad]; None if unknown.
 
         Raises:
             MeasurementError: If the stands do not belong to this robot, or are too few.
@@ -620,7 +628,7 @@ class _StandProblem:
 
     @property
     def friction_ratio(self) -> float:
-        """Expected factor on ``friction``: 1 unless the stated friction is implausibly small.
+        """Expected factor on the dry friction of the joints; 1 unless it is implausibly small.
 
         If the mean friction is below ``_MIN_FRICTION_RATIO`` of weight times height, the factor
         makes the mean equal to the default.

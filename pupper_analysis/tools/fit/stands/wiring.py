@@ -44,9 +44,9 @@ class Wiring:
     found: Diagnostic
 
     def apply(self, stands: MeasuredStands) -> MeasuredStands:
-        """Return the stands with commands and positions assigned to joints by this wiring.
+        """Return measured stands whose columns are permuted and negated as the wiring states.
 
-        Joints are in actuator order.
+        The joints of commands and positions are in actuator order.
         """
         order, signs = list(self.order), np.array(self.signs)
         return replace(
