@@ -33,6 +33,8 @@ from pupper_analysis.simulation.rollout import FILTER_DYNAMICS
 Array = NDArray[np.float64]
 
 _OBJECT_TYPE = mujoco.mjtObj
+"""MuJoCo's enumeration of element types."""
+
 
 _MAX_FINE_TIMESTEP = 2e-3
 """Upper bound of the time step [s] in the test whether a long time step causes a difference:

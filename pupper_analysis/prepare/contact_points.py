@@ -210,10 +210,14 @@ _MIN_SOLE_JOINTS = 4
 sole. With this number, a leg may lay the sole flat at any height, but not at any position."""
 
 _CIRCLE_ANGLES = np.linspace(0, 2 * math.pi, 24, endpoint=False)
+"""Angles at which circles are sampled [rad]. Chosen, not tuned."""
+
 _CIRCLE_POINTS = np.column_stack(
     [np.cos(_CIRCLE_ANGLES), np.sin(_CIRCLE_ANGLES)]
 )  # for rims of cylinders
 _LATITUDE_ANGLES = np.linspace(-math.pi / 2, math.pi / 2, 12)
+"""Latitudes at which spheres are sampled [rad]. Chosen, not tuned."""
+
 _SPHERE_POINTS = np.array(
     [(*math.cos(up) * point, math.sin(up)) for up in _LATITUDE_ANGLES for point in _CIRCLE_POINTS]
 )

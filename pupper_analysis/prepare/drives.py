@@ -59,17 +59,17 @@ derived, in the order of the trials. Stiffer servos hold the posture better, but
 soft contacts; with softer servos a biped's ankles tip over."""
 
 _LIGHT_DAMPING_FACTOR = 0.25
-"""Factor of reduced damping, tried at the time step of the file. The damping of a light leg is
-bounded by the time step (a random tripod oscillates at 2 ms with kd = 130 N m s/rad, and not
-with 25)."""
+"""Factor on the default damping of added servos in the trials with reduced damping. The time step
+bounds the damping of a light leg. Measured: a tripod oscillates at 2 ms with kd = 130 N m s/rad,
+and not with 25."""
 
 _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
 """Deflections [rad, m] for which gains are tried with reduced damping, in order, after the
 deflections of `_SAG_CANDIDATES`."""
 
 _BRIEF_DURATION = 2.0
-"""Duration of a first simulation [s]: if it agrees with the prediction, no longer simulation is
-needed. Chosen."""
+"""Duration of the first simulation with candidate gains [s]. If it agrees with the prediction, no
+longer simulation follows. Chosen, not tuned."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
@@ -162,7 +162,10 @@ def add_position_servos(
     results: dict[tuple[int, bool], bool] = {}
 
     def rests(number: int, *, fed: bool) -> bool:
-        """Return True if the robot comes to rest with a candidate; simulated once."""
+        """Return True if the robot comes to rest with a candidate, with or without feed-forward.
+
+        Each case is simulated once.
+        """
         parts, kp, kd = candidates[number]
         trial.mj_model.opt.timestep = timestep / parts
         if (number, fed) not in results:

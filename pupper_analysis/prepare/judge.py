@@ -166,7 +166,8 @@ def _list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple
 
 
 _MASS_RTOL = 1e-9
-"""Relative difference between two masses of the same robot that is due to rounding."""
+"""Relative difference between two masses [1] above which the robot counts as changed since loading.
+Chosen as a bound of rounding errors."""
 
 
 def _report_buried_feet(

@@ -83,7 +83,7 @@ def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
 
 
 def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
-    """Report if the legs cannot move the CoM to every position above the feet."""
+    """Report that the legs cannot move the CoM in both horizontal directions, if this is so."""
     if not can_move_com(robot):
         yield diagnose("com-anywhere-inside")
 

@@ -111,7 +111,8 @@ with few servos lacks such an attribute, its simulation uses the value of the pr
 
 _NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)
 """Actuator types that are not meant to hold a position. A position servo whose stiffness is zero or
-negative is meant to hold, so the file fails because of that servo (``Drive.bad``)."""
+negative is meant to hold, so the file fails because of that servo
+(``Drive.has_invalid_stiffness``)."""
 
 
 def has_few_servos(published: PublishedModel) -> bool:
@@ -517,7 +518,7 @@ _STEPS_PER_CHECK = 25
 def simulate_published(
     published: PublishedModel, data: mujoco.MjData, hold: HoldCommands, seconds: float
 ) -> tuple[Array, Array]:
-    """Simulate a published model, in place, until the time is over or MuJoCo resets the state.
+    """Simulate a published model with hold commands, until the time is over or MuJoCo resets it.
 
     Args:
         published: Published model.

@@ -317,9 +317,10 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
 def simulate_prediction(
     published: PublishedModel, robot: Robot, prediction: PredictedRest
 ) -> PublishedRun | None:
-    """Simulate the published model from the predicted state of rest, and compare.
+    """Simulate the published model from the predicted state of rest, and compare both.
 
-    The model settles for `SETTLING_TIME`, is nudged, and simulated for `NUDGED_TIME`.
+    The model settles for `SETTLING_TIME`, is nudged, and simulated for `NUDGED_TIME`. Torques
+    [N m], CoM height [m] and joint positions [rad, m] are compared.
 
     Returns:
         Comparison; None if the base cannot be placed, for example because it is fixed, or if

@@ -48,8 +48,8 @@ _MIN_LEVER_FRACTION = 0.02
 bound is needed because straight legs need almost no torque. Chosen, not tuned."""
 
 _DAMPING_TIME = 0.05
-"""Usual ratio kd / kp [s] of the servos that the preparation adds to a standing robot. Controllers
-of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned."""
+"""Default ratio kd / kp [s] of the servos that the preparation adds to a standing robot.
+Controllers of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned."""
 
 _MIN_TORQUE_FRACTION = 0.02
 """Lower bound of a joint's design torque, from which its stiffness is derived, relative to the
@@ -192,7 +192,7 @@ def suggest_standing_gains(
         torques: Static torques, shape (nu,) [N m].
         sag: Deflection of the most loaded joint [rad].
         parts: Divisor of the model's time step.
-        damping: Factor of the usual damping.
+        damping: Factor of the default damping, kd = 0.05 s * kp.
 
     Returns:
         kp, shape (nu,) [N m/rad]; kd, shape (nu,) [N m s/rad].
@@ -224,7 +224,7 @@ def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) ->
 
 
 def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
-    """Compute the effective inertia at each joint: torque per acceleration of this joint alone.
+    """Compute the effective inertia at each joint: its torque divided by its acceleration.
 
     All other joints and a free base move without torque; loops stay closed.
 

@@ -44,7 +44,8 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 
 _LEVEL_COSINE_ATOL = 1e-6
-"""Upper bound of 1 - cos(tilt) of a level base: 1.4 mrad. Chosen, not tuned."""
+"""Upper bound of 1 - cos(tilt) with which a base counts as level in `compute_resting_depths`: a
+tilt of 1.4 mrad. Chosen, not tuned."""
 
 _WEIGHT_RTOL = 0.01
 """Upper bound of the difference between ground force and weight, relative to the weight, with which
@@ -212,8 +213,9 @@ height. The small weight only selects among the postures in which the soles lie 
 tuned."""
 
 _MAX_SOLE_ERROR = 1e-3
-"""Largest height error of a contact point, and offset of the CoM, in parts of the base height, with
-which joint positions are an initial guess of a stand. Chosen: the stand is solved exactly."""
+"""Upper bound of the height error of a contact point, and of the CoM offset, relative to the base
+height, with which joint positions are used as initial guess of a stand. Chosen, not tuned: the
+stand is solved exactly afterwards."""
 
 _LIMIT_CLEARANCE = 1e-9
 """Distance of an initial guess from the bounds of the least-squares problem [rad]. Chosen small:
@@ -224,7 +226,7 @@ _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
 
 
 def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
-    """Return joint positions, shape (nu,) [rad, m], clipped to the joint limits.
+    """Convert named joint positions to an array, (nu,) [rad, m], clipped to the joint limits.
 
     Args:
         robot: Robot.

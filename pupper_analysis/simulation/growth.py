@@ -64,8 +64,9 @@ _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 times its smallest value. Exponential growth with T = ``HOLD_DURATION`` has a factor of 2.8."""
 
 _MAX_DOUBLING_RATIO = 1.6
-"""Largest ratio of the times of the last doubling and the doubling before. The ratio is 1 for
-exponential growth and 2 for a drift at constant speed, such as creep."""
+"""Upper bound of the ratio between the times of the last doubling and the doubling before, with
+which a deviation counts as growing exponentially. Chosen between 1, for exponential growth, and 2,
+for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
 """Deviation D relative to the initial deviation above which an oscillation counts as sustained

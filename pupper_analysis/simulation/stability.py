@@ -37,8 +37,9 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 CONTACT_SETTLING_TIME = 0.05
-"""Simulated time in which contact forces converge if the state is a predicted equilibrium [s]. The
-prediction is accurate to first order in the friction creep. Chosen, not tuned."""
+"""Time for which a predicted equilibrium is simulated before its modes are computed [s]: contact
+forces then converge, since the prediction is accurate to first order in the creep. Chosen, not
+tuned."""
 
 
 @check_arguments

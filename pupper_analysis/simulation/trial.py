@@ -80,16 +80,16 @@ _CHECK_INTERVAL = 0.5
 Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
-"""Largest bound of the motion of each coordinate in the remaining time for a robot that rests [m,
-rad]. A hundredth of ``MAX_JOINT_DEVIATION``. Chosen, not tuned."""
+"""Predicted motion of a coordinate in the remaining time [m, rad] below which the robot counts as
+at rest, and the simulation ends. Chosen as a hundredth of ``MAX_JOINT_DEVIATION``."""
 
 _SPEED_FACTOR = 1.5
-"""Factor of the largest measured speed in the bound of the remaining motion: an oscillation may be
-slower for a while. Chosen, not tuned."""
+"""Safety factor on the largest measured speed in the bound of the remaining motion, since an
+oscillation may be slower for a while. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
-"""Largest product of growth rate and remaining time of a mode whose motion is bounded: a factor of
-5e8. Chosen, not tuned."""
+"""Product of growth rate and remaining time of a mode above which its motion counts as unbounded:
+growth by a factor of 5e8. Chosen, not tuned."""
 
 _CLEARANCE_FACTOR = 2.0
 """Distance by which a resting robot is lowered for the test that no other part reaches the ground,

@@ -632,13 +632,14 @@ def describe_deviations(
 
 
 _SATURATION_RTOL = 1e-6
-"""Relative distance from the limit at which a motor is saturated. Chosen, not tuned."""
+"""Distance of a torque from the motor's limit, relative to the limit, up to which the motor counts
+as saturated. Chosen, not tuned."""
 
 
 def describe_drive_limits(
     robot: Robot, run: StandVerification, predicted: Array, positions: Array
 ) -> list[Diagnostic]:
-    """Report saturated motors, and servos whose commands exceed the command range.
+    """Create messages about saturated motors, and about commands beyond the command range.
 
     Args:
         robot: The robot.

@@ -54,14 +54,16 @@ _MAX_BRANCHES = 6
 redundant limb has a continuum of solutions. Chosen, not tuned."""
 
 _INITIAL_DAMPING = 1e-3
-"""Initial Levenberg-Marquardt damping of each initial guess and limb [m^2/rad^2]. The squared
-Jacobian of a leg is 1e-2 to 1e-1. Chosen, not tuned."""
+"""Initial damping of the Levenberg-Marquardt iterations, which is added to the diagonal of J^T J
+[m^2/rad^2]. The squared Jacobian of a leg is 1e-2 to 1e-1. Chosen, not tuned."""
 
 _MIN_DAMPING = 1e-12
-"""Lower bound of the Levenberg-Marquardt damping [m^2/rad^2]. Chosen, not tuned."""
+"""Lower bound of the Levenberg-Marquardt damping after reductions [m^2/rad^2]. Chosen, not
+tuned."""
 
 _MAX_DAMPING = 1e3
-"""Upper bound of the Levenberg-Marquardt damping [m^2/rad^2]. Chosen, not tuned."""
+"""Upper bound of the Levenberg-Marquardt damping after increases [m^2/rad^2]. Chosen, not
+tuned."""
 
 _CONVERGED_STEP = 1e-4
 """Largest joint displacement [rad or m] in an iteration below which the iterations from an initial

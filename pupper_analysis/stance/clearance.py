@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LEVEL_NORMAL = (0.0, 0.0, 1.0)
-"""Normal of level ground."""
+"""Unit normal of level ground, in the world frame."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class SolidPair(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """Distance [m]; negative for a penetration depth."""
+        """Distance of the two collision shapes [m]; negative if they overlap: penetration depth."""
         return float(self.near.min_distance)
 
 

@@ -179,7 +179,7 @@ class Loops(Constraint):
         return left if goal.give is None else left - goal.give
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the loop openings by qvel, shape (m, nv)."""
+        """Return the Jacobian of the openings of closed loops and couplings by qvel, (m, nv)."""
         rows = self._closure.jacobian(at.qpos)
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
@@ -291,15 +291,16 @@ class GroundClearance(Constraint):
     name = "ground-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the height of each part minus the required clearance, shape (n,) [m].
+        """Return the heights of the parts above the ground minus the required clearance, (n,) [m].
 
+        Parts are the collision shapes that are no feet, in the order of ``ClearanceShapes.parts``.
         Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
         """
         heights = self._shapes.part_heights(at, goal.task.ground, goal.rigid_targets, goal.depths)
         return np.array(heights) - goal.task.ground_clearance + CLEARANCE_TOLERANCE / 2
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the heights of the parts by qvel, shape (n, nv)."""
+        """Return the Jacobian of the heights of the parts above the ground by qvel, (n, nv)."""
         return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 
     def smallest_clearance(self, goal: Goal, at: Kinematics) -> Clearance | None:
@@ -325,7 +326,7 @@ class SelfClearance(Constraint):
         return np.array([pair.distance for pair in pairs]) - least
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the distances of the nearest pairs by qvel, shape (n, nv)."""
+        """Return the Jacobian of the distances of the nearest link pairs by qvel, (n, nv)."""
         return self._shapes.distance_jacobian(at, _NUM_NEAREST_PAIRS)
 
     def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:
@@ -342,7 +343,8 @@ def _has_fixed_com_on_planes(goal: Goal) -> bool:
 
 
 _CLEARANCE_TYPES = (GroundClearance, SelfClearance)
-"""Types of clearances. A union expression in ``isinstance`` would take 4 us per stand."""
+"""Constraint types whose smallest distance is part of a stand's result. A tuple, because a union
+expression in ``isinstance`` would take 4 us per stand."""
 
 
 class ConstraintEvaluation(NamedTuple):

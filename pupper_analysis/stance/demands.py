@@ -55,7 +55,7 @@ not tuned."""
 
 _ROUNDING = 1e-12
 """Difference from the requested value [m, rad] below which a relaxed value is set to the requested
-value: rounding error."""
+value. Chosen as the size of rounding errors."""
 
 _ROUNDING_SHARE = 0.005
 """Largest change of a reported value by rounding, relative to its difference from the nominal

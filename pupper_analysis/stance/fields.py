@@ -132,12 +132,12 @@ class Field:
 
     @property
     def unit(self) -> str:
-        """SI unit of the numbers."""
+        """SI unit of the numbers of this field."""
         return UNIT_BY_KIND[self.kind]
 
     @property
     def axes(self) -> str:
-        """Axes of a point, as ``"xy"`` or ``"xyz"``; empty for a number."""
+        """Axes of this field's point, ``"xy"`` or ``"xyz"``; empty if the field is no point."""
         return _AXES_BY_KIND.get(self.kind, "")
 
     @property
@@ -237,7 +237,7 @@ class Field:
         raise ConfigurationError(name, message)
 
     def quantity(self, value: Any) -> Any:
-        """Return a value with the SI unit, for a message; a contact is returned unchanged."""
+        """Return a value of this field with its SI unit, for a message; contacts are unchanged."""
         if self.kind == "contact":
             return value
         if isinstance(value, tuple):

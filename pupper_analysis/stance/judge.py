@@ -109,12 +109,12 @@ class Stand(Pictured, Tabular):
     def cached_statics(
         self, robot: Robot, distribution: str, compute: Callable[[], GravityCompensation]
     ) -> GravityCompensation:
-        """Return the statics of this stand, computed at the first call for the same arguments.
+        """Return the statics of this stand from the cache, or compute and store them.
 
         Args:
             robot: Robot with the masses and limits; compared by identity.
-            distribution: The criterion that selects the contact forces.
-            compute: Computes the statics.
+            distribution: Criterion that selects the contact forces.
+            compute: Function that computes the statics; called if they are not cached.
         """
         for owner, criterion, statics in self._statics:
             if owner() is robot and criterion == distribution:
@@ -158,14 +158,14 @@ class Stand(Pictured, Tabular):
         return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
     def base_drop(self, robot: Robot, drops: Mapping[str, Array]) -> float:
-        """Return the height loss of the base [m] for displacements of the stance feet.
+        """Return the height loss of the base [m] that displacements of the stance feet cause.
 
-        A plane is fitted to the vertical displacements, and evaluated at the base. Feet on planes
-        of their own count only if all feet have such planes.
+        A plane is fitted to the vertical displacements, and evaluated at the base. Feet on separate
+        planes count only if all feet have such planes.
 
         Args:
             robot: Robot.
-            drops: {contact point: target minus position, shape (3,) [m]}.
+            drops: {contact point: target minus position, shape (3,) [m], in the world frame}.
         """
         apart = self.task.ground.planes
         own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]
@@ -247,7 +247,7 @@ class Stand(Pictured, Tabular):
 
     @property
     def solved(self) -> bool:
-        """Whether the feet are in place, and no clearance or margin is violated."""
+        """Whether the feet are at their targets, and no clearance or CoM margin is violated."""
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
     def check(self, robot: Robot) -> Robot:

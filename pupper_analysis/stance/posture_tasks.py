@@ -29,8 +29,8 @@ with seven digits."""
 
 _CLEARANCE_WEIGHT = 1e2
 """Weight of the squared violation of the self clearance, relative to other tasks: in a conflict,
-other tasks miss their targets. Measured on v3: with 1e4, PlaCo's programs are so badly conditioned
-that 18 iterations become 180."""
+other tasks miss their targets. Measured on Pupper v3: with 1e4, PlaCo's programs are so badly
+conditioned that 18 iterations become 180."""
 
 
 class WholeBody(Protocol):
@@ -43,7 +43,7 @@ class WholeBody(Protocol):
         """Return the position of the CoM in the world frame, shape (3,) [m]."""
 
     def joint(self, name: str) -> float:
-        """Return the position [rad, m] of a joint."""
+        """Return the position of the joint ``name`` [rad, m]."""
 
     def self_clearances(self) -> Array:
         """Return the smallest distances [m] between links that are not neighbours, ascending."""
@@ -118,7 +118,7 @@ class PositionTask(PostureTask):
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links that the task refers to."""
+        """Names of the links that this posture task refers to."""
         return (self.frame,)
 
     def residual(self, body: WholeBody) -> float:
@@ -152,7 +152,7 @@ class OrientationTask(PostureTask):
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links that the task refers to."""
+        """Names of the links that this posture task refers to."""
         return (self.frame,)
 
     def residual(self, body: WholeBody) -> float:
@@ -186,7 +186,7 @@ class RelativePositionTask(PostureTask):
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links that the task refers to."""
+        """Names of the links that this posture task refers to."""
         return (self.frame, self.target)
 
     def residual(self, body: WholeBody) -> float:
@@ -269,7 +269,7 @@ class AxisAlignTask(PostureTask):
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links that the task refers to."""
+        """Names of the links that this posture task refers to."""
         return (self.frame,)
 
     def _required(self, body: WholeBody) -> Array:
@@ -324,7 +324,7 @@ class JointsTask(PostureTask):
         return max(gaps, default=0.0)
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for joint positions [rad, m]."""
+        """Add PlaCo's soft task for the joint positions ``positions`` [rad, m]."""
         task = solver.add_joints_task()
         task.set_joints(dict(self.positions))
         task.configure("joints", "soft", weight)

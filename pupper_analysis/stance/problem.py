@@ -389,8 +389,8 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
 
 
 _PROPOSED_INSET = 1e-4
-"""Distance [m] of a proposed CoM position from the edge of the support region. Chosen, not
-tuned."""
+"""Distance [m] from the edge of the support region, beyond the required margin, of the CoM position
+that an error message proposes. Chosen, not tuned."""
 
 
 def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 _MAX_COMBINATIONS = 256
 """Upper bound of combinations of IK branches that are tried as initial guesses in a round of
-`_BRANCH_ROUNDS`: the product for four legs with four branches each."""
+`_BRANCH_ROUNDS`. Derived from four legs with four branches each."""
 
 _BRANCH_ROUNDS = 4
 """Upper bound of rounds in which the IK branches are determined. A further round starts if the
@@ -418,7 +418,7 @@ def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
         return stand
 
     def foot_error(tried: Stand) -> float:
-        """Return the largest distance of a stance point from the target [m]."""
+        """Return the largest distance of a loaded contact point from its target in a stand [m]."""
         places = Configuration(robot, tried.qpos).foot_positions()
         return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
 

@@ -51,8 +51,8 @@ _MAX_ITERATIONS = 200
 """Upper bound of the iterations from one initial guess. Chosen, not tuned."""
 
 _MAX_FULL_STEPS = 30
-"""Largest number of steps of ``_take_full_steps``. Measured on four postures: 4 to 10;
-steps of `_MAX_STEP` cross the range of a joint in 20."""
+"""Upper bound of the number of full Gauss-Newton steps before the trust-region iteration. Measured
+on four postures: 4 to 10; steps of `_MAX_STEP` cross the range of a joint in 20."""
 
 _MAX_STEP = 0.3
 """Largest displacement of a joint in an iteration [rad, m]. Chosen, not tuned."""
@@ -321,7 +321,11 @@ class _PostureSolver:
         return _Stage(solver, tuple(weighted))
 
     def solve(self, qpos: Array) -> Array:
-        """Iterate from an initial guess (nq,) until steps are negligible; return qpos (nq,)."""
+        """Minimise the weighted residuals of the tasks from an initial guess qpos (nq,).
+
+        Returns:
+            Configuration at which steps are negligible, or the iterations end, shape (nq,).
+        """
         wrapper, convention = self._placo_robot.wrapper, self._robot.pin_convention
         base = [] if self._robot.floating else [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
         wrapper.state.q = np.concatenate([base, convention.q(qpos)])

@@ -71,10 +71,10 @@ _SIZE_ATTRIBUTES = {
 
 
 VISUAL_CLASS: Final = "visual"
-"""Default class of visual geoms."""
+"""Name of the MJCF default class of visual geoms."""
 
 COLLISION_CLASS: Final = "collision"
-"""Default class of collision geoms."""
+"""Name of the MJCF default class of collision geoms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class MjcfXml:
 
     @property
     def text(self) -> str:
-        """XML text of the MJCF."""
+        """XML text of this MJCF."""
         return str(etree.tostring(self.root, encoding="unicode"))
 
     def section(self, tag: str) -> etree._Element:
@@ -129,7 +129,7 @@ class MjcfXml:
 
     @property
     def used_meshes(self) -> set[str]:
-        """Names of the meshes of all geoms."""
+        """Names of the meshes that the geoms of this MJCF use."""
         return {mesh for geom in self.geoms if (mesh := geom.get("mesh")) is not None}
 
     def remove_visuals(self) -> None:
@@ -158,7 +158,7 @@ class MjcfXml:
 
 
 def format_number(number: Number) -> str:
-    """Return a number as text; text is returned unchanged."""
+    """Format a number as text for XML; text is returned unchanged."""
     return number if isinstance(number, str) else write_numbers(number)
 
 
@@ -431,7 +431,7 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 
 MIN_FREE_BASE_LIMBS = 2
-"""Minimum number of limbs with which a base is free by default, as in ``load_robot``."""
+"""Number of limbs from which on a converted base is free by default, as in ``load_robot``."""
 
 
 @dataclass(frozen=True)

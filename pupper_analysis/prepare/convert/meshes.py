@@ -207,7 +207,7 @@ class MeshFiles:
 
     @property
     def deferred(self) -> DeferredMeshes | None:
-        """Meshes whose conversion was deferred; None if there are none."""
+        """Visual meshes whose conversion was deferred; None if there are none."""
         files = {self._names[key]: file for key, file in self._deferred.items()}
         return DeferredMeshes(files) if files else None
 
@@ -301,7 +301,7 @@ class DeferredMeshes:
         self._files = dict(files)
 
     def insert(self, spec: mujoco.MjSpec) -> list[Diagnostic]:
-        """Convert the meshes, and put them into a spec, in place.
+        """Convert the deferred meshes, and insert them into a spec, in place.
 
         Meshes that cannot be converted, or that MuJoCo refuses, are removed with their geoms.
 

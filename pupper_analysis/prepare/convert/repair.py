@@ -43,8 +43,9 @@ ADDED_MASS: Final = 1e-3
 which MuJoCo would refuse: common for helper links of exporters. Chosen, not tuned."""
 
 _GYRATION_RADIUS: Final = 0.01
-"""Radius of gyration [m] of a link with mass and without inertia: that of a ball of 16 mm. With
-a smaller radius, the least torque moves the link faster than a time step of 2 ms can follow."""
+"""Radius of gyration [m] that is assumed for a link with mass and without inertia. Chosen as that
+of a ball of 16 mm: with a smaller radius, a small torque moves the link faster than a time step of
+2 ms can follow."""
 
 _TRIANGLE_MARGIN: Final = 1e-6
 """Relative margin of repaired moments in A + B >= C. Chosen larger than the rounding to the written
@@ -73,7 +74,7 @@ class Repair(Result):
 
     @property
     def diagnostic(self) -> Diagnostic:
-        """Note about the repair."""
+        """Note about the repair of this link's mass or inertia."""
         link = "link", self.link
         if not self.mass > 0:
             return diagnose("mass-given", subject=link, mass=Quantity(self.new_mass, "kg"))

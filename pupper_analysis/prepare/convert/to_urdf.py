@@ -295,7 +295,7 @@ class ConvertedUrdf:
 
     @property
     def text(self) -> str:
-        """XML text of the URDF."""
+        """XML text of the converted URDF."""
         return new_file_text(self.tree.root, f"Converted from {self.source} by pupper-analysis.")
 
 

@@ -238,7 +238,7 @@ class EquilibriumScales:
 
     @property
     def stiffness(self) -> float:
-        """Scale of servo stiffness [N m/rad]: weight x height, per radian."""
+        """Scale of servo stiffness of this robot: weight times height [N m/rad]."""
         return self.weight * self.length
 
     @property
@@ -288,8 +288,9 @@ RESIDUAL_TOLERANCE = 3e-12
 x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
-"""Rounding level of the residual, in units of robot weight, weight x height and height. Newton's
-method reuses a derivative if the predicted next residual is at most this value."""
+"""Residual of the equilibrium equations, in units of robot weight, weight x height and height, that
+is rounding. Newton's method reuses a Jacobian if the predicted next residual is at most this
+value."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
 """Penetration, in units of `EquilibriumScales.length`, up to which a contact does not count as
@@ -301,7 +302,8 @@ in order, after Newton's method has failed. Each solution is the initial guess o
 not tuned."""
 
 _MAX_ITERATIONS = 16
-"""Upper bound of Newton iterations. All of 5,148 measured solutions took 12 or fewer."""
+"""Upper bound of the Newton iterations of `SagEquilibrium.solve`. All of 5,148 measured solutions
+took 12 or fewer."""
 
 _ZERO_SLIP = np.zeros(2)
 """Slip [m] of a contact that has not crept."""
@@ -402,7 +404,7 @@ class SagEquilibrium:
         }
 
     def equilibrium_depths(self, forces: Array) -> Array:
-        """Return the penetrations at which the ground exerts given forces, shape (n,) [m].
+        """Return the penetrations at which the ground exerts the given normal forces, (n,) [m].
 
         Args:
             forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames. Only
@@ -431,7 +433,10 @@ class SagEquilibrium:
         return torques
 
     def contacts_at(self, qpos: Array) -> ContactKinematics:
-        """Return the kinematics of touching contacts at a configuration; the last is cached."""
+        """Return slips, penetrations and Jacobians of the contacts at a configuration (nq,).
+
+        The contacts are the touching ones; the last result is cached.
+        """
         anchors, seen = tuple(self.anchors.items()), self._contact_cache
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
             config, feet = Configuration(self.robot, qpos), self._points
@@ -506,7 +511,7 @@ class SagEquilibrium:
         return np.concatenate([balance, places.ravel()])
 
     def is_sole_point(self) -> NDArray[np.bool_]:
-        """Return a mask, shape (n,): points of soles among the touching contacts."""
+        """Return a mask of the touching contacts, shape (n,): True for a point of a sole."""
         return np.array([self._sole_compliance[point] > 0 for point in self.anchors], dtype=bool)
 
     def _normal_forces(self, depths: Array) -> Array:

@@ -491,7 +491,7 @@ def steady_state(
     feet: Feet = "pinned",
     seconds: float = 0.0,
 ) -> SteadyState:
-    """Predict the rest position of a standing robot on position servos.
+    """Predict the rest position of a standing robot on position servos and soft ground.
 
     Solves for the equilibrium of tau = clip(kp (ctrl - q), +- limit), gravity, and feet on soft
     ground:
@@ -578,7 +578,7 @@ numbers overflow."""
 
 
 def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
-    """Check the arguments of `steady_state`.
+    """Raise an error if an argument of `steady_state` is invalid, or the robot cannot stand.
 
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
