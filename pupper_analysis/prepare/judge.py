@@ -101,9 +101,7 @@ def judge_simulation(
         None,
         describe_missing_masses(loaded),
     )
-    if null is not None and (
-        not fed.passed or statics is None or loads_motor_without_torque(robot, statics)
-    ):
+    if null is not None and (statics is None or loads_motor_without_torque(robot, statics)):
         # Other failures are consequences of motors without torque.
         fed, null = replace(fed, passed=False, stays=False, failures=(null,)), None
         alone = (
@@ -111,6 +109,8 @@ def judge_simulation(
             if alone is None
             else replace(alone, passed=False, stays=False, failures=fed.failures)
         )
+    elif null is not None and not fed.passed:  # the motors hold nothing in the stand
+        fed, null = replace(fed, failures=(*fed.failures, null)), None
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)

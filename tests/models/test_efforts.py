@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -10,16 +11,18 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.diagnostics import Quantity
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.efforts import resolve_effort_limit
 from pupper_analysis.models.transmission import Drive, classify_joint_drive
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.prepare import judge
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.limits import describe_zero_torque_limits
 from pupper_analysis.robot.build import rebuild_robot, with_efforts
 from pupper_analysis.robot.robot import report_efforts
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.simulation.verdict import Outcome
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.conversions import compiled, converted, standing_urdf
 from tests.support.engines import changed
@@ -336,6 +339,27 @@ def test_effort_of_zero_is_reported_with_the_effort_of_a_sibling_limb(tmp_path: 
     assert cause.values["joints"] == ("FL_roll",)
     assert cause.values["other"] == Quantity(80.0, "N m")
     assert cause.values["other_name"] in ("FR_roll", "RL_roll", "RR_roll")
+
+
+def test_other_failures_stay_if_a_motor_without_torque_holds_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A time step that is too long was reported as a motor without torque, at an idle joint."""
+    pair = quadruped(tmp_path)
+    rewritten(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
+    robot = pa.load_robot(*pair)
+    stand, statics = pa.solve_stand(robot), pa.stance.stand_statics
+    monkeypatch.setattr(judge, "explain_own_run", lambda _: None)
+    monkeypatch.setattr(judge, "compare_as_published", lambda *_: None)
+    fed = Outcome(passed=False, failures=(diagnose("posture-left"),), duration=12.0)
+    held = statics(robot, stand)
+    idle = replace(held, joint_torques=np.zeros(robot.nu))
+    for prediction, expected in (
+        (idle, ["posture-left", "motors-without-torque"]),
+        (held, ["motors-without-torque"]),
+    ):
+        verdict = judge.judge_simulation(robot, stand, fed, statics=prediction)
+        assert [failure.code for failure in verdict.failures] == expected
 
 
 @pytest.mark.slow

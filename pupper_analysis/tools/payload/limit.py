@@ -688,12 +688,19 @@ class _PayloadSearch:
         smallest bound and, if the servos set this bound, just above.
         """
         bound, other_masses = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
-        if bound.failure is Failure.COMMAND or bound.mass == 0:
+        find_cause = self.find_servo_failure
+        if bound.failure is Failure.COMMAND:
             return bound
+        if bound.mass == 0:
+            if (cause := find_cause(0.0)) is not None:
+                return Bound(0.0, *cause)
+            # No simulation confirms the mode without payload: the spectrum bounds no mass.
+            bound = Bound(math.inf, Failure.NOTHING, ())
+            other_masses.append(MAX_BOUND_RATIO * self._robot.total_mass)
         mass_limit = min(bound.mass, *other_masses)
         if not 0 < mass_limit < math.inf:
             return bound
-        find_cause, below = self.find_servo_failure, (1 - BOUND_RTOL) * mass_limit
+        below = (1 - BOUND_RTOL) * mass_limit
         if (cause := find_cause(below)) is not None:
             if find_cause(0.0) is not None:
                 return Bound(0.0, *cause)

@@ -339,3 +339,25 @@ def test_nudges_between_the_tried_directions_do_not_decide(
         falls += simulate_payload(biped, pa.StandTask(), mass, ABOVE).failed_nudges
     assert held == [stands] * 2
     assert (falls == 0) is stands
+
+
+@pytest.mark.parametrize(("least", "expected"), [(2.0, 2.0), (0.0, 0.0), (9.0, math.inf)])
+def test_simulation_bounds_the_payload_if_the_spectrum_fails_without_payload(
+    least: float, expected: float
+) -> None:
+    """A quadruped with a foot at 1e-4 of the weight had a mode that no simulation confirmed, and a
+    payload of 0 kg, although ``stand`` holds with 13 kg. Reference: the mass of a stub."""
+
+    def find_cause(mass: float) -> tuple[Failure, tuple[str, ...]] | None:
+        return (Failure.BUCKLING, ("knee",)) if mass >= least else None
+
+    search: Any = object.__new__(payload._PayloadSearch)
+    search._robot, search.find_servo_failure = SimpleNamespace(total_mass=3.0), find_cause
+    bounds = {
+        "servos": Bound(0.0, Failure.BUCKLING, ("knee",)),
+        "stance": Bound(5.0, Failure.REACH, ()),
+        "motors": Bound(math.inf, Failure.NOTHING, ()),
+    }
+    found = search._confirm_servo_bound(bounds)
+    assert found.mass == pytest.approx(expected, rel=SIMULATION_RTOL)
+    assert found.failure == (Failure.NOTHING if math.isinf(expected) else Failure.BUCKLING)
