@@ -326,3 +326,13 @@ def test_a_nudge_of_a_base_without_friction_does_not_decay(condim: int, decays: 
     assert found.decayed is decays
     if not decays:
         assert found.left == pytest.approx(1e-3, rel=0.01)
+
+
+@pytest.mark.parametrize(("rate", "grows"), [(5e-5, False), (2e-4, True)])
+def test_mode_grows_if_its_rate_exceeds_one_ten_thousandth_per_second(
+    rate: float, grows: bool
+) -> None:
+    """Reference: I s^2 + kd s + kp - m g l = 0, whose root is (m g l - kp) / kd for small rates."""
+    kp, kd = MOMENT - rate, 1.0
+    assert exponents(kp, kd).max() == pytest.approx(rate, rel=1e-3)
+    assert bool(judged(pendulum(kp, kd, "implicitfast")).unstable) is grows

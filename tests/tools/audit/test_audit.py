@@ -549,6 +549,38 @@ def test_a_mesh_that_is_mirrored_in_all_directions_is_found(tmp_path: Path) -> N
         assert {"mesh-mirrored", "value-impossible"} & set(findings) == rules
 
 
+def test_two_mirrored_meshes_are_one_finding_with_their_number(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
+    shape = r'<cylinder radius="0.011" length="0.11"/>'
+    mesh = '<mesh filename="a.obj" scale="-1 -1 -1"/>'
+    edits = tuple(Edit(calf, shape, mesh) for calf in (FL_CALF, FR_CALF))
+    (finding,) = found(audit_model(written(tmp_path, "urdf", edits)), "mesh-mirrored")
+    assert finding.diagnostic.values["others"] == 1
+
+
+@pytest.mark.parametrize("kind", ["continuous", "prismatic"])
+def test_equal_ranges_of_all_hinges_are_found_beside_other_joints(
+    kind: str, tmp_path: Path
+) -> None:
+    """Four hinges of +-3.14 rad; the fifth joint has no range, or a range in m."""
+    limit = '<limit lower="{}" upper="{}" effort="9" velocity="9"/>'
+    links = "".join(
+        f'<link name="link{number}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" '
+        'izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        for number in range(6)
+    )
+    joints = "".join(
+        f'<joint name="joint{number}" type="{kind if number == 4 else "revolute"}">'
+        f'<parent link="link{number}"/><child link="link{number + 1}"/><axis xyz="0 1 0"/>'
+        f"{limit.format(*((0, 0.1) if number == 4 else (-3.14, 3.14)))}</joint>"
+        for number in range(5)
+    )
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<robot name="robot">{links}{joints}</robot>')
+    (finding,) = found(audit_model(path), "range-placeholder")
+    assert finding.diagnostic.values["count"] == 4
+
+
 FLOOR = Edit("<worldbody", '<geom name="floor".*?/>', "")
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.present.document import Number, Table, word
 from pupper_analysis.tools.contract import Contract, read_contract
+from pupper_analysis.tools.contract.document import contract_document
 from tests.tools.contract.sources import (
     ANGLES,
     JOINTS,
@@ -437,3 +439,29 @@ def test_an_observation_in_another_joint_order_is_a_finding(sources: dict[str, P
     assert len(orders) == 1
     assert set(orders[0].joints) == set(JOINTS[6:])
     assert "6 → 9 (leg_back_r_1)" in orders[0].message
+
+
+def test_table_of_a_quantity_contains_the_numbers_of_this_quantity_only(
+    sources: dict[str, Path],
+) -> None:
+    """Reference: the facts; each table has the value of each joint in each source."""
+    found = contract(sources["deploy.yaml"], sources["config.yaml"])
+    blocks = contract_document(found).blocks
+    for quantity in ("kp", "default angle"):
+        (table,) = (
+            block for block in blocks if isinstance(block, Table) and block.title == word(quantity)
+        )
+        names = [column.name.text for column in table.columns[1:]]  # type: ignore[union-attr]
+        shown = {
+            (row[0].text, name): cell.value  # type: ignore[union-attr]
+            for row in table.rows
+            for name, cell in zip(names, row[1:], strict=True)
+            if isinstance(cell, Number)
+        }
+        stated = {
+            (fact.joint, fact.source): fact.value
+            for fact in found.facts
+            if fact.quantity == quantity and fact.joint and fact.value is not None
+        }
+        assert stated
+        assert shown == stated

@@ -11,6 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models import attributes
 from pupper_analysis.models.stated import mjcf as elements
+from pupper_analysis.tools.diff.elements import _find_ground_height
 from tests.support.one_place_edits import FALLS, FELT, HARMLESS, Edit, copied
 from tests.support.random_edits import apart, rollout
 from tests.support.repository import ROOT
@@ -230,3 +231,14 @@ def test_fused_links_keep_their_position(tmp_path: Path) -> None:
         path.write_text(content.replace('name="ball"', 'name="ball" contype="0" conaffinity="0"'))
     assert apart(rollout(old), rollout(new)) < 1e-9
     assert pa.diff_models(old, new).same
+
+
+def test_added_ground_is_at_the_lowest_vertex_of_a_robot_that_begins_deep() -> None:
+    """Reference: the vertices of a pyramid, whose bounding box is not centred at the geom."""
+    corners = "0.1 0.05 0 -0.1 0.05 0 -0.1 -0.05 0 0.1 -0.05 0 0 0 0.3"
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><asset><mesh name="pyramid" vertex="{corners}"/></asset><worldbody>'
+        '<body pos="0 0 -0.5"><freejoint/><geom type="mesh" mesh="pyramid"/></body>'
+        "</worldbody></mujoco>"
+    )
+    assert _find_ground_height(model) == pytest.approx(-0.5, abs=1e-6)
