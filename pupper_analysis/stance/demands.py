@@ -113,7 +113,7 @@ class DemandVector:
                     for axis, number, usual in _split_value(value, nominal):
                         self.keys.append(DemandValue(field.name, foot, axis))
                         self.demands.append(demand)
-                        turns = field.kind == "angle" or getattr(value, "turns", False)
+                        turns = field.kind == "angle" or getattr(value, "has_angle", False)
                         ends = _find_bounds(robot, field, number, turns=turns)
                         rows.append((number, float(usual), *ends, turns))
         table = np.array(rows).reshape(-1, 5).T
