@@ -49,6 +49,7 @@ def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_ik_branches_reach_their_targets_and_are_complete(name: str, seed: int) -> None:
+    """References: MuJoCo's kinematics, and SciPy's least squares from random starts."""
     robot, qpos, targets = goals(name, seed)
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     others = 0

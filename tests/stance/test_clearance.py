@@ -65,7 +65,8 @@ def lowest(
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_height_above_slope_and_steps(name: str) -> None:
+def test_lowest_part_above_slope_and_steps_equals_mujoco(name: str) -> None:
+    """Reference: distances between geoms in MuJoCo; of penetrating shapes only the sign."""
     robot, shapes = load(name), ClearanceShapes(load(name))
     ground = pa.Ground(0.2, 0.8, {"FL": 0.03, "RR": 0.05})
     feet = pa.Configuration(robot, robot.home).foot_positions()
@@ -85,7 +86,8 @@ def test_height_above_slope_and_steps(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_distance_between_links(name: str) -> None:
+def test_distance_of_the_closest_links_equals_mujoco(name: str) -> None:
+    """Reference: distances between geoms in MuJoCo; of penetrating shapes only the sign."""
     robot, shapes = load(name), ClearanceShapes(load(name))
     model, seen = robot.mj_model, 0
     home = mujoco_at(robot, robot.home)
@@ -123,6 +125,7 @@ LOW = pa.StandTask(height=0.1113, pitch=0.3755, ground=pa.Ground(0.465, np.pi))
 
 
 def test_a_stand_with_a_knee_in_the_ground_is_refused() -> None:
+    """Reference: distances to the ground in MuJoCo at the nearest stand that is proposed."""
     robot = load("v3")
     with pytest.raises(
         pa.StanceUnreachableError, match=r"leg_\w+_2 is .* mm in the ground"

@@ -119,6 +119,7 @@ def test_lowest_part_above_steps_equals_mujocos_distance(robot: pa.Robot) -> Non
 
 
 def test_link_distances_equal_those_of_mujoco_hulls(robot: pa.Robot) -> None:
+    """Reference: distances between convex hulls in MuJoCo; of penetrating shapes only the sign."""
     shapes, model = ClearanceShapes(robot), robot.mj_model
     neighbours, seen = neighbouring(robot), 0
     for seed in range(15):
@@ -169,6 +170,7 @@ def test_requested_clearance_is_kept_and_its_limit_equals_mujoco(robot: pa.Robot
 
 
 def test_excluded_link_pairs_have_no_clearance(tmp_path: Path) -> None:
+    """The pair of closest links is excluded in the MJCF; another pair is then the closest."""
     pair = meshed(tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
@@ -197,6 +199,8 @@ def test_clearance_is_refused_without_shapes_beside_the_feet(tmp_path: Path) -> 
 
 
 def test_distance_to_a_signed_distance_field_is_refused(robot: pa.Robot) -> None:
+    """The message names the type of the shape."""
+
     def as_field(model: mujoco.MjModel) -> None:
         model.geom_type[next(touching(model))] = mujoco.mjtGeom.mjGEOM_SDF
 

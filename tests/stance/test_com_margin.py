@@ -26,6 +26,7 @@ def refused(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError:
 
 
 def test_refusal_of_a_com_margin_states_its_limit() -> None:
+    """References: stands at the stated limits are solved, and 2 % beyond are refused."""
     robot = load("v3")
     task = pa.StandTask(offset=(0.05, 0.0), com_margin=0.04)
     error = refused(robot, task)

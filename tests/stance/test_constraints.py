@@ -44,7 +44,8 @@ def moved(robot: pa.Robot, qpos: np.ndarray, velocity: np.ndarray, time: float) 
     return after
 
 
-def test_angles_between_turns_are_scipys() -> None:
+def test_angle_between_rotations_equals_scipy() -> None:
+    """Reference: SciPy's angle of the relative rotation; q and -q are equal rotations."""
     turns = Rotation.random(20, random_state=0)
     for one, other in zip(turns[:10], turns[10:], strict=True):
         first, second = (turn.as_quat(scalar_first=True) for turn in (one, other))
@@ -54,7 +55,8 @@ def test_angles_between_turns_are_scipys() -> None:
 
 
 @pytest.mark.parametrize("com", ["inside", (0.01, 0.0)])
-def test_constraints_change_by_their_rates(com: str | tuple[float, float]) -> None:
+def test_constraint_jacobians_equal_finite_differences(com: str | tuple[float, float]) -> None:
+    """Reference: central differences of the residuals along a random velocity."""
     robot, random = load("v3"), np.random.default_rng(3)
     shapes, goal = ClearanceShapes(robot), make_goal(robot, replace(TASK, com=com), {})
     stand = pa.solve_stand(robot)
@@ -76,6 +78,7 @@ def test_constraints_change_by_their_rates(com: str | tuple[float, float]) -> No
 
 
 def test_elastic_jacobian_equals_the_finite_difference_of_the_residuals() -> None:
+    """Reference: central differences along a random direction of the free variables."""
     robot = load("v3")
     demands = ["height", "roll", "yaw", "foot_offsets", "swing", "ground", "com_margin"]
     elastic = StanceProgram(ClearanceShapes(robot), make_goal(robot, TASK, {}), demands)

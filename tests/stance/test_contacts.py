@@ -67,6 +67,7 @@ def gripping(of: pa.Robot, grip: float = 30.0, beyond: float = -0.02) -> pa.Stan
 
 
 def test_mujoco_holds_a_stand_on_a_roof() -> None:
+    """Reference: simulation on two planes of 30 deg."""
     robot = load("v3")
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=roof(30, 0.9)))
     for foot, point in stand.contact_points.items():
@@ -104,6 +105,7 @@ def test_foot_force_error_is_measured_along_the_normal_of_its_plane() -> None:
 def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
     armed: pa.Robot, com: tuple[float, float] | None
 ) -> None:
+    """Reference: simulations with and without feed-forward."""
     stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts=table(0.6), com=com))
     found = pa.verify_stand(armed, stand, integrator="implicitfast")
     assert found.passed, [str(one) for one in found.failures]
@@ -168,7 +170,8 @@ def least_torque(robot: pa.Robot, stand: pa.Stand) -> tuple[dict[str, np.ndarray
     return dict(zip(points, forces.reshape(-1, 3), strict=True)), load[6:] - pushed[6:] @ forces
 
 
-def test_least_torque_is_that_of_a_cone_programme_on_mujocos_numbers(armed: pa.Robot) -> None:
+def test_least_torque_equals_a_cone_programme_on_mujocos_jacobians(armed: pa.Robot) -> None:
+    """Reference: a cone programme of the test, with MuJoCo's Jacobians and bias forces."""
     for robot, task in (
         (load("v3"), pa.StandTask(contacts=roof(30, 0.9))),
         (load("v3"), pa.StandTask(contacts=roof(20, 0.25))),  # at the edge of some cones
@@ -262,6 +265,7 @@ def test_friction_of_a_plane_applies_to_its_contact_only() -> None:
 
 
 def test_hand_is_a_massless_ball_that_touches_only_its_plane(armed: pa.Robot) -> None:
+    """References: positions in both engines, and the contact masks of the compiled model."""
     task = pa.StandTask(contacts=table())
     robot = with_contacts(armed, task.contacts)
     assert robot.hands == (HAND,)
@@ -316,6 +320,7 @@ def test_soles_and_hand_balance_on_separate_planes(tmp_path: Path) -> None:
 
 
 def test_a_sole_neither_grips_nor_stands_on_a_bar(tmp_path: Path) -> None:
+    """A foot with several contact points has no single contact with a bar."""
     robot = pa.load_robot(*biped(tmp_path))
     foot = next(iter(robot.feet))
     bar = pa.Bar((0, 0, 0), (0, 1, 0), 0.02)
@@ -325,6 +330,7 @@ def test_a_sole_neither_grips_nor_stands_on_a_bar(tmp_path: Path) -> None:
 
 
 def test_hand_contact_is_at_its_home_position_or_at_the_given_place(armed: pa.Robot) -> None:
+    """Reference: the position of the hand in the home pose, and the given place, on the plane."""
     home = armed.make_qpos(armed.home[7:])
     home[2] = armed.stand_height
     robot = with_contacts(armed, table())
@@ -375,6 +381,7 @@ def test_com_region_with_a_hand_equals_a_search_by_linear_programs(
 
 
 def test_contacts_are_equal_after_json_and_command_line_round_trips() -> None:
+    """Reference: the contacts before."""
     contacts = {
         "FL": pa.Contact(pa.Plane((0.4, 0, 0), (-2, 0, 0), 0.6), place=(0.4, 0.1, 0.3)),
         "hand": pa.Contact(pa.Plane((0, 0, 0.7), (0, 0, 1)), offset=(0.1, 0, 0), radius=0.02),
@@ -457,6 +464,7 @@ def plane(**more: object) -> pa.Contact:
     ],
 )
 def test_invalid_contact_is_refused_in_one_line(make: object, match: str) -> None:
+    """The message names the field or the reason."""
     with pytest.raises(pa.ConfigurationError, match=match) as caught:
         make()  # type: ignore[operator]
     assert "\n" not in str(caught.value)
@@ -494,6 +502,7 @@ def test_foot_on_a_bar_touches_its_top_or_the_stated_place(radius: float, lean: 
 
 
 def test_contact_of_an_unknown_part_or_a_foot_is_refused(armed: pa.Robot) -> None:
+    """The message names the most similar parts, or the reason."""
     with pytest.raises(pa.UnknownNameError, match="arm_elbow_link"):
         pa.solve_stand(armed, pa.StandTask(contacts={"paw": plane()}))
     with pytest.raises(
@@ -715,6 +724,7 @@ def test_limit_stated_by_a_refusal_is_accepted_and_exact(
 
 
 def test_scene_shows_the_plane_of_a_hand_contact(armed: pa.Robot, tmp_path: Path) -> None:
+    """Reference: the height of the table."""
     stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts=table()))
     scene = describe_scene(armed, stand, pa.stance.stand_statics(armed, stand))
     assert [*scene.steps] == [HAND]

@@ -33,6 +33,7 @@ TASK = pa.StandTask(
 
 
 def test_demand_vector_and_task_convert_into_each_other() -> None:
+    """Reference: the task, and the fields that are changed by 10 mm."""
     robot = load("v3")
     numbers = DemandVector(robot, TASK, DEMANDS)
     assert numbers.make_task(numbers.values) == TASK
