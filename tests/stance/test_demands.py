@@ -88,6 +88,7 @@ def described(task: pa.StandTask, *demands: str) -> str:
 
 
 def test_demands_are_described_with_units() -> None:
+    """Reference: texts written by hand."""
     assert described(TASK, "height") == "height 150 mm"
     turned = pa.StandTask(roll=math.radians(11.5), pitch=math.radians(-4.25), joint_margin=0.02)
     assert described(turned, "roll") == "roll 11.5 deg"
@@ -102,7 +103,8 @@ def test_demands_are_described_with_units() -> None:
     assert described(pa.StandTask(com=(0.0123, -0.004)), "com") == "com (0.0123, -0.004) m"
 
 
-def test_round_outward_moves_away_from_the_request_by_little() -> None:
+def test_round_outward_moves_away_from_the_request_by_one_digit() -> None:
+    """Reference: values rounded by hand; rounding twice changes nothing."""
     robot = load("v3")  # which stands at 0.1315 m
     asked = pa.StandTask(
         height=0.25, roll=0.8, pitch=-0.8, swing={"FL": 0.1}, joint_margin=0.8, com_margin=0.02
@@ -206,6 +208,7 @@ def test_limit_with_the_com_in_a_corner_of_its_margin_is_exact() -> None:
 
 
 def test_refusal_states_the_request_in_both_languages() -> None:
+    """The refusal is pickled first, as between processes."""
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.solve_stand(pa.load_variant("v3"), pa.StandTask(height=0.4, swing={"FL": 0.02}))
     message = pickle.loads(pickle.dumps(refused.value)).diagnostic

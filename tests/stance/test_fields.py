@@ -60,6 +60,7 @@ def said_of(field: Field) -> str:
 
 
 def test_field_table_contains_each_field_of_task_and_ground() -> None:
+    """Reference: the fields of the dataclasses, and their defaults."""
     of = {"task": pa.StandTask, "ground": pa.Ground}
     for part, kind in of.items():
         # A part, a start, and what contacts make of the ground.
@@ -71,6 +72,7 @@ def test_field_table_contains_each_field_of_task_and_ground() -> None:
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
 def test_each_field_appears_in_task_json_and_text(field: Field) -> None:
+    """Both languages state the same numbers."""
     task = task_with(field)
     assert task.values()[field.name] == asked(field)
     content = json.loads(to_json(task))
@@ -88,6 +90,7 @@ def test_each_field_appears_in_task_json_and_text(field: Field) -> None:
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
 def test_each_field_refuses_invalid_values(field: Field) -> None:
+    """The error names the field."""
     wrong: list[Any] = [math.nan, "much", True, (1.0,), (0.0, math.inf)]
     if not (field.axes or field.choices):
         wrong += [field.low - 1e-3] * math.isfinite(field.low)
@@ -120,6 +123,7 @@ def test_value_below_a_permitted_lower_bound_is_refused_by_the_bound(field: Fiel
 
 @pytest.mark.parametrize("field", OPTION_FIELDS.values(), ids=OPTION_FIELDS)
 def test_each_field_is_an_option_with_the_same_value(field: Field) -> None:
+    """Reference: the value of the field; without an option, the default task."""
     command = cli.find_command("stand")
     context = command.make_context("stand", [f"--{field.option}", said_of(field)])
     typed = {name: context.params[name] for name in OPTION_FIELDS}
@@ -136,6 +140,7 @@ SLIDING = {name: field for name, field in FIELDS.items() if field.slider}
 
 
 def test_task_text_has_fixed_order_and_units() -> None:
+    """Reference: a text written by hand."""
     task = pa.StandTask(
         height=0.12,
         roll=math.radians(1.5),

@@ -24,7 +24,8 @@ def random_states(robot: pa.Robot, count: int) -> Iterator[np.ndarray]:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fixed", [False, True], ids=["free", "fixed"])
-def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
+def test_kinematics_equal_those_of_a_configuration(name: str, fixed: bool) -> None:
+    """Reference: `Configuration`, which creates its own data; equal to the last bit."""
     robot = load(name, fixed_base=fixed)
     there = Kinematics(robot.structure)
     for qpos in random_states(robot, 5):

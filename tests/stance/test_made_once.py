@@ -32,6 +32,7 @@ def tasks(robot: pa.Robot) -> list[pa.StandTask]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_reused_solver_returns_the_same_stands_as_a_new_one(name: str) -> None:
+    """Reference: a new solver per goal; equal to the last bit, in any order."""
     robot = load(name)
     goals = [make_goal(robot, task, {}) for task in tasks(robot)]
     start = stand_of(name).joint_positions(robot)
@@ -45,6 +46,7 @@ def test_a_reused_solver_returns_the_same_stands_as_a_new_one(name: str) -> None
 
 @pytest.mark.slow
 def test_stands_solved_in_threads_equal_those_of_one_thread() -> None:
+    """Reference: the same stands, solved one after the other."""
     robot = load("v3")
     wanted = tasks(robot)[:3]
     expected = [pa.solve_stand(robot, task).qpos for task in wanted]
@@ -58,6 +60,7 @@ def test_stands_solved_in_threads_equal_those_of_one_thread() -> None:
 
 
 def test_foot_targets_are_read_only() -> None:
+    """The next stand is unchanged after the attempt."""
     robot = load("v3")
     stand = pa.solve_stand(robot)
     for target in stand.foot_targets.values():
@@ -95,6 +98,7 @@ def test_com_margin_equals_the_distance_that_shapely_computes() -> None:
 
 
 def test_fields_shared_by_default_stands_are_read_only() -> None:
+    """The next stand is unchanged after the attempt."""
     robot = load("v3")
     one, other = pa.solve_stand(robot), pa.solve_stand(robot)
     for point in one.contact_points.values():
@@ -108,6 +112,7 @@ def test_fields_shared_by_default_stands_are_read_only() -> None:
 
 
 def test_contact_depth_is_independent_of_the_initial_guess() -> None:
+    """Reference: the depth without an initial guess, for forces from 1 mN to 1 kN."""
     robot = load("v3")
     law = GroundLaw.of_contact(robot, robot.contact_points[0])
     for force in np.geomspace(1e-3, 1e3, 13):
@@ -118,6 +123,7 @@ def test_contact_depth_is_independent_of_the_initial_guess() -> None:
 
 @pytest.mark.slow
 def test_a_cell_of_a_gain_sweep_equals_the_sweep_of_that_cell_alone() -> None:
+    """Equal to the last bit: cells do not share state."""
     robot, stand = load("v3"), stand_of("v3")
     kp, kd = (20.0, 60.0), (0.5, 2.0)
     grid = pa.simulation.sweep_gains(robot, stand, kp=kp, kd=kd, duration=2.0).height_deviation
@@ -138,6 +144,7 @@ def test_a_cell_of_a_gain_sweep_equals_the_sweep_of_that_cell_alone() -> None:
 def test_statics_are_computed_once_per_stand_robot_and_distribution(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Reference: the number of calls of the balance."""
     robot, found = load("v3"), []
 
     def counted(*given: object, **named: object) -> pa.statics.GravityCompensation:

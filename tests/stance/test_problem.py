@@ -11,7 +11,8 @@ from tests.support.variants import NAMES, load
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_spheres_touch_plane_and_steps(name: str) -> None:
+def test_foot_targets_touch_the_plane_and_the_steps(name: str) -> None:
+    """Reference: distances of the centres along the normal, in closed form."""
     robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.02})
     goal = make_goal(robot, pa.StandTask(ground=ground, swing={"RR": 0.03}), {"FR": 0.002})
     normal = np.array([-np.sin(0.2) * np.cos(0.7), -np.sin(0.2) * np.sin(0.7), np.cos(0.2)])

@@ -57,6 +57,7 @@ def mujoco_feet(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize(("name", "kind"), list(product(NAMES, TASKS)))
 def test_stand_satisfies_the_requested_task(name: str, kind: str) -> None:
+    """References: MuJoCo's foot positions, closed forms of plane and steps, and the statics."""
     robot, task = load(name), TASKS[kind]
     stand = pa.solve_stand(robot, task)
     for error in (stand.foot_error, stand.orientation_error, stand.height_error, stand.com_error):
@@ -95,6 +96,7 @@ def test_stand_satisfies_the_requested_task(name: str, kind: str) -> None:
 
 
 def test_refusal_names_the_blocking_demand_and_its_limit() -> None:
+    """References: stands at the printed limits are solved, and 1 % beyond are refused."""
     robot = load("v3")
     asked = {"height": 0.16, "roll": 0.4}
     with pytest.raises(pa.StanceUnreachableError) as caught:
@@ -120,7 +122,8 @@ def test_refusal_names_the_blocking_demand_and_its_limit() -> None:
     assert (near.height, near.roll) in [(height, 0.4), (0.16, roll)]
 
 
-def test_joint_margin_is_a_demand() -> None:
+def test_refusal_of_a_joint_margin_states_its_limit() -> None:
+    """The pitch is in reach without the margin."""
     task = pa.StandTask(joint_margin=0.5, pitch=0.3)
     assert "joint-limit margin" in str(task)
     with pytest.raises(pa.StanceUnreachableError) as caught:
@@ -138,7 +141,8 @@ def test_joint_margin_is_a_demand() -> None:
         (pa.StandTask(com_margin=0.5), "com_margin"),
     ],
 )
-def test_requests_that_no_robot_can_meet(task: pa.StandTask, named: str) -> None:
+def test_requests_that_no_robot_can_meet_are_refused(task: pa.StandTask, named: str) -> None:
+    """The message names the field or the reason."""
     with pytest.raises(pa.ConfigurationError, match=named):
         pa.solve_stand(load("v3"), task)
 

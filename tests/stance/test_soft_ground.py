@@ -23,7 +23,8 @@ TASKS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("what", TASKS)
 @pytest.mark.parametrize("name", NAMES)
-def test_simulation_confirms_the_predicted_stand(name: str, what: str) -> None:
+def test_simulation_confirms_the_stand_predicted_on_soft_ground(name: str, what: str) -> None:
+    """Reference: simulation with feed-forward: 0.3 of the tolerance of torques and forces."""
     robot = load(name)
     stand = solve_stand_on_soft_ground(robot, TASKS[what])
     assert max(stand.foot_error, stand.height_error, stand.com_error) < 1e-9
