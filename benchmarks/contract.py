@@ -1,9 +1,10 @@
-"""Trainer, deployment and model of public repositories: `python benchmarks/contract.py FOLDER`.
+"""Compare trainer, deployment and model of public repositories: `python benchmarks/contract.py
+FOLDER`.
 
-FOLDER has a checkout of each repository, as OWNER/NAME, at the commit that is named here. Each line
-of `docs/data/contract-found.csv` is a finding of `contract`, with both its lines, and was looked at
-by hand: what was judged of a finding that is there again is kept, and one that nobody has looked at
-has no judgement, which makes the exit status 1.
+FOLDER contains a checkout of each repository, as OWNER/NAME, at the commit in `COMMITS`. Each row
+of `docs/data/contract-found.csv` is a finding of `contract` with the lines of both values and a
+judgement that was made by hand. Judgements of earlier runs are copied. If a finding has no
+judgement, the exit status is 1.
 """
 
 from __future__ import annotations
@@ -20,10 +21,15 @@ from tables import write_csv
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.tools.contract import read_contract
 
-OURS = Path(__file__).resolve().parents[1]
-TABLE = OURS / "docs/data/contract-found.csv"
+PROJECT_FOLDER = Path(__file__).resolve().parents[1]
+"""Root folder of this project."""
+
+TABLE = PROJECT_FOLDER / "docs/data/contract-found.csv"
+"""Table of the findings, with judgements."""
+
 HEADER = ("repository", "commit", "robot", "sources", "numbers", "quantity", "severity", "joints",
           "first", "other", "lines", "judged")  # fmt: skip
+"""Columns of the table."""
 
 COMMITS = {
     "DeepRoboticsLab/rl_training": "127b4ff",
@@ -46,18 +52,18 @@ COMMITS = {
     "unitreerobotics/unitree_rl_lab": "e72a072",
     "unitreerobotics/unitree_rl_mjlab": "5b7e396",
 }
-"""Models of other repositories: HybridRobotics/Berkeley-Humanoid-Lite-Assets 205534d,
-unitreerobotics/unitree_ros d6f13aa."""
+"""{repository: commit}. Models of other repositories: HybridRobotics/Berkeley-Humanoid-Lite-Assets
+205534d, unitreerobotics/unitree_ros d6f13aa."""
 
 
 class Case(NamedTuple):
-    """What is read together.
+    """Sources of a robot that are compared.
 
     Attributes:
-        repository: Where it is.
-        robot: Which robot.
-        sources: Files in it; those that begin with ``//OWNER/NAME/`` in another one, with ``ours/``
-            in this one.
+        repository: Repository, as OWNER/NAME.
+        robot: Name of the robot.
+        sources: Files in the repository. ``//OWNER/NAME/`` at the start denotes another
+            repository, ``ours/`` this project.
     """
 
     repository: str
@@ -65,8 +71,8 @@ class Case(NamedTuple):
     sources: tuple[str, ...]
 
     def paths(self, folder: Path) -> list[Path]:
-        """Returns where its sources are, in a folder of checkouts."""
-        homes = {"//": folder, "ours/": OURS}
+        """Return the paths of the sources, in a folder of checkouts."""
+        homes = {"//": folder, "ours/": PROJECT_FOLDER}
         return [
             next((home / one.removeprefix(mark) for mark, home in homes.items()
                   if one.startswith(mark)), folder / self.repository / one)
@@ -75,12 +81,13 @@ class Case(NamedTuple):
 
     @property
     def repositories(self) -> list[str]:
-        """Which repositories they are of."""
+        """Repositories of the sources."""
         others = ["/".join(one[2:].split("/")[:2]) for one in self.sources if one[:2] == "//"]
         return list(dict.fromkeys([self.repository, *others]))
 
 
-def cases() -> Iterator[Case]:
+def list_cases() -> Iterator[Case]:
+    """Yield the cases of all repositories."""
     isaac = "tasks/manager_based/locomotion/velocity/config"
     for robot in ("g1_23dof", "g1", "h1_2", "go2"):
         home = f"unitree_{robot.removesuffix('_23dof')}"
@@ -204,8 +211,8 @@ def cases() -> Iterator[Case]:
         "launch/policy_latest.json"))  # fmt: skip
 
 
-def _rows(folder: Path, case: Case) -> Iterator[list[str]]:
-    """Yields what is found, a line each; one without a quantity where all agrees."""
+def _make_rows(folder: Path, case: Case) -> Iterator[list[str]]:
+    """Yield a row per finding of a case; a single row with "none" if there is no finding."""
     paths = case.paths(folder)
     first = [case.repository, COMMITS[case.repository], case.robot,
              " + ".join(path.name for path in paths if path.suffix)]  # fmt: skip
@@ -228,7 +235,9 @@ def _rows(folder: Path, case: Case) -> Iterator[list[str]]:
 
 
 def _key(row: Sequence[str]) -> tuple[str, ...]:
-    """Returns what makes a finding the same one: all but how many numbers were read, and where."""
+    """Return the columns that identify a finding in another run: all but counts, lines and
+    judgement.
+    """
     return (row[0], row[2], *row[5:10])
 
 
@@ -236,10 +245,16 @@ def _key(row: Sequence[str]) -> tuple[str, ...]:
 @click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--table", type=click.Path(path_type=Path), default=TABLE, show_default=True)
 def main(folder: Path, table: Path) -> None:
-    """Reads the sources of public repositories, and writes what differs, with what was judged."""
+    """Read the sources of public repositories, and write the findings with the judgements of
+    earlier runs.
+    """
     with TABLE.open(encoding="utf-8", newline="") as file:
         before = {_key(row): row[-1] for row in csv.reader(file) if len(row) == len(HEADER)}
-    rows = [[*row, before.get(_key(row), "")] for case in cases() for row in _rows(folder, case)]
+    rows = [
+        [*row, before.get(_key(row), "")]
+        for case in list_cases()
+        for row in _make_rows(folder, case)
+    ]
     write_csv(table, HEADER, rows)
     new = [row for row in rows if row[5] != "none" and not row[-1]]
     click.echo(f"{len(rows)} lines, {len(new)} that nobody has judged")

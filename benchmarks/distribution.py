@@ -1,7 +1,7 @@
-"""Which contact forces last: `python benchmarks/distribution.py` prints two tables.
+"""Compare the stands of force distributions: `python benchmarks/distribution.py` prints two tables.
 
-Random stands, on ground as soft as MuJoCo's, are simulated with the feed-forward torques of each
-distribution of forces, with the model's own contact and with others.
+Random stands on MuJoCo's soft ground are simulated with the feed-forward torques of each force
+distribution, with the contact parameters of the model and with others.
 """
 
 from __future__ import annotations
@@ -22,8 +22,13 @@ from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.stance.stand import stand_statics
 
 SECONDS = 12.0
-JOINTS = 1e-3  # rad
-TORQUES = 1e-2  # of the largest
+"""Simulated time [s]."""
+
+MAX_JOINT_ERROR = 1e-3  # rad
+"""Largest joint error [rad] of a stand that holds."""
+
+MAX_TORQUE_ERROR = 1e-2  # of the largest
+"""Largest torque error, relative to the largest torque, of a stand that holds."""
 
 CONTACTS: dict[str, dict[str, float]] = {
     "the model's own": {},
@@ -31,26 +36,41 @@ CONTACTS: dict[str, dict[str, float]] = {
     "impratio 1": {"impratio": 1},
     "impratio 10000": {"impratio": 10_000},
 }
+"""{label: MuJoCo options}."""
 
 
 @dataclass
 class Run:
-    """How far joints (rad) and torques (of the largest) are off at the end."""
+    """Errors at the end of a simulation.
+
+    Attributes:
+        joints: Largest joint error [rad].
+        torques: Largest torque error, relative to the largest torque.
+    """
 
     joints: float
     torques: float
 
     @property
     def holds(self) -> bool:
-        return self.joints < JOINTS and self.torques < TORQUES
+        """Whether both errors are below their limits."""
+        return self.joints < MAX_JOINT_ERROR and self.torques < MAX_TORQUE_ERROR
 
 
-def simulate(
+def simulate_stand(
     robot: pa.Robot,
     stand: pa.Stand,
     distribution: pa.statics.ForceDistribution,
     options: dict[str, float],
 ) -> Run:
+    """Simulate a stand with the torques of a force distribution, and return the errors at the end.
+
+    Args:
+        robot: Robot.
+        stand: Stand on soft ground.
+        distribution: Force distribution.
+        options: {MuJoCo option: value} that differ from the model.
+    """
     torques = stand_statics(robot, stand, distribution=distribution).joint_torques
     drive = model_with_servos(robot)
     for name, value in options.items():
@@ -69,8 +89,8 @@ def simulate(
     )
 
 
-def random_stands(robot: pa.Robot, count: int, seed: int) -> list[pa.Stand]:
-    """Level stands that are in reach and hold, with their feet sunk into the ground."""
+def draw_stands(robot: pa.Robot, count: int, seed: int) -> list[pa.Stand]:
+    """Return random feasible stands on level soft ground."""
     random, stands = np.random.default_rng(seed), []
     while len(stands) < count:
         task = random_task(robot, random)
@@ -89,17 +109,19 @@ def random_stands(robot: pa.Robot, count: int, seed: int) -> list[pa.Stand]:
 @click.option("--count", default=30, show_default=True, help="Random stands per robot.")
 @click.option("--seed", default=0, show_default=True)
 def main(count: int, seed: int) -> None:
-    """Simulates random stands of v3 and original for 12 s with each distribution of forces."""
+    """Simulate random stands of v3 and original for 12 s with each force distribution."""
     out = Console(width=120)
     robots = [pa.load_variant(name) for name in ("v3", "original")]
-    stands = [(robot, stand) for robot in robots for stand in random_stands(robot, count, seed)]
+    stands = [(robot, stand) for robot in robots for stand in draw_stands(robot, count, seed)]
     table = Table(
         "contact", *pa.statics.ForceDistribution, title="hold for 12 s (1e-3 rad, 1 % of torque)"
     )
     worst = Table("contact", *pa.statics.ForceDistribution, title="median error of the torques (%)")
     for label, options in CONTACTS.items():
         runs = {
-            distribution: [simulate(robot, stand, distribution, options) for robot, stand in stands]
+            distribution: [
+                simulate_stand(robot, stand, distribution, options) for robot, stand in stands
+            ]
             for distribution in pa.statics.ForceDistribution
         }
         table.add_row(label, *(f"{sum(r.holds for r in rs)} of {len(rs)}" for rs in runs.values()))

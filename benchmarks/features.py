@@ -1,10 +1,10 @@
-"""What is made of an MJCF's features and slips: `python benchmarks/features.py`.
+"""Test features of an MJCF, and mistakes in it: `python benchmarks/features.py`.
 
-A quadruped that stands gets one feature of MuJoCo, or one slip, in its MJCF. Bare MuJoCo then runs
-the file as it is, commanded to the stand that was computed: what it loses of its height stands
-beside what was predicted, the verdict of the stand, and those of `audit` and `crosscheck`. A row is
-silent, and the program ends with status 1, if the file falls or is elsewhere than predicted, and
-nothing says so; or if no engine takes the file, and `audit` has no error.
+A quadruped that stands gets a feature of MuJoCo, or a mistake, in its MJCF. MuJoCo alone then
+simulates the file with the commands of the computed stand. The table contains the height loss of
+this simulation, the predicted height loss, the verdict of the stand, and the results of `audit` and
+`crosscheck`. A row is silent, and the program ends with status 1, if the robot falls or differs
+from the prediction without a report, or if no engine reads the file and `audit` reports no error.
 """
 
 from __future__ import annotations
@@ -32,13 +32,19 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.support.features import FEATURES, Edit, files
 
 SECONDS = 6.0
-SAME = 0.01  # share of the height: a stand that is further off is another one
-FALLEN = 0.3  # share of the height
+"""Simulated time [s]."""
+
+HEIGHT_TOLERANCE = 0.01  # share of the height: a stand that is further off is another one
+"""Difference of the height loss from the prediction, relative to the height, above which a row is
+reported."""
+
+MAX_HEIGHT_LOSS = 0.3  # share of the height
+"""Height loss, relative to the height, above which a robot has fallen."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What came of one file."""
+    """Result for a file."""
 
     name: str
     predicted: float | None  # m, lost on position commands
@@ -49,10 +55,12 @@ class Row:
     silent: bool
 
 
-def bare_loss(robot: pa.Robot, stand: pa.Stand, path: Path) -> float | None:
-    """By how much the file's base sinks from a stand, on its own servos; None if none takes it.
+def simulate_height_loss(robot: pa.Robot, stand: pa.Stand, path: Path) -> float | None:
+    """Return the height loss [m] of the base from a stand, on the servos of the file; None if
+    refused.
 
-    By MuJoCo alone: state and commands by the names in the file.
+    MuJoCo alone is used: state and commands are set by the names in the file. NaN for an unusable
+    time step.
     """
     with silence_mujoco():
         try:
@@ -61,7 +69,7 @@ def bare_loss(robot: pa.Robot, stand: pa.Stand, path: Path) -> float | None:
             return None
         data = mujoco.MjData(model)
         angles = dict(zip(robot.joint_names, stand.joint_positions(robot).tolist(), strict=True))
-        base = model.joint(next(j for j in range(model.njnt) if _is_trunks(model, j)))
+        base = model.joint(next(j for j in range(model.njnt) if _is_free_joint_of_trunk(model, j)))
         data.qpos[base.qposadr[0] : base.qposadr[0] + 7] = stand.qpos[:7]
         ground = [g for g in range(model.ngeom) if model.geom(g).name == "floor"]
         if ground:  # it stands on the floor, wherever that is
@@ -87,21 +95,32 @@ def bare_loss(robot: pa.Robot, stand: pa.Stand, path: Path) -> float | None:
         return start - float(data.xpos[body][2])
 
 
-def _is_trunks(model: mujoco.MjModel, joint: int) -> bool:
+def _is_free_joint_of_trunk(model: mujoco.MjModel, joint: int) -> bool:
+    """Return True if a joint is the free joint of the body ``trunk``."""
     free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
     return bool(free and model.body(model.jnt_bodyid[joint]).name == "trunk")
 
 
-def said(call: Callable[[], str]) -> str:
+def describe_result(call: Callable[[], str]) -> str:
+    """Return the result of a function, or "refused: " with the error of this package."""
     try:
         return call()
     except pa.PupperAnalysisError as error:
         return f"refused: {str(error).partition(': ')[2][:120] or type(error).__name__}"
 
 
-def row(name: str, edit: Edit, robot: pa.Robot, stand: pa.Stand, folder: Path) -> Row:
+def make_row(name: str, edit: Edit, robot: pa.Robot, stand: pa.Stand, folder: Path) -> Row:
+    """Return the result for the file with a feature.
+
+    Args:
+        name: Name of the feature.
+        edit: Change of the files.
+        robot: Robot without the feature.
+        stand: Stand of this robot.
+        folder: Folder for the files.
+    """
     urdf, mjcf = files(folder, edit)
-    bare = bare_loss(robot, stand, mjcf)
+    bare = simulate_height_loss(robot, stand, mjcf)
     predicted, unreserved, verdict = None, False, ""
     try:
         own = pa.load_robot(urdf=urdf, mjcf=mjcf)
@@ -116,15 +135,20 @@ def row(name: str, edit: Edit, robot: pa.Robot, stand: pa.Stand, folder: Path) -
     audited = pa.audit_model(mjcf)
     errors = audited.counts["error"]
     audit = f"{errors} errors, {audited.counts['warning']} warnings"
-    checked = said(lambda: "agree" if pa.compare_models(urdf, mjcf).agree else "disagree")
+    checked = describe_result(
+        lambda: "agree" if pa.compare_models(urdf, mjcf).agree else "disagree"
+    )
     height = float(stand.qpos[2])
-    fell = bare is None or not abs(bare) < FALLEN * height
-    elsewhere = not fell and predicted is not None and abs(bare - predicted) > SAME * height
+    fell = bare is None or not abs(bare) < MAX_HEIGHT_LOSS * height
+    elsewhere = (
+        not fell and predicted is not None and abs(bare - predicted) > HEIGHT_TOLERANCE * height
+    )
     silent = ((fell or elsewhere) and unreserved) or (bare is None and not errors)
     return Row(name, predicted, bare, verdict, audit, checked, silent)
 
 
-def rows(names: tuple[str, ...]) -> Iterator[Row]:
+def make_rows(names: tuple[str, ...]) -> Iterator[Row]:
+    """Yield the results for the named features, or for all."""
     with tempfile.TemporaryDirectory() as top:
         plain = Path(top) / "plain"
         plain.mkdir()
@@ -135,7 +159,7 @@ def rows(names: tuple[str, ...]) -> Iterator[Row]:
             if not names or name in names:
                 folder = Path(top) / str(number)
                 folder.mkdir()
-                yield row(name, edit, robot, stand, folder)
+                yield make_row(name, edit, robot, stand, folder)
 
 
 COLUMNS = (
@@ -146,9 +170,11 @@ COLUMNS = (
     "audit",
     "crosscheck",
 )
+"""Columns of the table."""
 
 
-def millimetres(value: float | None) -> str:
+def format_millimetres(value: float | None) -> str:
+    """Return a length [m] in millimetres as text; "-" if unknown."""
     return "-" if value is None or not math.isfinite(value) else f"{1e3 * value:.2f}"
 
 
@@ -156,10 +182,10 @@ def millimetres(value: float | None) -> str:
 @click.argument("names", nargs=-1)
 @click.option("--csv", "path", type=click.Path(path_type=Path), help="Write the table here.")
 def main(names: tuple[str, ...], path: Path | None) -> None:
-    """Make one file per feature, and say what is made of it."""
+    """Write a file per feature, and print the results for it."""
     lines, silent = [], []
-    for one in rows(names):
-        numbers = (millimetres(one.predicted), millimetres(one.bare))
+    for one in make_rows(names):
+        numbers = (format_millimetres(one.predicted), format_millimetres(one.bare))
         lines.append((one.name, *numbers, one.verdict, one.audit, one.crosscheck))
         click.echo(("SILENT " if one.silent else "") + " | ".join(lines[-1]))
         silent += [one.name] if one.silent else []

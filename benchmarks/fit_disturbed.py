@@ -1,18 +1,19 @@
-"""Fits to stands of robots that have what no fit has: stiction, backlash, cables, swapped plugs.
+"""Fits to stands of robots with effects that the fit does not model: stiction, backlash, cables,
+swapped plugs.
 
     python benchmarks/fit_disturbed.py [--robot v3] [--kp 60] [--only none --only stiction-0.1]
         [--seeds 2] [--csv docs/data/fit-disturbances.csv]
 
-Stands are planned by ``fit --plan``, and taken in bare MuJoCo: the MJCF's own bodies and contacts,
-with masses (15 %), coms (10 mm), zeros of encoders (1.5 deg) and kp (15 %, half of it common) that
-are off, and ``noslip``. Servos are explicit torques, and dry friction is a bristle: a spring to a
-point that is dragged along where it would give more than the friction (MuJoCo's own creeps until no
-friction is left). Each stand is set down from 1 cm and read after 4 s by an encoder of 14 bits. A
-person says which feet carry; stands in which fewer than three do, or that do not rest, are not
-taken. Then the stands are fitted as a person would: default priors, ``--weight``.
+Stands are planned by ``fit --plan``, and simulated in MuJoCo alone: with the bodies and contacts of
+the MJCF, random errors of masses (15 %), CoM positions (10 mm), encoder offsets (1.5 deg) and kp
+(15 %, half of it common), and ``noslip``. Servos are explicit torques. Dry friction is a bristle: a
+spring to a point that is dragged along above the friction torque (MuJoCo's own friction creeps).
+Each stand is released 1 cm above the ground and read after 4 s by an encoder of 14 bits. The feet
+that carry load are known; stands with fewer than three such feet, or that move, are left out. The
+stands are then fitted with default priors and ``--weight``.
 
-Of each disturbance it is counted how many fits are EXPLAINED, and how many intervals that the
-measurements determine hold the truth there; what the other fits name; and which are refused.
+For each disturbance, the number of EXPLAINED fits is counted, the number of measured 95 % intervals
+that contain the true value, the diagnostics of other fits, and the refusals.
 """
 
 from __future__ import annotations
@@ -47,37 +48,38 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_
 from pupper_analysis.tools.study.parameters import scale_robot
 
 MASS, COM, OFFSET, KP = 0.15, 0.01, math.radians(1.5), 0.15
-"""What robots are off by, as standard deviations."""
+"""Standard deviations of the errors of masses (relative), CoM positions [m], encoder offsets [rad]
+and kp (relative)."""
 
-STIFF = 0.05
-"""Of the weight times the height: torque of a servo by its zero's error, on average. With more
-of it a robot that is put on its feet slides, or lifts one: so stiff a robot is known to be off."""
+MAX_OFFSET_TORQUE = 0.05
+"""Mean torque that an encoder offset causes in a servo, relative to weight times height. With more
+torque the robot slides or lifts a foot when released, so the error is known before the fit."""
 
 V3_TORQUE = 3.17 * 9.81 * 0.158
-"""Weight times height of Pupper v3 (N m): friction is scaled by it to other robots."""
+"""Weight times height of Pupper v3 [N m], by which friction is scaled to other robots."""
 
-BRISTLE = 2e-3
-"""rad: by so much a joint moves before its friction is whole."""
+BRISTLE_DEFLECTION = 2e-3
+"""Joint displacement [rad] at which the bristle has the full friction torque."""
 
-RUBBER = (1e-3, 2e-4)
-"""m: torsional and rolling friction of a foot."""
+FOOT_FRICTION = (1e-3, 2e-4)
+"""Torsional and rolling friction of a rubber foot [m]."""
 
-STEP = 1e-3
-"""s of a simulation."""
+TIMESTEP = 1e-3
+"""Time step of the simulation [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Planted:
-    """A robot with errors.
+    """Robot with known errors.
 
     Attributes:
-        stated: The robot as its files have it.
-        robot: With true masses and coms.
-        kp: (nu,) true (N m/rad).
-        offsets: (nu,) true (rad).
-        truth: What is true by the estimates' names.
-        scale: Factor on what a scale shows.
-        added: (4,) factor on what a known mass weighs, and by how much it is elsewhere (m).
+        stated: Robot as specified by its files.
+        robot: Robot with the true masses and CoM positions.
+        kp: True stiffness (nu,) [N m/rad].
+        offsets: True encoder offsets (nu,) [rad].
+        truth: {name of an estimate: true value}.
+        scale: Ratio of the weighed to the true mass.
+        added: Errors of a known mass (4,): factor of the mass, and displacement [m].
     """
 
     stated: Robot
@@ -89,16 +91,20 @@ class Planted:
     added: np.ndarray
 
 
-def offset_of(robot: Robot) -> float:
-    """Returns the standard deviation of encoders' zeros (rad)."""
+def offset_std(robot: Robot) -> float:
+    """Return the standard deviation of the encoder offsets [rad]."""
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     return min(
-        OFFSET, STIFF * weight * robot.stand_height / float(resolve_servo_gains(robot).kp.mean())
+        OFFSET,
+        MAX_OFFSET_TORQUE
+        * weight
+        * robot.stand_height
+        / float(resolve_servo_gains(robot).kp.mean()),
     )
 
 
-def plant(robot: Robot, rng: np.random.Generator) -> Planted:
-    """Returns a robot with errors."""
+def plant_errors(robot: Robot, rng: np.random.Generator) -> Planted:
+    """Return a robot with random errors."""
     factors, truth, names = {}, {}, robot.joint_names
     for link, number in list_bodies(robot):
         body = robot.structure.model.inertias[number]
@@ -109,7 +115,7 @@ def plant(robot: Robot, rng: np.random.Generator) -> Planted:
     common, own = rng.normal(), rng.normal(size=robot.nu)
     stiffness = resolve_servo_gains(robot).kp * (1 + KP * math.sqrt(0.5) * (common + own))
     rng.normal(size=robot.nu)  # of friction, once: seeds are of the same robots still
-    offsets = offset_of(robot) * rng.normal(size=robot.nu)
+    offsets = offset_std(robot) * rng.normal(size=robot.nu)
     for kind, values in (("kp", stiffness), ("offset", offsets)):
         truth |= {f"{kind} {n}": float(one) for n, one in zip(names, values, strict=True)}
     true = replace(scale_robot(robot, factors), fingerprint=robot.fingerprint)
@@ -121,27 +127,27 @@ def plant(robot: Robot, rng: np.random.Generator) -> Planted:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What the robot and its stands have, and the fit does not know.
+    """Effects in the robot and its stands that the fit does not model.
 
     Attributes:
-        stiction: Dry friction that holds (N m on v3); what files state is taken away.
-        deadband: Error for which servos give nothing (rad).
-        cable: Force on the base, in parts of the weight: backwards and up.
-        pack: Mass that is put on the base once the robot was weighed, in parts of its own.
-        weight: Factor on what the scale shows.
-        backlash: Play of the gears (rad): the encoder is on the motor's side.
-        plate: How high what the first foot stands on is (m).
-        slope: Of the ground (rad).
+        stiction: Static friction [N m on v3]; the friction of the files is removed.
+        deadband: Servo error without torque [rad].
+        cable: Force on the base, backwards and up, relative to the weight.
+        pack: Mass on the base that is added after weighing, relative to the robot's mass.
+        weight: Factor of the weighed mass.
+        backlash: Backlash of the gears [rad]; the encoder is on the side of the motor.
+        plate: Height of the ground below the first foot [m].
+        slope: Slope of the ground [rad].
         swapped: Whether two plugs are exchanged.
-        negated: Whether a joint has the other sign.
-        soft: Factor on one servo's kp.
-        calf: Factor on the length of one leg's last link.
-        calves: The same of all legs.
-        lean: Force on the base to one side, in parts of the weight.
-        drop: From how high stands are set down (m).
-        bits: Of encoders.
-        seconds: After which they are read.
-        added: Known mass that is put on for some stands, in parts of the robot's.
+        negated: Whether a joint has the opposite sign.
+        soft: Factor of the kp of one servo.
+        calf: Factor of the length of the last link of one leg.
+        calves: Factor of the length of the last link of all legs.
+        lean: Lateral force on the base, relative to the weight.
+        drop: Height from which the robot is released [m].
+        bits: Resolution of the encoders [bit].
+        seconds: Time of the measurement after the release [s].
+        added: Known mass that is added for some stands, relative to the robot's mass.
     """
 
     stiction: float = 0.02
@@ -165,6 +171,8 @@ class Disturbance:
 
 
 PLAIN = Disturbance()
+"""Disturbance with the default values."""
+
 DISTURBANCES: Mapping[str, Disturbance] = {
     "none": PLAIN,
     "none, known mass": replace(PLAIN, added=KNOWN_MASS_FRACTION),
@@ -194,17 +202,23 @@ DISTURBANCES: Mapping[str, Disturbance] = {
     "12 bits": replace(PLAIN, bits=12),
     "read after 2 s": replace(PLAIN, seconds=2.0),
 }
+"""{name: disturbance}."""
 
 
 DRAWN = "drawn"
-"""In place of a disturbance's name."""
+"""Name of a random disturbance."""
 
 
-def drawn(planted: Planted, kp: np.ndarray, seed: int) -> tuple[Planted, Disturbance]:
-    """Draws what nobody states from what a fit says of it before.
+def draw_disturbance(planted: Planted, kp: np.ndarray, seed: int) -> tuple[Planted, Disturbance]:
+    """Draw the quantities that no file specifies from the priors of the fit.
 
-    A load (8 % of the weight), a slope (0.2 deg), a dead band (1 deg; below zero friction that
-    gives as much), and by what last links of legs differ (0.5 %).
+    Load (8 % of the weight), slope (0.2 deg), dead band (1 deg; a negative value is static friction
+    with the same effect), and lengths of the last links (0.5 %).
+
+    Args:
+        planted: Robot with errors.
+        kp: Specified stiffness (nu,) [N m/rad].
+        seed: Seed of the random numbers.
     """
     load, slope, band, *legs = np.random.default_rng([seed, 77]).normal(size=8)[:7]
     robot, width = planted.stated, {one: KINDS[one].width for one in ("load", "slope", "deadband")}
@@ -228,11 +242,11 @@ def drawn(planted: Planted, kp: np.ndarray, seed: int) -> tuple[Planted, Disturb
 
 
 class Rig:
-    """A robot in bare MuJoCo, with servos and friction of its own.
+    """Robot in MuJoCo alone, with explicit servos and friction.
 
     Args:
-        planted: What is true of the robot.
-        other: What else it has.
+        planted: Robot with known errors.
+        other: Disturbance.
     """
 
     def __init__(self, planted: Planted, other: Disturbance) -> None:
@@ -252,16 +266,16 @@ class Rig:
         at = true.mj_convention
         self.qpos, self.dofs = at.qpos_index[7:], at.qvel_index[6:]
         self.every = at.qpos_index
-        self.model.opt.timestep = STEP
+        self.model.opt.timestep = TIMESTEP
         self.model.opt.noslip_iterations = 20
         self.model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         self.model.actuator_gainprm[:] = self.model.actuator_biasprm[:] = 0  # torques are our own
         self.model.dof_frictionloss[:] = 0
         # Feet of rubber: a patch of some millimetres turns and rolls. (With the 10 cm of v3's file
         # feet that grip would carry moments of 12 mm of their force.)
-        self.model.geom_friction[:, 1:] = np.minimum(self.model.geom_friction[:, 1:], RUBBER)
+        self.model.geom_friction[:, 1:] = np.minimum(self.model.geom_friction[:, 1:], FOOT_FRICTION)
         self.model.pair_friction[:, 2:] = np.minimum(
-            self.model.pair_friction[:, 2:], [RUBBER[0], RUBBER[1], RUBBER[1]]
+            self.model.pair_friction[:, 2:], [FOOT_FRICTION[0], FOOT_FRICTION[1], FOOT_FRICTION[1]]
         )
         self.model.dof_damping[self.dofs] += drive.kd
         self.weight = true.weight
@@ -272,7 +286,9 @@ class Rig:
             geom = next(g for g, f in true.foot_geoms.items() if f == next(iter(true.feet)))
             self.model.geom_margin[geom] += other.plate
         if other.pack:
-            self.add(other.pack * true.total_mass, np.array([0.3, 0.0, 0.3]) * stated.stand_height)
+            self.add_mass(
+                other.pack * true.total_mass, np.array([0.3, 0.0, 0.3]) * stated.stand_height
+            )
         self.limits = np.where(np.isfinite(true.effort_limits), true.effort_limits, 1e6)
         self.height = math.nan  # of the base (m), in the stand that was taken last
         self.wiring, self.signs = np.arange(true.nu), np.ones(true.nu)
@@ -282,8 +298,13 @@ class Rig:
         if other.negated:
             self.signs[last_joints(stated)[1]] = -1.0
 
-    def add(self, mass: float, place: np.ndarray) -> None:
-        """Puts a point mass on the base (kg, m)."""
+    def add_mass(self, mass: float, place: np.ndarray) -> None:
+        """Add a point mass to the base.
+
+        Args:
+            mass: Mass [kg].
+            place: Position (3,) [m] in the base frame.
+        """
         model, body = self.model, self.base
         had, com = float(model.body_mass[body]), model.body_ipos[body].copy()
         turn = np.zeros(9)
@@ -300,31 +321,41 @@ class Rig:
         mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
-    def take(
+    def simulate_stand(
         self, one: PlannedStand, place: np.ndarray
     ) -> tuple[np.ndarray, tuple[str, ...]] | None:
-        """Returns what encoders read (nu,) of a stand, and which feet are in the air."""
+        """Simulate a planned stand, with its known mass.
+
+        Args:
+            one: Planned stand.
+            place: Position of the known mass (3,) [m] in the base frame.
+
+        Returns:
+            Encoder readings (nu,) [rad], and the feet without load; None if the robot does not
+            stand.
+        """
         model = self.model
         had = {
             n: getattr(model, n).copy()
             for n in ("body_mass", "body_ipos", "body_inertia", "body_iquat")
         }
         if one.added:
-            self.add(one.added, place)
+            self.add_mass(one.added, place)
         try:
-            return self._take(one)
+            return self._simulate_commands(one)
         finally:
             for name, values in had.items():
                 getattr(model, name)[:] = values
             mujoco.mj_setConst(model, mujoco.MjData(model))
 
-    def _take(self, one: PlannedStand) -> tuple[np.ndarray, tuple[str, ...]] | None:
+    def _simulate_commands(self, one: PlannedStand) -> tuple[np.ndarray, tuple[str, ...]] | None:
+        """Simulate the commands of a stand; see `simulate_stand`."""
         other, true, model = self.other, self.robot, self.model
         offset = self.planted.offsets
         said = np.array([one.command[name] for name in true.joint_names])
         command = (self.signs * said)[self.wiring] - offset  # of each motor, true
         data = mujoco.MjData(model)
-        data.qpos[self.every] = self._above(command, one.swing, other.drop)
+        data.qpos[self.every] = self._pose_above_ground(command, one.swing, other.drop)
         size, along = float(np.linalg.norm(true.gravity)), math.sin(other.slope)
         c, s = math.cos(one.heading), math.sin(one.heading)
         model.opt.gravity[:] = size * np.array([c * along, -s * along, -math.cos(other.slope)])
@@ -334,7 +365,7 @@ class Rig:
         limits, kp = self.limits, self.kp
         bristle, friction = data.qpos[self.qpos].copy(), self.friction
         side = np.zeros(true.nu)
-        for _ in range(int(other.seconds / STEP)):
+        for _ in range(int(other.seconds / TIMESTEP)):
             q = data.qpos[self.qpos]
             motor = q + other.backlash / 2 * side
             error = command - motor
@@ -342,8 +373,8 @@ class Rig:
             torque = np.clip(kp * error, -limits, limits)
             side += 0.02 * (np.clip(torque / (0.05 * friction + 1e-9), -1, 1) - side)
             stretch = q - bristle
-            held = np.clip(stretch / BRISTLE, -1, 1)
-            bristle = q - BRISTLE * held
+            held = np.clip(stretch / BRISTLE_DEFLECTION, -1, 1)
+            bristle = q - BRISTLE_DEFLECTION * held
             data.qfrc_applied[self.dofs] = torque - friction * held
             mujoco.mj_step(model, data)
         if not np.isfinite(data.qpos).all() or np.abs(data.qvel).max() > 0.02:
@@ -367,8 +398,14 @@ class Rig:
         back[self.wiring] = read
         return self.signs * back, tuple(foot for foot in true.feet if foot not in on)
 
-    def _above(self, q: np.ndarray, swing: tuple[str, ...], drop: float) -> np.ndarray:
-        """Returns qpos with the carrying feet level, so high above the ground."""
+    def _pose_above_ground(self, q: np.ndarray, swing: tuple[str, ...], drop: float) -> np.ndarray:
+        """Return qpos with the carrying feet level.
+
+        Args:
+            q: Joint positions (nu,) [rad].
+            swing: Feet without contact.
+            drop: Height of the lowest foot above the ground [m].
+        """
         robot = self.robot
         qpos = robot.make_qpos(q)
         data, model = mujoco.MjData(self.model), self.model
@@ -394,15 +431,15 @@ class Rig:
 
 
 def last_joints(robot: Robot) -> list[int]:
-    """Returns the joint of each leg that is next to its foot, by its number."""
+    """Return the indices of the joints next to the feet, a joint per leg."""
     from pupper_analysis.robot.joints import leg_joints
 
     points = [own[0] for own in robot.feet.values()]
     return [robot.joint_names.index(leg_joints(robot, point)[-1]) for point in points]
 
 
-def truth_of(rig: Rig) -> dict[str, float]:
-    """Returns what is true by the estimates' names."""
+def true_values(rig: Rig) -> dict[str, float]:
+    """Return {name of an estimate: true value} of a simulated robot."""
     truth, robot = dict(rig.planted.truth), rig.planted.stated
     truth |= {f"kp {n}": float(k) for n, k in zip(robot.joint_names, rig.kp, strict=True)}
     truth["mass"] = rig.robot.total_mass  # of what was weighed; a pack is the load
@@ -419,10 +456,12 @@ def truth_of(rig: Rig) -> dict[str, float]:
     return truth
 
 
-def stands_of(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
-    """Returns what was measured of the planned stands that stood; None of fewer than five."""
+def measure_stands(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
+    """Simulate the planned stands, and return the measurements; None if fewer than five succeed."""
     place = np.zeros(3) if plan.place is None else np.array(plan.place.offset)
-    taken = [(one, found) for one in plan.stands if (found := rig.take(one, place)) is not None]
+    taken = [
+        (one, found) for one in plan.stands if (found := rig.simulate_stand(one, place)) is not None
+    ]
     if len(taken) < 5:
         return None
     names, robot = rig.robot.joint_names, rig.robot
@@ -439,12 +478,20 @@ def stands_of(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
     )
 
 
-def kept_stands(
+def load_or_measure_stands(
     name: str, title: str, seed: int, rig: Rig, plan: Callable[[], StandPlan], keep: Path | None
 ) -> MeasuredStands | None:
-    """Returns what a person has in a file: from those that were taken before, if it is there.
+    """Return the measured stands from a file; simulate them and write the file if it is missing.
 
-    A scale changes nothing of how robots stand: such disturbances share their stands.
+    Disturbances that differ only in the weighed mass share their stands.
+
+    Args:
+        name: Name of the robot.
+        title: Name of the disturbance.
+        seed: Seed of the robot.
+        rig: Simulated robot.
+        plan: Function that returns the plan.
+        keep: Folder of the files; None for a temporary folder.
     """
     first = title
     if title != DRAWN:
@@ -454,13 +501,22 @@ def kept_stands(
         file = (keep or Path(folder)) / f"{name}-{first.replace(' ', '_')}-{seed}.csv"
         if not file.exists():
             file.parent.mkdir(parents=True, exist_ok=True)
-            found = stands_of(rig, plan())
+            found = measure_stands(rig, plan())
             file.write_text("" if found is None else format_stands(found))
-        return said(read_stands(file), rig.planted.added) if file.stat().st_size else None
+        return (
+            misread_known_masses(read_stands(file), rig.planted.added)
+            if file.stat().st_size
+            else None
+        )
 
 
-def said(stands: MeasuredStands, off: np.ndarray) -> MeasuredStands:
-    """Returns stands with known masses as a kitchen scale and a ruler have them."""
+def misread_known_masses(stands: MeasuredStands, off: np.ndarray) -> MeasuredStands:
+    """Return stands whose known masses and positions have measurement errors.
+
+    Args:
+        stands: Stands with the true masses.
+        off: Errors (4,): factor of the mass, and displacement [m].
+    """
     added = {
         link: np.where(own[:, :1] > 0, np.hstack([own[:, :1] / off[0], own[:, 1:] - off[1:]]), 0.0)
         for link, own in stands.added.items()
@@ -470,20 +526,21 @@ def said(stands: MeasuredStands, off: np.ndarray) -> MeasuredStands:
 
 @dataclass(frozen=True)
 class Row:
-    """What came of one fit.
+    """Result of a fit.
 
     Attributes:
-        robot: Its name.
-        disturbance: Likewise.
-        seed: Of the robot.
-        stands: How many stood.
-        outcome: EXPLAINED, named, NOT EXPLAINED, refused, or that it does not stand.
-        codes: What it fails by.
-        held: Intervals that hold the truth, of numbers that measurements determine.
-        determined: How many there are.
-        spread: Root mean square of what these are off by, in their standard deviations.
-        kp: By what the factor of all kp is off.
-        kp_said: What is said of it (95 %).
+        robot: Name of the robot.
+        disturbance: Name of the disturbance.
+        seed: Seed of the robot.
+        stands: Number of measured stands.
+        outcome: EXPLAINED, named, NOT EXPLAINED, refused, or "does not stand".
+        codes: Codes of the failures.
+        held: Number of intervals that contain the true value, of values that the measurements
+            determine.
+        determined: Number of these intervals.
+        spread: Root mean square of the errors of these values, in standard deviations.
+        kp: Relative error of the common factor of all kp.
+        kp_said: Half width of its 95 % interval, relative.
     """
 
     robot: str
@@ -499,8 +556,15 @@ class Row:
     kp_said: float = math.nan
 
 
-def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -> Iterator[Row]:
-    """Yields what comes of each fit."""
+def run_fits(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -> Iterator[Row]:
+    """Yield the result of each fit.
+
+    Args:
+        name: Name of the robot.
+        robot: Robot.
+        kp: Stiffness of all servos [N m/rad]; None for those of the file.
+        given: Options of the command line.
+    """
 
     @functools.cache
     def plan(added: float) -> StandPlan:
@@ -515,20 +579,22 @@ def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -
             if (given.only and title not in given.only) or (name, title, str(seed)) in had:
                 continue
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-            planted = plant(robot, rng)
+            planted = plant_errors(robot, rng)
             if kp is not None:  # and not that of servos which were added
                 planted = replace(planted, kp=planted.kp * kp / resolve_servo_gains(robot).kp)
             if given.drawn:
-                planted, other = drawn(planted, resolve_servo_gains(robot, kp).kp, seed)
+                planted, other = draw_disturbance(planted, resolve_servo_gains(robot, kp).kp, seed)
             rig = Rig(planted, replace(other, seconds=max(other.seconds, given.seconds)))
-            stands = kept_stands(name, title, seed, rig, partial(plan, other.added), given.keep)
+            stands = load_or_measure_stands(
+                name, title, seed, rig, partial(plan, other.added), given.keep
+            )
             if stands is None:
                 yield Row(name, title, seed, 0, "does not stand", "")
                 continue
-            yield fitted(name, title, seed, robot, rig, stands, kp)
+            yield evaluate_fit(name, title, seed, robot, rig, stands, kp)
 
 
-def fitted(
+def evaluate_fit(
     name: str,
     title: str,
     seed: int,
@@ -537,8 +603,8 @@ def fitted(
     stands: MeasuredStands,
     kp: float | None,
 ) -> Row:
-    """Fits, and counts the intervals that hold the truth."""
-    truth = truth_of(rig)
+    """Fit the stands of a robot, and compare the estimates with the true values."""
+    truth = true_values(rig)
     weight = rig.robot.total_mass * rig.other.weight * rig.planted.scale
     try:
         fit: StandFit = fit_stands(robot, stands, weight=weight, kp=kp)
@@ -572,6 +638,7 @@ def fitted(
 
 
 def main() -> None:
+    """Run the fits that the command line selects, and print a row for each."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--robot", default="v3", help="a variant, or a file")
     parser.add_argument("--kp", type=float, help="of the servos, where the file states none")
@@ -588,7 +655,7 @@ def main() -> None:
     given = parser.parse_args()
     known = given.robot in pa.VARIANTS
     robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)
-    for row in rows(Path(given.robot).stem, robot, given.kp, given):
+    for row in run_fits(Path(given.robot).stem, robot, given.kp, given):
         cells = list(vars(row).values())
         print(*cells, sep=" | ", flush=True)
         if given.csv:

@@ -1,12 +1,13 @@
-"""How near a fitted robot's files come to the robot, in stands that were not fitted.
+"""Prediction errors of the files of a fitted robot, in stands that were not fitted.
 
     python benchmarks/fit_held_out.py --robot v3 [--kp 60] [--seeds 5] [--csv FILE]
 
-Robots and stands are those of ``fit_disturbed.py``, undisturbed: in bare MuJoCo, with friction
-that holds. Three of four stands are fitted, as a person would; the fit is written, and the models
-that it wrote are read again. With them, the fit's kp and zeros, and no friction, the stands that
-were left out are commanded in bare MuJoCo again; likewise with the files as they were. What joints
-and the base's height are off by, from the true robot's, is root mean square over these stands.
+Robots and stands are those of ``fit_disturbed.py``, without disturbance: simulated in MuJoCo alone,
+with static friction. Three of four stands are fitted with the default settings; the fit writes
+models, which are loaded again. With these models, the fitted kp and encoder offsets, and no
+friction, the stands that were left out are simulated again; the same is done with the original
+files. The errors of joints and base height are root mean squares over these stands, relative to the
+true robot.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from fit_disturbed import PLAIN, Planted, Rig, kept_stands, plant
+from fit_disturbed import PLAIN, Planted, Rig, load_or_measure_stands, plant_errors
 
 import pupper_analysis as pa
 from pupper_analysis.pupper.variant_files import write_variant
@@ -31,13 +32,13 @@ from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_stands
 from pupper_analysis.tools.fit.write import write_fit
 
-EVERY = 4
-"""One stand in so many is not fitted."""
+HELD_OUT_INTERVAL = 4
+"""Of so many stands, one is not fitted."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What files of one robot are off by, before and after a fit."""
+    """Prediction errors of the files of a robot, before and after a fit."""
 
     robot: str
     seed: int
@@ -52,8 +53,8 @@ class Row:
     feet_after: int
 
 
-def written(name: str, robot: Robot, fit: StandFit, folder: Path) -> Robot:
-    """Returns the robot of the files that a fit writes."""
+def load_fitted_robot(name: str, robot: Robot, fit: StandFit, folder: Path) -> Robot:
+    """Return the robot of the files that a fit writes to a folder."""
     files = write_variant(pa.VARIANTS[name], folder / "own") if name in pa.VARIANTS else None
     models = write_fit(robot, fit.posterior, folder, fit=fit, files=files).models
     files = [str(folder / one) for one in (models.urdf, models.mjcf) if one is not None]
@@ -64,18 +65,31 @@ Taken = tuple[np.ndarray, float, list[int]]
 """What encoders read, how high the base is (m), which feet are in the air, by their numbers."""
 
 
-def take(rig: Rig, stands: list[PlannedStand], robot: Robot) -> list[Taken | None]:
-    """Returns what is read of each stand; None of a fall. (Files give feet other names.)"""
+def simulate_stands(rig: Rig, stands: list[PlannedStand], robot: Robot) -> list[Taken | None]:
+    """Return the measurements of each planned stand; None for a robot that falls.
+
+    Args:
+        rig: Simulated robot.
+        stands: Planned stands.
+        robot: Robot whose foot names the stands use; the files of the rig may use others.
+    """
     said, own, found = list(robot.feet), list(rig.robot.feet), []
     for one in stands:
         swing = tuple(own[said.index(foot)] for foot in one.swing)
-        taken = rig.take(replace(one, swing=swing), np.zeros(3))
+        taken = rig.simulate_stand(replace(one, swing=swing), np.zeros(3))
         found.append(taken and (taken[0], rig.height, [own.index(foot) for foot in taken[1]]))
     return found
 
 
-def off(found: list[Taken | None], truth: list[Taken | None]) -> tuple[float, float, int]:
-    """Returns what stands are off by (mrad, mm), and in how many the same feet carry."""
+def compute_errors(
+    found: list[Taken | None], truth: list[Taken | None]
+) -> tuple[float, float, int]:
+    """Return the errors of simulated stands relative to the true robot.
+
+    Returns:
+        Root mean square of joint errors [mrad] and of base height errors [mm], and number of
+        stands in which the same feet carry load.
+    """
     joints, heights, feet = [], [], 0
     for one, true in zip(found, truth, strict=True):
         if one is not None and true is not None:
@@ -88,19 +102,21 @@ def off(found: list[Taken | None], truth: list[Taken | None]) -> tuple[float, fl
     return round(1e3 * rms[0], 2), round(1e3 * rms[1], 2), feet
 
 
-def row(
+def make_row(
     name: str, seed: int, robot: Robot, kp: float | None, plan: StandPlan, keep: Path | None
 ) -> Row | None:
-    """Returns what is found with one robot; None if it does not stand."""
-    planted = plant(robot, np.random.default_rng([seed, zlib.crc32(name.encode())]))
+    """Fit a robot with random errors, and return the prediction errors; None if the robot does not
+    stand.
+    """
+    planted = plant_errors(robot, np.random.default_rng([seed, zlib.crc32(name.encode())]))
     stated = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
     if kp is not None:
         planted = replace(planted, kp=planted.kp * kp / resolve_servo_gains(robot).kp)
     rig = Rig(planted, PLAIN)
-    taken = kept_stands(name, "none", seed, rig, lambda: plan, keep)
+    taken = load_or_measure_stands(name, "none", seed, rig, lambda: plan, keep)
     if taken is None:
         return None
-    places = [at for at in range(len(taken)) if at % EVERY == EVERY - 1]
+    places = [at for at in range(len(taken)) if at % HELD_OUT_INTERVAL == HELD_OUT_INTERVAL - 1]
     fit = fit_stands(
         robot,
         taken.select_rows([at for at in range(len(taken)) if at not in places]),
@@ -109,11 +125,13 @@ def row(
     )
     by = {one.name: one for one in plan.stands}
     left = [by[taken.names[at]] for at in places]
-    truth = take(rig, left, robot)
+    truth = simulate_stands(rig, left, robot)
     mean = {one.name: one.mean for one in fit.estimates}
     numbers = partial(Planted, robot, truth={}, scale=1.0, added=np.zeros(4))
     with TemporaryDirectory() as folder:
-        fitted = replace(written(name, robot, fit, Path(folder)), fingerprint=robot.fingerprint)
+        fitted = replace(
+            load_fitted_robot(name, robot, fit, Path(folder)), fingerprint=robot.fingerprint
+        )
     before = numbers(robot=robot, kp=stated, offsets=np.zeros(robot.nu))
     names = robot.joint_names
     after = numbers(
@@ -123,13 +141,15 @@ def row(
     )
     smooth = replace(PLAIN, stiction=0.0)
     (j0, h0, f0), (j1, h1, f1) = (
-        off(take(Rig(one, smooth), left, robot), truth) for one in (before, after)
+        compute_errors(simulate_stands(Rig(one, smooth), left, robot), truth)
+        for one in (before, after)
     )
     said = "EXPLAINED" if fit.explained else "NOT EXPLAINED"
     return Row(name, seed, len(taken) - len(places), len(left), said, j0, j1, h0, h1, f0, f1)
 
 
 def main() -> None:
+    """Run the fits that the command line selects, and print a row for each."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--robot", default="v3", help="a variant, or a file")
     parser.add_argument("--kp", type=float, help="of the servos, where the file states none")
@@ -142,7 +162,7 @@ def main() -> None:
     robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)
     plan = plan_stands(robot, 16, kp=given.kp, added=0.0)
     for seed in range(given.first, given.first + given.seeds):
-        found = row(Path(given.robot).stem, seed, robot, given.kp, plan, given.keep)
+        found = make_row(Path(given.robot).stem, seed, robot, given.kp, plan, given.keep)
         if found is None:
             continue
         print(*vars(found).values(), sep=" | ", flush=True)

@@ -1,17 +1,18 @@
-"""Fits to logs of robots whose friction and servos no fit has: Stribeck, a dead band, a slow motor.
+"""Fits to logs of robots whose joint friction and servos the fit does not model.
 
     python benchmarks/fit_logs.py [--robot v3] [--kp 20 --kd 0.5] [--only none --only "dead band"]
         [--seeds 1] [--seconds 10] [--sysid] [--csv docs/data/fit-logs.csv]
 
-Masses, centres of mass, zeros of encoders, kp, friction, damping and armature are off as in
-``fit_motions.py``. Servos are explicit torques, friction is a bristle that holds and sticks more
-than it slides. Another motion (other sines and steps) is predicted, not fitted. Of numbers that are
-determined by the measurements, it says how many intervals hold the truth (of friction only where
-it is one number); and whether the interval of kp over mass does.
+The effects are, for example, Stribeck friction, a dead band and motor lag. Masses, CoM positions,
+encoder offsets, kp, friction, damping and armature have random errors, as in ``fit_motions.py``.
+Servos are explicit torques; friction is a bristle with higher static than sliding friction. Another
+motion (other sines and steps) is predicted, not fitted. The table contains the number of intervals
+that contain the true value, for values that the measurements determine (friction only if it is a
+single number), and the error of kp over mass.
 
-Then all but kp, friction, damping and armature is known (a robot on a scale, taken apart, its
-encoders at zero): by ``fit`` with ``--prior mass=0`` and so on, and with ``--sysid`` by
-``mujoco.sysid`` (``pip install mujoco[sysid]``), which has no priors, from the same start.
+In a second fit only kp, friction, damping and armature are unknown (as after weighing all parts):
+by ``fit`` with ``--prior mass=0`` and so on, and with ``--sysid`` by ``mujoco.sysid`` (``pip
+install mujoco[sysid]``), which has no priors, from the same initial guess.
 """
 
 from __future__ import annotations
@@ -27,7 +28,18 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from fit_motions import COM, INTERVAL, KP, MASS, OFFSET, QUANTUM, RUBS, SHAKES, commands, positive
+from fit_motions import (
+    COM,
+    INTERVAL,
+    KP,
+    MASS,
+    OFFSET,
+    QUANTUM,
+    RUBS,
+    SHAKES,
+    draw_positive,
+    make_commands,
+)
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import FitError
@@ -43,23 +55,28 @@ from pupper_analysis.tools.fit.result import Determined, MotionFit
 from pupper_analysis.tools.study.parameters import scale_robot
 
 STEP, BRISTLE, TICK = 2e-4, 5e-4, 1e-3
-"""s of a step, rad that a joint yields before it slides, s of a step of ``mujoco.sysid``."""
-IN_TIME = ("delay=0", "lag=0")
-RUBBING = ("friction", "damping", "armature")
+"""Time step of the simulation [s], deflection of the bristle before sliding [rad], and time step
+of ``mujoco.sysid`` [s]."""
+NO_DELAY_PRIORS = ("delay=0", "lag=0")
+"""Priors that exclude delay and lag."""
+
+PASSIVE_KINDS = ("friction", "damping", "armature")
+"""Kinds of passive joint parameters."""
 
 
 @dataclass(frozen=True)
-class Joints:
-    """What a robot's joints do that the fit's do not.
+class JointEffects:
+    """Effects in the joints of a robot that the fit does not model.
 
     Attributes:
-        more: Times the file's dry friction.
-        sticks: Times the sliding friction at rest; it falls with exp(-(v / 0.2 rad/s)^2).
-        deadband: Of the servo's error (rad).
-        with_load: Friction that grows with the motor's torque, as that of gears (of it).
-        lag: Time constant of the motor's torque (s), but for damping.
-        late: Dead time of all of it (s).
-        backlash: Between motor and joint (rad).
+        more: Factor of the dry friction of the file.
+        sticks: Ratio of static to sliding friction; the excess falls with exp(-(v / 0.2
+            rad/s)^2).
+        deadband: Servo error without torque [rad].
+        with_load: Friction proportional to the motor torque, as in gears.
+        lag: Time constant of the motor torque, without damping [s].
+        late: Dead time of the motor torque [s].
+        backlash: Backlash between motor and joint [rad].
     """
 
     more: float = 1.0
@@ -72,20 +89,21 @@ class Joints:
 
 
 KINDS = {
-    "bristle": Joints(),
-    "Stribeck 1.6": Joints(sticks=1.6),
-    "4 times the friction, Stribeck 1.6": Joints(more=4.0, sticks=1.6),
-    "dead band 0.3 deg": Joints(deadband=math.radians(0.3)),
-    "friction of 5 % of the torque": Joints(with_load=0.05),
-    "motors 5 ms slow": Joints(lag=0.005),
-    "torques 5 ms late": Joints(late=0.005),
-    "backlash 0.3 deg": Joints(backlash=math.radians(0.3)),
+    "bristle": JointEffects(),
+    "Stribeck 1.6": JointEffects(sticks=1.6),
+    "4 times the friction, Stribeck 1.6": JointEffects(more=4.0, sticks=1.6),
+    "dead band 0.3 deg": JointEffects(deadband=math.radians(0.3)),
+    "friction of 5 % of the torque": JointEffects(with_load=0.05),
+    "motors 5 ms slow": JointEffects(lag=0.005),
+    "torques 5 ms late": JointEffects(late=0.005),
+    "backlash 0.3 deg": JointEffects(backlash=math.radians(0.3)),
 }
+"""{name: effects}."""
 
 
 @dataclass(frozen=True, eq=False)
 class Planted:
-    """What is true of a robot that hangs."""
+    """Robot with a fixed base and known errors."""
 
     robot: Robot
     kp: np.ndarray
@@ -94,8 +112,8 @@ class Planted:
     truth: dict[str, float]
 
 
-def plant(robot: Robot, rng: np.random.Generator, gains: Gains) -> Planted:
-    """Draws what is true."""
+def plant_errors(robot: Robot, rng: np.random.Generator, gains: Gains) -> Planted:
+    """Return a robot with random errors."""
     factors, truth = {}, {}
     held = build_robot(robot.description, fixed_base=True)
     bodies = MovingBodies(held, held.mj_model)
@@ -112,8 +130,10 @@ def plant(robot: Robot, rng: np.random.Generator, gains: Gains) -> Planted:
     model = robot.mj_model
     own = (model.dof_frictionloss[dofs], model.dof_damping[dofs], model.dof_armature[dofs])
     drawn = {  # what a file does not state is of the size that the fit expects
-        kind: positive(rng, values, np.where(values > 0, RUBS * values, KINDS_OF_FIT[kind].width))
-        for kind, values in zip(RUBBING, own, strict=True)
+        kind: draw_positive(
+            rng, values, np.where(values > 0, RUBS * values, KINDS_OF_FIT[kind].width)
+        )
+        for kind, values in zip(PASSIVE_KINDS, own, strict=True)
     }
     offsets = OFFSET * rng.normal(size=nu)
     for kind, values in {"kp": kp, **drawn, "offset": offsets}.items():
@@ -121,8 +141,10 @@ def plant(robot: Robot, rng: np.random.Generator, gains: Gains) -> Planted:
     return Planted(true, kp, drawn, offsets, truth | {"delay servos": 0.0})
 
 
-def run(planted: Planted, joints: Joints, command: np.ndarray, gains: Gains, seed: int) -> Log:
-    """Returns a log of commands (n, nu), step by step in bare MuJoCo."""
+def simulate_log(
+    planted: Planted, joints: JointEffects, command: np.ndarray, gains: Gains, seed: int
+) -> Log:
+    """Simulate commands (n, nu) [rad] in MuJoCo alone, and return the log of the encoders."""
     true = build_robot(planted.robot.description, fixed_base=True)
     at, model = true.mj_convention, model_with_servos(true, planted.kp, gains.kd).model
     dofs, where = at.qvel_index, at.qpos_index
@@ -163,8 +185,16 @@ def run(planted: Planted, joints: Joints, command: np.ndarray, gains: Gains, see
     return Log("planted", clock, true.joint_names, command, QUANTUM * np.round(read / QUANTUM))
 
 
-def hold(fit: MotionFit, truth: dict[str, float], *, friction: bool) -> tuple[int, int]:
-    """Returns how many intervals of numbers that measurements determine hold, and of how many."""
+def count_true_intervals(
+    fit: MotionFit, truth: dict[str, float], *, friction: bool
+) -> tuple[int, int]:
+    """Return the number of intervals that contain the true value, and the number of intervals.
+
+    Args:
+        fit: Fit; intervals of values that the measurements determine are counted.
+        truth: {name of an estimate: true value}.
+        friction: Whether friction is included.
+    """
     own = [
         one.low <= truth[one.name] <= one.high
         for one in fit.estimates
@@ -177,7 +207,7 @@ def hold(fit: MotionFit, truth: dict[str, float], *, friction: bool) -> tuple[in
 
 @dataclass(frozen=True)
 class Row:
-    """A log, and what fits make of it."""
+    """Log, and the results of its fits."""
 
     robot: str
     kind: str
@@ -185,7 +215,7 @@ class Row:
     outcome: str
     held_out_file: float
     held_out: float
-    hold: int
+    count_true_intervals: int
     of: int
     ratio_off: float
     ratio_half: float
@@ -201,20 +231,25 @@ class Row:
     sysid_seconds: float = math.nan
 
 
-def rms(values: np.ndarray) -> float:
-    """Returns the root mean square in thousandths: mrad."""
+def rms_mrad(values: np.ndarray) -> float:
+    """Return the root mean square of angles [rad] in mrad."""
     return round(1e3 * float(np.sqrt(np.mean(np.square(values)))), 3)
 
 
-def shifted(log: Log, offsets: np.ndarray) -> Log:
-    """Returns a log as encoders at zero would have it."""
+def remove_offsets(log: Log, offsets: np.ndarray) -> Log:
+    """Return a log without encoder offsets (nu,) [rad]."""
     return replace(log, command=log.command - offsets, position=log.position - offsets)
 
 
-def by_sysid(
+def fit_with_sysid(
     robot: Robot, log: Log, other: Log, gains: Gains, planted: Planted, *, friction: bool
 ) -> tuple[float, int, int, float, float]:
-    """Returns held-out error (mrad), intervals that hold, of how many, kp's error (%), seconds."""
+    """Fit a log with ``mujoco.sysid``.
+
+    Returns:
+        Prediction error [mrad], number of intervals that contain the true value, number of
+        intervals, median error of kp [%], and time [s].
+    """
     from mujoco import rollout, sysid
 
     held = build_robot(robot.description, fixed_base=True)
@@ -238,7 +273,7 @@ def by_sysid(
         return made
 
     def off(x: np.ndarray, one: Log) -> np.ndarray:
-        """Returns what is off of vectors (n, m): (m, samples, joints)."""
+        """Return what is off of vectors (n, m): (m, samples, joints)."""
         models, data, every = [build(own) for own in x.T], mujoco.MjData(model), INTERVAL / TICK
         at.set_state(data, one.position[0])
         start = np.tile(sysid.create_initial_state(model, data.qpos, data.qvel), (len(models), 1))
@@ -261,26 +296,26 @@ def by_sysid(
     x = best.as_vector()
     _, half = sysid.calculate_intervals(residual(x, best)[0], result.jac)
     spent = round(time.monotonic() - begun, 1)
-    truth = np.concatenate([planted.kp, *(planted.rubs[kind] for kind in RUBBING)])
+    truth = np.concatenate([planted.kp, *(planted.rubs[kind] for kind in PASSIVE_KINDS)])
     counts = np.repeat([True, friction, True, True], robot.nu)
     inside = (np.abs(x - truth) <= half)[counts]
     kp_off = round(100 * float(np.median(np.abs(x[: robot.nu] / planted.kp - 1))), 2)
-    return rms(off(x[:, None], other)), int(inside.sum()), len(inside), kp_off, spent
+    return rms_mrad(off(x[:, None], other)), int(inside.sum()), len(inside), kp_off, spent
 
 
-def row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace) -> Row:
-    """Makes a log of one kind, and fits it."""
+def make_row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace) -> Row:
+    """Simulate a log with some effects, fit it, and return the results."""
     joints, gains = KINDS[kind], resolve_servo_gains(robot, given.kp, given.kd)
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed])
-    planted = plant(robot, rng, gains)
-    fitted, other = (commands(robot, rng, s) for s in (given.seconds, given.seconds / 2))
+    planted = plant_errors(robot, rng, gains)
+    fitted, other = (make_commands(robot, rng, s) for s in (given.seconds, given.seconds / 2))
     log, held = (
-        run(planted, joints, one, gains, seed + k) for k, one in enumerate((fitted, other))
+        simulate_log(planted, joints, one, gains, seed + k) for k, one in enumerate((fitted, other))
     )
     after = {"command": joints.lag, "position": joints.lag + joints.late}
     planted.truth.update({f"lag.{part} servos": value for part, value in after.items()})
     planted.truth["delay servos"] = joints.lag + joints.late
-    one_number = replace(joints, lag=0.0, late=0.0) == Joints()
+    one_number = replace(joints, lag=0.0, late=0.0) == JointEffects()
     fit = fit_motion(robot, [log], hold_out=[held], kp=given.kp, kd=given.kd)
     masses = [one.subject for one in fit.estimates if one.kind == "mass"]
     stated = {one.name: one.stated for one in fit.estimates}
@@ -292,9 +327,14 @@ def row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace
     begun = time.monotonic()
     known = fit_motion(
         planted.robot,
-        [shifted(log, planted.offsets)],
-        hold_out=[shifted(held, planted.offsets)],
-        priors=("mass=0", "com=0", "offset=0", *(() if joints.lag or joints.late else IN_TIME)),
+        [remove_offsets(log, planted.offsets)],
+        hold_out=[remove_offsets(held, planted.offsets)],
+        priors=(
+            "mass=0",
+            "com=0",
+            "offset=0",
+            *(() if joints.lag or joints.late else NO_DELAY_PRIORS),
+        ),
         kp=given.kp,
         kd=given.kd,
     )
@@ -304,20 +344,22 @@ def row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace
     found = Row(
         name, kind, seed, "EXPLAINED" if fit.explained else "NOT EXPLAINED",
         round(1e3 * fit.held_out_before, 2), round(1e3 * fit.held_out, 3),
-        *hold(fit, planted.truth, friction=one_number),
+        *count_true_intervals(fit, planted.truth, friction=one_number),
         round(100 * (fit.kp_over_mass.mean / ratio - 1), 2),
         round(100 * (fit.kp_over_mass.high / fit.kp_over_mass.mean - 1), 2),
-        round(1e3 * known.held_out, 3), *hold(known, planted.truth, friction=one_number),
+        round(1e3 * known.held_out, 3),
+        *count_true_intervals(known, planted.truth, friction=one_number),
         round(100 * float(np.median(np.abs(kp / planted.kp - 1))), 2), round(spent, 1),
     )  # fmt: skip
     if not given.sysid:
         return found
-    logs = (shifted(log, planted.offsets), shifted(held, planted.offsets))
-    own = by_sysid(planted.robot, *logs, gains, planted, friction=one_number)
+    logs = (remove_offsets(log, planted.offsets), remove_offsets(held, planted.offsets))
+    own = fit_with_sysid(planted.robot, *logs, gains, planted, friction=one_number)
     return replace(found, **dict(zip([f.name for f in fields(Row)][-5:], own, strict=True)))
 
 
 def main() -> None:
+    """Run the fits that the command line selects, and print a row for each."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--robot", default="v3", help="a variant, or a file")
     parser.add_argument("--kp", type=float, help="of the servos, where the file states none")
@@ -335,7 +377,7 @@ def main() -> None:
         for seed in range(given.first, given.first + given.seeds):
             name = Path(given.robot).stem
             try:
-                found = row(name, robot, kind, seed, given)
+                found = make_row(name, robot, kind, seed, given)
             except FitError:
                 nothing = [math.nan, math.nan, 0, 0, *[math.nan] * 3, 0, 0, math.nan, math.nan]
                 found = Row(name, kind, seed, "does not converge", *nothing)

@@ -1,18 +1,16 @@
-"""How often 95 % intervals of a fit to a motion hold the truth, and how long it takes.
+"""Coverage of the 95 % intervals of a fit to a motion, and the time that it takes.
 
     python benchmarks/fit_motions.py [--robot v3 --robot go2.xml] [--kp 20 --kd 1] [--seeds 20]
         [--first 500] [--seconds 10]
     python benchmarks/fit_motions.py --log 0.csv --log 1.csv --hold-out 5.csv --robot go2.xml
         [--kp 20 --kd 1]
 
-What is true of a robot is drawn from the priors that the fit is told: masses (15 %), coms (10 mm),
-zeros of encoders (1.5 deg), kp (15 %, half of it common), dry friction, damping, armature (30 %)
-and the delay of commands (10 ms). It hangs by its base, and its servos follow sines and steps; it
-is simulated step by step in MuJoCo, a quarter of a millisecond each. (An Euler's step of 0.1 ms is
-seen: its lag is half of that, seven standard deviations of the delay.) Encoders have 12 bits and
-shake. Seeds are of a robot's own: runs are the same each time.
-
-With ``--log`` it is a real robot's.
+True parameters are drawn from the priors of the fit: masses (15 %), CoM positions (10 mm), encoder
+offsets (1.5 deg), kp (15 %, half of it common), dry friction, damping, armature (30 %) and the
+delay of commands (10 ms). The base is fixed, and the servos follow sines and steps in MuJoCo with a
+time step of 0.25 ms. (With an Euler step of 0.1 ms the lag of half a step is seven standard
+deviations of the delay.) Encoders have 12 bits and noise. Each robot has its own seeds, so that
+runs are repeatable. With ``--log``, the logs of a real robot are fitted.
 """
 
 from __future__ import annotations
@@ -36,24 +34,32 @@ from pupper_analysis.tools.fit.parameters import list_bodies
 from pupper_analysis.tools.study.parameters import scale_robot
 
 MASS, COM, OFFSET, KP, RUBS, DELAY = 0.15, 0.01, math.radians(1.5), 0.15, 0.3, 0.01
+"""Standard deviations: masses, CoM positions [m], encoder offsets [rad], kp, passive parameters
+(relative), delay [s]."""
+
 PRIORS = (
     "mass=15%", "com=10mm", "offset=1.5deg", "kp=15%",
     "friction=30%", "damping=30%", "armature=30%", "delay=10ms",
 )  # fmt: skip
+"""Priors of the fit, from which the true parameters are drawn."""
+
 INTERVAL, TICKS = 0.005, 20
+"""Sampling interval of a log [s], and number of time steps per interval."""
+
 QUANTUM, SHAKES = 2 * math.pi / 4096, 3e-4
+"""Resolution [rad] and standard deviation of the noise [rad] of the encoders."""
 
 
-def positive(rng: np.random.Generator, mean: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Draws from normal distributions, again where it is not positive."""
+def draw_positive(rng: np.random.Generator, mean: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Draw from normal distributions, and draw negative values again."""
     drawn = rng.normal(mean, width)
     while (drawn < 0).any():
         drawn = np.where(drawn < 0, rng.normal(mean, width), drawn)
     return drawn
 
 
-def commands(robot: Robot, rng: np.random.Generator, seconds: float) -> np.ndarray:
-    """Returns sines of 0.3 to 3 Hz and a step every second or so (n, nu), inside of limits."""
+def make_commands(robot: Robot, rng: np.random.Generator, seconds: float) -> np.ndarray:
+    """Return commands (n, nu) [rad] within the limits: sines of 0.3 to 3 Hz, a step per second."""
     clock = np.arange(0, seconds, INTERVAL)
     wide = np.minimum(robot.upper_limits - robot.lower_limits, 2.0)
     middle = np.clip(
@@ -71,7 +77,7 @@ def commands(robot: Robot, rng: np.random.Generator, seconds: float) -> np.ndarr
 def drive_joints(
     robot: Robot, rng: np.random.Generator, seconds: float, gains: Gains
 ) -> tuple[Log, dict[str, float]]:
-    """Returns a log of a robot with planted errors, and what is true of it by estimates' names."""
+    """Return the log of a robot with random errors, and {name of an estimate: true value}."""
     factors, truth = {}, {}
     names = robot.joint_names
     held = build_robot(robot.description, fixed_base=True)
@@ -94,14 +100,14 @@ def drive_joints(
         ("damping", model.dof_damping),
         ("armature", model.dof_armature),
     ):
-        values[dofs] = positive(rng, values[dofs], RUBS * values[dofs])
+        values[dofs] = draw_positive(rng, values[dofs], RUBS * values[dofs])
         truth |= {
             f"{kind} {name}": float(values[dof]) for name, dof in zip(names, dofs, strict=True)
         }
     offsets, delay = OFFSET * rng.normal(size=robot.nu), abs(DELAY * rng.normal())
     truth |= {f"kp {name}": float(one) for name, one in zip(names, kp, strict=True)}
     truth |= {f"offset {name}": float(one) for name, one in zip(names, offsets, strict=True)}
-    command, late = commands(robot, rng, seconds), round(delay / INTERVAL * TICKS)
+    command, late = make_commands(robot, rng, seconds), round(delay / INTERVAL * TICKS)
     truth["delay servos"] = late / TICKS * INTERVAL
     model.opt.timestep, model.opt.integrator = INTERVAL / TICKS, INTEGRATOR
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
@@ -120,10 +126,11 @@ def drive_joints(
 
 
 INTEGRATOR = mujoco.mjtIntegrator.mjINT_RK4.value
+"""MuJoCo's integrator of the simulated logs."""
 
 
-def cover(name: str, given: argparse.Namespace) -> None:
-    """Fits robots with planted errors, and says how often intervals hold them."""
+def measure_coverage(name: str, given: argparse.Namespace) -> None:
+    """Fit robots with random errors, and print how many intervals contain the true values."""
     robot = pa.load_variant(name) if name in pa.VARIANTS else pa.load_robot(name)
     gains, seeds, seconds = (
         resolve_servo_gains(robot, given.kp, given.kd),
@@ -151,7 +158,7 @@ def cover(name: str, given: argparse.Namespace) -> None:
                     f"{one.kind}, {one.determined.value}",
                 ):
                     held.setdefault(key, []).append(inside)
-                if abs(truth[one.name] - one.mean) > FAR * one.std:
+                if abs(truth[one.name] - one.mean) > MAX_DEVIATION * one.std:
                     off = (truth[one.name] - one.mean) / one.std
                     print(f"  seed {seed}: {one.name} is {off:.1f} standard deviations off")
         print(
@@ -165,12 +172,12 @@ def cover(name: str, given: argparse.Namespace) -> None:
         print(f"  {key:28s} {100 * np.mean(inside):5.1f} % of {len(inside)} intervals hold it")
 
 
-FAR = 4.0
-"""Standard deviations: one of 16,000 normal numbers is as far off."""
+MAX_DEVIATION = 4.0
+"""Error in standard deviations above which an estimate is printed: one of 16,000 normal numbers."""
 
 
-def fit_logs(given: argparse.Namespace) -> None:
-    """Fits real logs, and says how far predictions of others are from them."""
+def fit_real_logs(given: argparse.Namespace) -> None:
+    """Fit real logs, and print the prediction error of other logs."""
     name = given.robot[0]
     robot = pa.load_variant(name) if name in pa.VARIANTS else pa.load_robot(name)
     logs = [read_log(one) for one in given.log]
@@ -192,6 +199,7 @@ def fit_logs(given: argparse.Namespace) -> None:
 
 
 def main() -> None:
+    """Fit the simulated or real logs that the command line selects."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--robot", action="append", help="a variant, or a file")
     parser.add_argument("--seeds", type=int, default=20)
@@ -208,10 +216,10 @@ def main() -> None:
         if values and len(values) == 1:
             setattr(given, gain, values[0])
     if given.log:
-        fit_logs(given)
+        fit_real_logs(given)
         return
     for name in given.robot:
-        cover(name, given)
+        measure_coverage(name, given)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How time grows with the number of variants, of configurations, of stands, of simulations."""
+"""Growth of processor time with the number of variants, configurations, stands and simulations."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from bare import wave
+from bare import make_smooth_tasks
 from measure import take_turns
 
 import pupper_analysis as pa
 
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Numbers of repetitions that are measured."""
 
 
-def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int, float]]]:
-    """Returns {what: (how many, time (s))}.
+def measure_growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int, float]]]:
+    """Return {computation: points (number, time [s])}.
 
     Args:
-        variant: The robot.
-        most: The greatest number of anything.
-        seconds: For how long a number is measured at least (s); the median counts.
+        variant: Name of the robot.
+        most: Largest number.
+        seconds: Minimum duration of each measurement [s]; the median is returned.
     """
     robot = pa.load_variant(variant)
     stand = pa.solve_stand(robot)
-    tasks, new = wave(robot, 1000), itertools.count()  # a variant is derived but once
+    tasks, new = make_smooth_tasks(robot, 1000), itertools.count()  # a variant is derived but once
     jobs: dict[str, tuple[int, Callable[[int], object]]] = {
         "load_variant, each a new one": (
             50,
@@ -57,15 +58,15 @@ def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int,
     }
 
 
-def exponent(points: Sequence[tuple[int, float]]) -> float:
-    """Returns the p of time ~ count^p that fits the greatest counts best, a tenth to the most."""
+def fit_exponent(points: Sequence[tuple[int, float]]) -> float:
+    """Return the exponent p of time ~ count^p, fitted to the last decade of counts."""
     last = [(count, took) for count, took in points if count >= points[-1][0] / 10]
     counts, times = np.log(np.array(last)).T
     return float(np.polyfit(counts, times, 1)[0])
 
 
-def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
-    """Draws time against number, both on logarithmic axes."""
+def draw_growth(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
+    """Draw time [s] against number, with logarithmic axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 4.5), layout="constrained")

@@ -1,6 +1,7 @@
-"""Runs cases in a process of their own, which may crash, hang, or ask for too much memory.
+"""Run cases in a separate process, which may crash, hang, or exceed its memory.
 
-The results are lines of JSON in a file, one per case; what is there already is not run again.
+Results are lines of JSON in a file, a line per case. Cases with a result in the file are not run
+again.
 """
 
 from __future__ import annotations
@@ -13,32 +14,37 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-MEMORY = 8 * 2**30
-"""Bytes of address space: engines map some 2 GB, and a case of ours takes tens of MB."""
+MAX_ADDRESS_SPACE = 8 * 2**30
+"""Maximum address space of the process [bytes]: engines map 2 GB, and a case needs some 10 MB."""
 
-SILENT = 300.0
-"""s without a result: a case takes a second or two, on a busy machine twenty."""
+MAX_SILENT_TIME = 300.0
+"""Time without a result [s] after which the process is stopped: a case takes one or two seconds,
+and up to 20 on a busy machine."""
 
-RECYCLED = 400
-"""Cases per process: PlaCo leaks 0.4 MB per robot that is solved."""
+MAX_CASES_PER_PROCESS = 400
+"""Number of cases per process: PlaCo leaks 0.4 MB per solved robot."""
 
 Case = tuple[str, Any]
 
 
-def run(work: Callable[[Any], dict[str, Any]], cases: Sequence[Case], file: Path) -> list[Any]:
-    """Returns the results of all cases, in their order.
+def run_cases(
+    work: Callable[[Any], dict[str, Any]], cases: Sequence[Case], file: Path
+) -> list[Any]:
+    """Return the results of all cases, in the given order.
 
     Args:
-        work: Makes a case's result of its argument; importable, for it runs elsewhere.
-        cases: {key: argument}, in pairs.
-        file: Has the results.
+        work: Importable function that computes the result of a case from its argument.
+        cases: Pairs (key, argument).
+        file: File of the results; created or extended.
     """
-    known = read(file)
+    known = read_results(file)
     waiting = [case for case in cases if case[0] not in known]
     while waiting:
         context = mp.get_context("spawn")
         process = context.Process(
-            target=_work, args=(work, waiting[:RECYCLED], str(file)), daemon=True
+            target=_run_in_process,
+            args=(work, waiting[:MAX_CASES_PER_PROCESS], str(file)),
+            daemon=True,
         )
         process.start()
         seen, since = -1, time.monotonic()
@@ -47,43 +53,52 @@ def run(work: Callable[[Any], dict[str, Any]], cases: Sequence[Case], file: Path
             size = file.stat().st_size if file.exists() else 0
             if size != seen:
                 seen, since = size, time.monotonic()
-            elif time.monotonic() - since > SILENT:
+            elif time.monotonic() - since > MAX_SILENT_TIME:
                 process.kill()
                 process.join()
-        known = read(file)
+        known = read_results(file)
         left = [case for case in waiting if case[0] not in known]
         if process.exitcode != 0 and left:  # it ended within the first that has no result
             hung = process.exitcode == -9
             said = "hangs" if hung else f"ends the process: {process.exitcode}"
-            _write(file, left[0][0], {"crash": said})
+            _append_result(file, left[0][0], {"crash": said})
             left = left[1:]
         waiting = left
-    known = read(file)
+    known = read_results(file)
     return [known[key] for key, _ in cases]
 
 
-def read(file: Path) -> dict[str, Any]:
-    """Returns the results so far, by key."""
+def read_results(file: Path) -> dict[str, Any]:
+    """Return {key: result} of a file of results; empty if there is no file."""
     if not file.exists():
         return {}
     lines = (json.loads(line) for line in file.read_text().splitlines() if line.endswith("}"))
     return {line.pop("key"): line for line in lines}
 
 
-def forget(file: Path, which: Callable[[dict[str, Any]], bool]) -> None:
-    """Takes results out of the file, so that their cases are run again."""
-    kept = {key: result for key, result in read(file).items() if not which(result)}
+def remove_results(file: Path, which: Callable[[dict[str, Any]], bool]) -> None:
+    """Remove results from the file, so that their cases run again.
+
+    Args:
+        file: File of the results.
+        which: Function that returns True for a result to remove.
+    """
+    kept = {key: result for key, result in read_results(file).items() if not which(result)}
     file.unlink(missing_ok=True)
     for key, result in kept.items():
-        _write(file, key, result)
+        _append_result(file, key, result)
 
 
-def _write(file: Path, key: str, result: dict[str, Any]) -> None:
+def _append_result(file: Path, key: str, result: dict[str, Any]) -> None:
+    """Append the result of a case to the file."""
     with file.open("a") as out:
         out.write(json.dumps({"key": key, **result}) + "\n")
 
 
-def _work(work: Callable[[Any], dict[str, Any]], cases: Sequence[Case], file: str) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+def _run_in_process(
+    work: Callable[[Any], dict[str, Any]], cases: Sequence[Case], file: str
+) -> None:
+    """Run cases in this process, with limited memory, and append their results to the file."""
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_ADDRESS_SPACE, MAX_ADDRESS_SPACE))
     for key, argument in cases:
-        _write(Path(file), key, work(argument))
+        _append_result(Path(file), key, work(argument))

@@ -1,10 +1,11 @@
-"""How often a second the live page can answer a slider: solve, forces, scene and words.
+"""Processor time in which the live page responds to a moved slider: solver, forces, scene and
+texts.
 
     python benchmarks/live.py [--variant v3] [--moves 300]
 
-Each move is one step of a slider on its way to and fro; what is sent to browsers is made, as for
-one of them, and put into viser's queue, but no browser is there to draw it. Times are those of the
-thread's own work: on a machine that others use, too, the clock says more.
+Each move is a step of a slider. The data for browsers are created and put into viser's queue, but
+no browser draws them. Times are processor times of the thread, since the elapsed time depends on
+other processes.
 """
 
 from __future__ import annotations
@@ -25,15 +26,15 @@ from pupper_analysis.tools.live.session import Panels, Session
 from pupper_analysis.tools.live.state import State
 
 
-class Still(Session):
-    """Buttons that nobody presses."""
+class StubSession(Session):
+    """Session whose buttons nobody presses."""
 
     def __init__(self) -> None:
         pass
 
 
-def measure(variant: str, moves: int) -> dict[str, list[float]]:
-    """Returns the times (s) of the parts of each move."""
+def measure_moves(variant: str, moves: int) -> dict[str, list[float]]:
+    """Return {part: processor times [s] of each move}; "all, by the clock" is elapsed time."""
     model = StanceSolver(pa.load_variant(variant))
     port = render.find_free_port(DEFAULT_HOST, None)
     server = render.start_server(DEFAULT_HOST, port, "benchmark")
@@ -41,7 +42,7 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
     wall = taken["all, by the clock"] = []
     try:
         scene = Scene(server.scene)
-        panels = Panels(server, model, Still(), render.Translator())
+        panels = Panels(server, model, StubSession(), render.Translator())
         for angle in np.sin(np.linspace(0.0, 12.0, moves)):
             begun, since = time.perf_counter(), time.thread_time()
             answer = model.solve_state(State(roll=float(12 * angle), height=130.0))
@@ -70,8 +71,8 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
 @click.option("--variant", default="v3", show_default=True)
 @click.option("--moves", default=300, show_default=True)
 def main(variant: str, moves: int) -> None:
-    """Prints medians, and how many moves a second that makes."""
-    taken = measure(variant, moves)
+    """Print the median times, and the resulting number of moves per second."""
+    taken = measure_moves(variant, moves)
     for name, times in taken.items():
         print(f"{name:24} {1e3 * statistics.median(times):7.2f} ms")
     work = sum(statistics.median(taken[name]) for name in ("solve and forces", "scene", "words"))

@@ -1,4 +1,4 @@
-"""What is measured, and how: jobs that take turns, so that all meet the same machine."""
+"""Measurement of times: jobs run alternately, so that all meet the same load of the machine."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ PACKAGES = (
     *("mujoco", "pin", "placo", "clarabel", "numpy", "scipy", "coal", "matplotlib"),
     *("pin-pink", "mink", "quadprog", "daqp"),
 )
+"""Distributions whose versions are recorded."""
 
 
-PATIENCE = 10.0
-"""s: no line of a table takes longer than that, and one more turn."""
+MAX_MEASURE_TIME = 10.0
+"""Time [s] after which no further turn of a job begins. Chosen, not tuned."""
 
 MUCH_SHORTER, MOST_IN_A_TURN = 5, 30
-"""From which share on a short job is called several times while a long one is called once, and how
-often at most: of 30 calls all but a few find the caches warm."""
+"""Ratio of the longest to a shorter time from which the shorter job is called several times per
+turn, and the largest number of these calls: nearly all of 30 calls find warm caches."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How exact an answer is.
+    """Accuracy of a result.
 
     Attributes:
-        value: What it is off by; 0 is exact.
-        limit: What it must not exceed: a bound that does not depend on the machine.
-        what: Of what, with the unit.
+        value: Error; 0 is exact.
+        limit: Largest permitted error, independent of the machine.
+        what: Unit and name of the error.
     """
 
     value: float
@@ -46,12 +47,12 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Rival:
-    """Somebody else who does a job.
+    """Alternative implementation of a job.
 
     Attributes:
-        name: Who.
-        run: Does it.
-        accuracy: How exact that is; None where it is what ours is compared with.
+        name: Name of the implementation.
+        run: Function that does the job.
+        accuracy: Function that returns the accuracy; None for the reference of our accuracy.
     """
 
     name: str
@@ -61,16 +62,16 @@ class Rival:
 
 @dataclass(frozen=True)
 class Job:
-    """A job that the package does.
+    """Job that the package does.
 
     Attributes:
-        name: What is done.
-        ours: Does it.
-        accuracy: How exact ours is.
-        bare: The engine alone, or whatever ours is to be held against.
-        goal: How many times as long as ``bare`` ours may take.
-        peers: Others.
-        quick: Whether the smallest setting has it.
+        name: Name of the job.
+        ours: Function that does the job with this package.
+        accuracy: Function that returns our accuracy.
+        bare: Implementation with the engine alone, or another reference; None without one.
+        goal: Largest permitted ratio of our time to that of ``bare``.
+        peers: Other implementations.
+        quick: Whether the smallest setting of the benchmark includes the job.
     """
 
     name: str
@@ -84,17 +85,17 @@ class Job:
 
 @dataclass
 class Row:
-    """What was measured of a job: times are medians (s).
+    """Measured times of a job: medians [s].
 
     Attributes:
-        name: The job's.
+        name: Name of the job.
         ours: Our time.
-        accuracy: How exact ours is, in words.
-        exact: Whether that is within its limit.
-        bare: By what it is held against, and its time.
+        accuracy: Our accuracy as text.
+        exact: Whether the error is within its limit.
+        bare: Name and time of the reference; None without one.
         goal: See ``Job``.
-        peers: {who: (time, how exact)}.
-        calls: How often each was called.
+        peers: {name of another implementation: (time, accuracy as text)}.
+        calls: Number of our calls.
     """
 
     name: str
@@ -108,12 +109,18 @@ class Row:
 
     @property
     def ratio(self) -> float | None:
-        """Our time in times of the bare engine's."""
+        """Our time divided by that of the reference; None without reference."""
         return None if self.bare is None else self.ours / self.bare[1]
 
 
-def measured(job: Job, repeats: int, seconds: float) -> Row:
-    """Measures a job; ours, the bare engine and the peers take turns."""
+def measure_job(job: Job, repeats: int, seconds: float) -> Row:
+    """Measure a job; our function, the reference and the peers run alternately.
+
+    Args:
+        job: The job.
+        repeats: Minimum number of calls.
+        seconds: Minimum duration of the measurement [s].
+    """
     rivals = [*([job.bare] if job.bare else []), *job.peers]
     times = take_turns([job.ours, *(rival.run for rival in rivals)], repeats, seconds)
     medians = [statistics.median(taken) for taken in times]
@@ -141,13 +148,21 @@ def take_turns(
     seconds: float = 1.0,
     clock: Callable[[], float] = time.perf_counter,
 ) -> list[list[float]]:
-    """Returns the times of each of some jobs (s), run by turns.
+    """Return the times of each call [s] of several jobs, which run alternately.
 
-    They are run so often, and so long, or more; but no longer than ``PATIENCE``. Each turn has
-    another order: in a fixed one each always comes after the same other, and finds in the caches
-    what that has left there, which for a bare engine after ours is the engine itself. In a turn a
-    short job is called until it has taken as long as the longest: else it alone would always find
-    the caches as 0.1 s of the other's work, or the machine's other guests, have left them.
+    The measurement continues until both minima are reached, or `MAX_MEASURE_TIME` has passed. The
+    order changes randomly in each turn: in a fixed order, a job would always find the caches that
+    the same other job has left. A short job is called several times per turn, since otherwise each
+    call would find caches filled by a long job.
+
+    Args:
+        jobs: Functions to call.
+        repeats: Minimum number of turns.
+        seconds: Minimum duration of the measurement [s].
+        clock: Function that returns the time [s].
+
+    Returns:
+        A list of times per job.
     """
     order, random = list(range(len(jobs))), Random(0)
     times: list[list[float]] = [[] for _ in jobs]
@@ -162,7 +177,7 @@ def take_turns(
     begin = time.perf_counter()
     while not times[0] or (
         (min(map(len, times)) < repeats or time.perf_counter() < begin + seconds)
-        and time.perf_counter() < begin + PATIENCE
+        and time.perf_counter() < begin + MAX_MEASURE_TIME
     ):
         random.shuffle(order)
         for index in order:
@@ -174,12 +189,12 @@ def take_turns(
 
 
 def median_seconds(job: Callable[[], object], repeats: int) -> float:
-    """Returns the median time of a job (s)."""
+    """Return the median time of a job [s]."""
     return statistics.median(take_turns([job], repeats, 0.0)[0])
 
 
-def setting() -> dict[str, object]:
-    """Returns versions and machine, which times belong to."""
+def describe_machine() -> dict[str, object]:
+    """Return versions, processor and load of the machine, and the date, for JSON."""
     versions = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -189,7 +204,7 @@ def setting() -> dict[str, object]:
     return {
         "versions": versions,
         "machine": platform.machine(),
-        "processor": processor(),
+        "processor": processor_name(),
         "cores": os.cpu_count(),
         "load": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
         "system": platform.system(),
@@ -197,8 +212,8 @@ def setting() -> dict[str, object]:
     }
 
 
-def processor() -> str:
-    """Returns the processor's name, where the system tells it."""
+def processor_name() -> str:
+    """Return the name of the processor, if the system reports it."""
     message = Path("/proc/cpuinfo")
     lines = message.read_text().splitlines() if message.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

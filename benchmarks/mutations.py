@@ -48,8 +48,11 @@ from pathlib import Path
 from typing import IO, Any, NoReturn
 from xml.etree import ElementTree
 
-ROOT = Path(__file__).resolve().parent.parent
+PROJECT_FOLDER = Path(__file__).resolve().parent.parent
+"""Root folder of this project."""
+
 PACKAGE = "pupper_analysis"
+"""Name of the package in which faults are planted."""
 
 MAX_TEST_FILES = 3
 """Upper bound of test files that count as near to a module. Chosen: seconds of processor."""
@@ -64,6 +67,7 @@ MAX_FOLDER_SECONDS = 30.0
 of the commands has 100 s of tests, most of which do not execute the module."""
 
 TIERS = tuple(MAX_PROCESSOR_SECONDS)
+"""Names of the tiers, in the order in which they run."""
 
 PRELOADED = (
     *("pytest", "numpy", "scipy.optimize", "scipy.spatial", "mujoco", "pinocchio"),
@@ -76,6 +80,7 @@ COLUMNS = (
     *("file", "line", "kind", "before", "after", "code", "occurrence"),
     *("tiers", "outcome", "detected_by", "reason"),
 )
+"""Columns of the table of faults."""
 
 _OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
     ast.Add: ("sign", "+", "-"),
@@ -90,6 +95,8 @@ _OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
     ast.And: ("condition", "and", "or"),
     ast.Or: ("condition", "or", "and"),
 }
+"""{operator: (kind of the fault, text, replacing text)}."""
+
 _CALLS = {
     "radians": "degrees",
     "degrees": "radians",
@@ -100,6 +107,7 @@ _CALLS = {
     "minimum": "maximum",
     "maximum": "minimum",
 }
+"""{called function: replacing function}."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +155,7 @@ class _Finder:
         self._source = path.read_text(encoding="utf-8")
         self._lines = self._source.splitlines(keepends=True)
         self._starts = [0, *accumulate(map(len, self._lines))]
-        for node in _computing(ast.parse(self._source)):
+        for node in _list_computing_nodes(ast.parse(self._source)):
             self._visit_operators(node)
             self._visit_numbers(node)
             self._visit_calls(node)
@@ -157,20 +165,27 @@ class _Finder:
         return self._starts[line - 1] + len(self._lines[line - 1].encode()[:column].decode())
 
     def _range(self, node: ast.expr) -> tuple[int, int]:
+        """Return the offsets of the first character of an expression, and of the character after
+        it.
+        """
         end = self._offset(node.end_lineno or 1, node.end_col_offset or 0)
         return self._offset(node.lineno, node.col_offset), end
 
     def _text(self, node: ast.expr) -> str:
+        """Return the source text of an expression."""
         return self._source[slice(*self._range(node))]
 
     def _add(self, line: int, kind: str, start: int, before: str, after: str) -> None:
+        """Record a fault that replaces the text ``before`` at an offset."""
         code = self._lines[line - 1].strip()
         self.faults.append(Fault(self._file, line, kind, start, before, after, code))
 
     def _replace(self, node: ast.expr, kind: str, after: str) -> None:
+        """Record a fault that replaces an expression."""
         self._add(node.lineno, kind, self._range(node)[0], self._text(node), after)
 
     def _visit_operators(self, node: ast.AST) -> None:
+        """Record faults that exchange or remove the operator of a node."""
         match node:
             case ast.BinOp(left=left, op=operator, right=right):
                 pass
@@ -197,6 +212,7 @@ class _Finder:
             self._add(line, kind, begin + gap.index(sign), sign, other)
 
     def _visit_numbers(self, node: ast.AST) -> None:
+        """Record faults that change the number or index of a node."""
         match node:
             case ast.Subscript(slice=ast.Constant(value=int(number)) as at) if number in (0, 1, 2):
                 self._replace(at, "index", str((number + 1) % 3))
@@ -208,6 +224,7 @@ class _Finder:
                 self._replace(node, "unit", f"({self._text(node)} * 1000)")
 
     def _visit_calls(self, node: ast.AST) -> None:
+        """Record faults that exchange a called function, or two arguments or elements."""
         match node:
             case ast.Call(func=ast.Name(id=called) | ast.Attribute(attr=called) as function):
                 if called in _CALLS:
@@ -231,9 +248,10 @@ class _Finder:
 
 
 _PLAIN = (ast.Name, ast.Attribute, ast.Subscript)
+"""Types of expressions that may be exchanged."""
 
 
-def _computing(tree: ast.AST) -> Iterator[ast.AST]:
+def _list_computing_nodes(tree: ast.AST) -> Iterator[ast.AST]:
     """Yield the nodes of a module without annotations, decorators, imports and strings."""
     for name, value in ast.iter_fields(tree):
         if name in ("annotation", "returns", "decorator_list", "type_params", "names"):
@@ -242,7 +260,7 @@ def _computing(tree: ast.AST) -> Iterator[ast.AST]:
             if not isinstance(node, ast.AST) or isinstance(node, ast.JoinedStr | ast.Import):
                 continue
             yield node
-            yield from _computing(node)
+            yield from _list_computing_nodes(node)
 
 
 def list_faults(package: Path) -> list[Fault]:
@@ -356,12 +374,16 @@ class Bench:
         self.folder, self._durations = folder, durations
         shutil.rmtree(folder, ignore_errors=True)
         listed = subprocess.run(
-            ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True
+            ["git", "ls-files", "-z"],
+            cwd=PROJECT_FOLDER,
+            capture_output=True,
+            check=True,
+            text=True,
         )
         for name in filter(None, listed.stdout.split("\0")):
-            if (ROOT / name).is_file():
+            if (PROJECT_FOLDER / name).is_file():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(ROOT / name, folder / name)
+                shutil.copy2(PROJECT_FOLDER / name, folder / name)
         self._passing: dict[str, bool] = {}
         self._planted = 0
         for name in PRELOADED:
@@ -421,7 +443,10 @@ class Bench:
         os.dup2(null, 2)
         os.chdir(self.folder)
         os.environ["PYTHONPATH"] = str(self.folder)
-        sys.path[:] = [str(self.folder), *(path for path in sys.path if path != str(ROOT))]
+        sys.path[:] = [
+            str(self.folder),
+            *(path for path in sys.path if path != str(PROJECT_FOLDER)),
+        ]
         status = 1
         try:
             limit = MAX_FOLDER_SECONDS if tier == "folder" else math.inf
@@ -473,17 +498,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=200, help="number of faults (200)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the choice (1)")
-    parser.add_argument("--csv", type=Path, default=ROOT / "build/mutations.csv")
+    parser.add_argument("--csv", type=Path, default=PROJECT_FOLDER / "build/mutations.csv")
     parser.add_argument(
         "--tiers", nargs="+", choices=TIERS, default=TIERS,
         help="tests that run, in this order",
     )  # fmt: skip
     parser.add_argument("--junit", type=Path, help="JUnit file of the quick tests")
     parser.add_argument("--again", action="store_true", help="repeat faults that are not killed")
-    parser.add_argument("--folder", type=Path, default=ROOT / "build/mutations")
+    parser.add_argument("--folder", type=Path, default=PROJECT_FOLDER / "build/mutations")
     parser.add_argument("modules", nargs="*", help="beginnings of paths, e.g. statics robot/fall")
     given = parser.parse_args()
-    faults = list_faults(ROOT / PACKAGE)
+    faults = list_faults(PROJECT_FOLDER / PACKAGE)
     known = {fault.key: fault for fault in faults}
     if given.modules:
         chosen = tuple(f"{PACKAGE}/{one}" for one in given.modules)

@@ -1,13 +1,13 @@
-"""Robots of one file: do they stand as predicted, and are they the robots of both files?
+"""Robots loaded from a single file: their stands, and their agreement with the robot of both files.
 
     python benchmarks/one_file.py --folder ROBOTS --each
     python benchmarks/one_file.py --folder ROBOTS --pairs
 
-Each URDF and MJCF below the folder that has legs is loaded alone, and stood for 12 s. Where a URDF
-and an MJCF agree (crosscheck), com and gravity torques of the robots of one file are compared with
-those of both, at random configurations, and the verdicts of their stands. The pairs are Pupper's
-variants, those of `corpus.py`, and URDFs of its with the MJCF that MuJoCo makes of them. Times are
-the processor's.
+Each URDF and MJCF with legs below the folder is loaded alone, and its stand is simulated for 12 s.
+If a URDF and an MJCF agree (crosscheck), CoM and gravity torques of the robots of one file are
+compared with those of both files at random configurations, and the verdicts of their stands. The
+pairs are Pupper's variants, those of `corpus.py`, and URDFs of `corpus.py` with the MJCF that
+MuJoCo makes of them. Times are processor times.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import click
 import numpy as np
-from corpus import CONVERTED, DATA, PAIRS, converted
+from corpus import CONVERTED, DATA, PAIRS, convert_with_mujoco
 
 import pupper_analysis as pa
 from pupper_analysis.models.loading import kind_of
@@ -30,10 +30,11 @@ from pupper_analysis.stance.problem import nominal_foot_positions
 from pupper_analysis.tools.stand.stance import study_stance
 
 CONFIGURATIONS = 100
+"""Number of random configurations."""
 
 
-def stood(model: Path) -> str:
-    """Stands a robot of one file; returns a row of a table."""
+def make_stand_row(model: Path) -> str:
+    """Load a robot of one file and simulate its stand; return a row of the table."""
     begin = time.process_time()
     try:
         robot = pa.load_robot(model)
@@ -51,8 +52,13 @@ def stood(model: Path) -> str:
     )
 
 
-def verdict_of(robot: pa.Robot, like: pa.Robot) -> str:
-    """Returns the verdict of a robot on the feet of another one's nominal stand, and its peak."""
+def describe_verdict(robot: pa.Robot, like: pa.Robot) -> str:
+    """Return the verdict and the largest torque of a stand.
+
+    Args:
+        robot: Robot to judge.
+        like: Robot whose nominal stand supplies height and foot positions.
+    """
     places, own = nominal_foot_positions(like), nominal_foot_positions(robot)
     nearest = {
         foot: min(places.values(), key=lambda p: math.dist(p, at)) for foot, at in own.items()
@@ -66,8 +72,8 @@ def verdict_of(robot: pa.Robot, like: pa.Robot) -> str:
     return f"{verdict_word(result.verdict).en}: {peak:.5g} N m"
 
 
-def apart(urdf: Path, mjcf: Path, seed: int) -> str:
-    """Compares the robots of one file with that of both; returns a row of a table."""
+def make_pair_row(urdf: Path, mjcf: Path, seed: int) -> str:
+    """Compare the robots of one file with that of both files; return a row of the table."""
     try:
         found = pa.compare_models(urdf, mjcf)
     except pa.PupperAnalysisError as error:
@@ -78,9 +84,9 @@ def apart(urdf: Path, mjcf: Path, seed: int) -> str:
     if not (both.floating and both.feet):
         return f"| {urdf.name} | {mjcf.name} | agree, fixed base or no feet | | | | | | |"
     rng = np.random.default_rng(seed)
-    worst, verdicts = [], [verdict_of(both, both)]
+    worst, verdicts = [], [describe_verdict(both, both)]
     for one in (pa.load_robot(urdf), pa.load_robot(mjcf)):
-        verdicts.append(verdict_of(one, both))
+        verdicts.append(describe_verdict(one, both))
         named = dict(zip(found.joints, found.joints, strict=True))
         names = [named.get(name, name) for name in both.joint_names]
         if not (set(names) <= set(one.joint_names) and one.floating):
@@ -102,15 +108,17 @@ def apart(urdf: Path, mjcf: Path, seed: int) -> str:
     return f"| {urdf.name} | {mjcf.name} | agree | {numbers} |"
 
 
-def pairs_of(folder: Path, written: Path) -> Iterator[tuple[Path, Path]]:
-    """Yields pairs of files: Pupper's, the corpus's, and URDFs with MuJoCo's own MJCF of them."""
+def list_pairs(folder: Path, written: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield pairs of URDF and MJCF: Pupper's variants, those of the corpus, and URDFs with MuJoCo's
+    MJCF.
+    """
     for name in pa.VARIANTS:
         yield write_variant(name, written / name)
     yield from ((folder / urdf, folder / mjcf) for urdf, mjcf in PAIRS.values())
     for place in CONVERTED.values():
         urdf = folder / DATA / place
         try:
-            yield urdf, converted(urdf, (folder / DATA).parents[1], written)
+            yield urdf, convert_with_mujoco(urdf, (folder / DATA).parents[1], written)
         except (ValueError, OSError):
             print(f"| {urdf.name} | MuJoCo's own | not compiled | | | | | | |")
 
@@ -122,7 +130,7 @@ def pairs_of(folder: Path, written: Path) -> Iterator[tuple[Path, Path]]:
 @click.option("--match", default="", help="Only files whose path has this in it.")
 @click.option("--seed", default=0, show_default=True)
 def main(folder: Path, each: bool, pairs: bool, match: str, seed: int) -> None:
-    """Prints the tables as Markdown."""
+    """Print the tables as Markdown."""
     if each:
         print_each(folder, match)
     if pairs:
@@ -130,24 +138,24 @@ def main(folder: Path, each: bool, pairs: bool, match: str, seed: int) -> None:
 
 
 def print_each(folder: Path, match: str) -> None:
-    """Prints what becomes of each file alone."""
+    """Print what becomes of each file alone."""
     print("| file | mass (kg) | verdict | load (s) | with 12 s (s) | torques | forces |")
     print("|---|---|---|---|---|---|---|")
     for model in sorted(path for path in folder.rglob("*") if path.suffix in (".urdf", ".xml")):
         if match in str(model) and kind_of(model):
-            print(stood(model), flush=True)
+            print(make_stand_row(model), flush=True)
 
 
 def print_pairs(folder: Path, match: str, seed: int) -> None:
-    """Prints how far robots of one file are from those of both."""
+    """Print how far robots of one file are from those of both."""
     print(
         "\n| URDF | MJCF | crosscheck | mass (kg) | URDF alone | MJCF alone | both | URDF | MJCF |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as written:
-        for urdf, mjcf in pairs_of(folder, Path(written)):
+        for urdf, mjcf in list_pairs(folder, Path(written)):
             if match in f"{urdf} {mjcf}":
-                print(apart(urdf, mjcf, seed), flush=True)
+                print(make_pair_row(urdf, mjcf, seed), flush=True)
 
 
 if __name__ == "__main__":

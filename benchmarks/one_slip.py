@@ -1,10 +1,12 @@
-"""One plausible slip in files that stand: `python benchmarks/one_slip.py --count 10000`.
+"""Plant a single plausible mistake in files that stand: `python benchmarks/one_slip.py --count
+10000`.
 
-Robots that stand by themselves get one slip each: a sign, a factor of ten, a unit, a swapped pair,
-an attribute of another element ... Bare MuJoCo runs an MJCF as it is, from its own keyframe. None
-that falls is to be said to HOLD, none that no engine takes to be OK, and none of whose numbers
-that both formats have one differs is to AGREE; nothing is to end in an exception of no type of
-ours. Of a file without ground it is to be said that one was added.
+Robots that stand without additions get one mistake each: a sign, a factor of ten, a unit, a swapped
+pair, an attribute of another element ... MuJoCo alone simulates the MJCF from its own keyframe. A
+report is wrong if a falling robot gets HOLDS, if `audit` reports OK for a file that no engine
+reads, if `crosscheck` reports AGREE although a number that both formats contain differs, or if an
+exception is not of this package. For a file without ground, a note must state that a floor was
+added.
 """
 
 from __future__ import annotations
@@ -33,36 +35,41 @@ from pupper_analysis.tools.stand.stance import study_stance
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
-from bases import BASES, FALLS, by_itself, standing
+from bases import BASES, MAX_HEIGHT_LOSS, simulate_from_keyframe, write_standing_robot
 from slip_generator import draw_slip
 from tables import write_csv
 
 from tests.support.legged import Pair
 
-WHOLE = 60
-"""Of so many that stand, one goes through the whole chain, for exceptions."""
+FULL_TEST_INTERVAL = 60
+"""Of so many standing robots, one runs through all commands, to find exceptions. Chosen, not
+tuned."""
 
-LONG = 12.0
-"""s: a stand's simulation."""
+LONG_DURATION = 12.0
+"""Time [s] of a second simulation of a falling robot. Chosen, not tuned."""
 
 
 @cache
-def base(name: str, folder: str) -> tuple[bytes, bytes]:
-    """Returns a robot's URDF and MJCF."""
+def read_base(name: str, folder: str) -> tuple[bytes, bytes]:
+    """Return the texts of the URDF and MJCF of a robot, which are written at the first call."""
     top = Path(folder) / name
     made = Pair(top / "robot.urdf", top / "robot.xml")
     if not made.mjcf.exists():
         top.mkdir(parents=True, exist_ok=True)
-        standing(name, top)
+        write_standing_robot(name, top)
     return made.urdf.read_bytes(), made.mjcf.read_bytes()
 
 
-def case(argument: tuple[str, int, int, str]) -> dict[str, Any]:
-    """Makes one slip, and looks at what is said of it."""
+def run_case(argument: tuple[str, int, int, str]) -> dict[str, Any]:
+    """Plant a mistake, and return the reports about the files.
+
+    Args:
+        argument: (robot, seed, number, folder) of the case.
+    """
     name, seed, number, folder = argument
     random = np.random.default_rng([seed, number])
     of_urdf = bool(random.integers(4) == 0)
-    texts = base(name, folder)
+    texts = read_base(name, folder)
     root = etree.fromstring(texts[0 if of_urdf else 1])
     said = ""
     for _ in range(20):
@@ -77,14 +84,21 @@ def case(argument: tuple[str, int, int, str]) -> dict[str, Any]:
         pair.mjcf.write_bytes(texts[1] if of_urdf else etree.tostring(root))
         plain = Pair(Path(folder) / name / "robot.urdf", Path(folder) / name / "robot.xml")
         judge = judge_urdf if of_urdf else judge_mjcf
-        result = judge(pair, plain, whole=number % WHOLE == 0)
+        result = judge(pair, plain, whole=number % FULL_TEST_INTERVAL == 0)
     kind = "urdf" if of_urdf else "mjcf"
     spent = round(time.process_time() - began, 3)
     return {"robot": name, "file": kind, "slip": said, **result, "seconds": spent}
 
 
-def typed(result: dict[str, Any], what: str, call: Callable[[], Any]) -> Any:
-    """Returns what a call does, or None; an exception that is not ours is written down."""
+def call_recorded(result: dict[str, Any], what: str, call: Callable[[], Any]) -> Any:
+    """Return the result of a function; None, with the message in ``result``, if it raises an error.
+
+    Args:
+        result: Result of the case; modified. An exception of another package is recorded under
+            "untyped".
+        what: Key of a refusal by this package.
+        call: The function.
+    """
     try:
         return call()
     except pa.PupperAnalysisError as error:
@@ -94,8 +108,9 @@ def typed(result: dict[str, Any], what: str, call: Callable[[], Any]) -> Any:
     return None
 
 
-def audited(result: dict[str, Any], path: Path) -> None:
-    audit = typed(result, "audit", lambda: pa.audit_model(path))
+def add_audit(result: dict[str, Any], path: Path) -> None:
+    """Add the severity of an audit, and the rules that report errors or warnings, to a result."""
+    audit = call_recorded(result, "audit", lambda: pa.audit_model(path))
     if audit is not None:
         errors, warned = audit.counts["error"], audit.counts["warning"]
         result["audit"] = "ERRORS" if errors else "WARNINGS" if warned else "OK"
@@ -105,44 +120,54 @@ def audited(result: dict[str, Any], path: Path) -> None:
 
 
 def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
-    """Compares what bare MuJoCo does with what is said."""
+    """Compare MuJoCo's simulation of an MJCF with the reports of this package.
+
+    Args:
+        pair: Files with the mistake, in the MJCF.
+        plain: Files without the mistake.
+        whole: Whether all commands run.
+    """
     result: dict[str, Any] = {"bad": []}
     try:
-        lost = by_itself(pair.mjcf)
-        if _keyless(pair.mjcf):  # nothing says where it is to stand
+        lost = simulate_from_keyframe(pair.mjcf)
+        if _has_no_keyframe(pair.mjcf):  # nothing says where it is to stand
             return {**result, "bare": "no keyframe"}
-        if _groundless(pair.mjcf):  # as most are published: a floor is added, and that is said
+        if _has_no_ground(pair.mjcf):  # as most are published: a floor is added, and that is said
             return judge_groundless(pair, {**result, "bare": "no ground"})
     except (ValueError, RuntimeError) as error:
         lost, result["refusal"] = math.nan, str(error).splitlines()[0][:120]
     except (ZeroDivisionError, OverflowError, mujoco.FatalError):
         lost = math.inf
-    falls = not abs(lost) <= FALLS and not math.isnan(lost)
+    falls = not abs(lost) <= MAX_HEIGHT_LOSS and not math.isnan(lost)
     result["lost"] = round(lost, 6)
     result["bare"] = "refused" if math.isnan(lost) else "falls" if falls else "stands"
     if result["bare"] != "stands" or whole:
-        audited(result, pair.mjcf)
+        add_audit(result, pair.mjcf)
     if math.isnan(lost) and result.get("audit") in ("OK", "WARNINGS"):
         result["bad"].append(f"{result['audit']}, and MuJoCo refuses it")
-    lasting = falls and not abs(by_itself(pair.mjcf, LONG)) <= FALLS  # and does not merely bob
+    lasting = (
+        falls and not abs(simulate_from_keyframe(pair.mjcf, LONG_DURATION)) <= MAX_HEIGHT_LOSS
+    )  # and does not merely bob
     if falls and result.get("audit") == "OK":
         result["bad"].append("OK, and it falls")
     if falls or whole:
-        loaded = typed(result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+        loaded = call_recorded(
+            result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+        )
         own = None if loaded is None else own_run(loaded)
         collapses = own is not None and own.fails
         if loaded is not None:
             result["stand"] = "its own run collapses"
         if loaded is not None and (whole or not collapses):
-            stance = typed(result, "stand", lambda: study_stance(loaded, pa.StandTask()))
+            stance = call_recorded(result, "stand", lambda: study_stance(loaded, pa.StandTask()))
             if stance is not None:
                 result["stand"] = stance.verdict.code.value
                 if lasting and stance.verdict.passed:
                     result["bad"].append(f"it falls, and {stance.verdict.code.value}")
     if not math.isnan(lost):
-        differs = typed(result, "numbers", lambda: _mjcf_differs(pair.mjcf, plain.mjcf))
+        differs = call_recorded(result, "numbers", lambda: _mjcf_differs(pair.mjcf, plain.mjcf))
         if differs or whole:
-            compared = typed(
+            compared = call_recorded(
                 result, "crosscheck", lambda: pa.compare_models(pair.urdf, pair.mjcf).agree
             )
             if compared is not None:
@@ -151,41 +176,43 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
                     result["bad"].append(f"AGREE, but {differs}")
     if whole:
         out = pair.mjcf.with_name("converted.urdf")
-        typed(result, "convert", lambda: pa.convert_model(pair.mjcf, out))
+        call_recorded(result, "convert", lambda: pa.convert_model(pair.mjcf, out))
     return result
 
 
 @silence_mujoco()
-def _keyless(path: Path) -> bool:
+def _has_no_keyframe(path: Path) -> bool:
+    """Return True if an MJCF has no keyframe."""
     return not mujoco.MjModel.from_xml_path(str(path)).nkey
 
 
 @silence_mujoco()
-def _groundless(path: Path) -> bool:
-    """Whether the world has nothing that a robot could stand on."""
+def _has_no_ground(path: Path) -> bool:
+    """Return True if the world of an MJCF has no collidable geom."""
     model = mujoco.MjModel.from_xml_path(str(path))
     still = model.body_weldid[model.geom_bodyid] == 0
     return not (still & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))).any()
 
 
 def judge_groundless(pair: Pair, result: dict[str, Any]) -> dict[str, Any]:
-    """Looks whether it is said that the robot stands on a floor that is not the file's."""
-    loaded = typed(result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+    """Check that a note states that a floor was added."""
+    loaded = call_recorded(result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
     if loaded is not None and not any(note.code == "ground-added" for note in loaded.notes):
         result["bad"].append("no ground, and nothing is said of it")
     return result
 
 
 @cache
-def _plain(path: Path) -> mujoco.MjModel:
+def _compile_unmodified(path: Path) -> mujoco.MjModel:
+    """Return the compiled model of an MJCF without mistake."""
     with silence_mujoco():
         return mujoco.MjModel.from_xml_path(str(path))
 
 
 @silence_mujoco()
 def _mjcf_differs(path: Path, plain: Path) -> str:
-    """Says which of the numbers that a URDF has, too, is another than it was; "" if none."""
-    new, old = mujoco.MjModel.from_xml_path(str(path)), _plain(plain)
+    """Return the name of a changed quantity that a URDF contains, too; "" if none has changed."""
+    new, old = mujoco.MjModel.from_xml_path(str(path)), _compile_unmodified(plain)
     sizes = [(m.nbody, m.njnt, m.nv) for m in (new, old)]
     if sizes[0] != sizes[1]:
         return ""  # other bodies: what it is then is crosscheck's to say
@@ -218,9 +245,15 @@ def _mjcf_differs(path: Path, plain: Path) -> str:
 
 
 def judge_urdf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
-    """Compares what Pinocchio and MuJoCo read with what is said."""
+    """Compare the models of Pinocchio and MuJoCo with the reports of this package.
+
+    Args:
+        pair: Files with the mistake, in the URDF.
+        plain: Files without the mistake.
+        whole: Whether all commands run.
+    """
     result: dict[str, Any] = {"bad": []}
-    new = _pinocchio(pair.urdf)
+    new = _build_pinocchio(pair.urdf)
     taken = new is not None
     if not taken:
         try:
@@ -231,12 +264,12 @@ def judge_urdf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
             result["refusal"] = str(error).splitlines()[0][:120]
     result["bare"] = "taken" if taken else "refused"
     if not taken or whole:
-        audited(result, pair.urdf)
+        add_audit(result, pair.urdf)
     if not taken and result.get("audit") in ("OK", "WARNINGS"):
         result["bad"].append(f"{result['audit']}, and no engine takes it")
     differs = _urdf_differs(new, plain.urdf)
     if differs or whole or not taken:
-        compared = typed(
+        compared = call_recorded(
             result, "crosscheck", lambda: pa.compare_models(pair.urdf, pair.mjcf).agree
         )
         if compared is not None:
@@ -245,15 +278,18 @@ def judge_urdf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
                 result["bad"].append(f"AGREE, but {differs or 'no engine takes it'}")
     if whole:
         out = pair.mjcf.with_name("converted.xml")
-        typed(result, "convert", lambda: pa.convert_model(pair.urdf, out))
-        loaded = typed(result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+        call_recorded(result, "convert", lambda: pa.convert_model(pair.urdf, out))
+        loaded = call_recorded(
+            result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+        )
         if loaded is not None:
-            stance = typed(result, "stand", lambda: study_stance(loaded, pa.StandTask()))
+            stance = call_recorded(result, "stand", lambda: study_stance(loaded, pa.StandTask()))
             result["stand"] = result.get("stand") or (stance and stance.verdict.code.value)
     return result
 
 
-def _pinocchio(path: Path) -> pin.Model | None:
+def _build_pinocchio(path: Path) -> pin.Model | None:
+    """Return Pinocchio's model of a URDF; None if Pinocchio raises an error."""
     try:
         model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
     except Exception:  # of any kind, by the binding
@@ -262,13 +298,14 @@ def _pinocchio(path: Path) -> pin.Model | None:
 
 
 @cache
-def _of_plain(path: Path) -> pin.Model:
-    return _pinocchio(path)
+def _build_unmodified(path: Path) -> pin.Model:
+    """Return Pinocchio's model of a URDF without mistake."""
+    return _build_pinocchio(path)
 
 
 def _urdf_differs(new: pin.Model | None, plain: Path) -> str:
-    """Says which of Pinocchio's numbers is another than it was; "" if none."""
-    old = _of_plain(plain)
+    """Return the name of a quantity that differs in Pinocchio's models; "" if none does."""
+    old = _build_unmodified(plain)
     if new is None or sorted(new.names) != sorted(old.names) or new.nq != old.nq:
         return ""
     if list(new.names) != list(old.names):
@@ -290,24 +327,25 @@ def _urdf_differs(new: pin.Model | None, plain: Path) -> str:
 
 
 COLUMNS = ("robot", "slips", "refused", "falls", "stands", "of the URDF", "said wrongly")
+"""Columns of the table."""
 
 
-def counted(results: list[dict[str, Any]]) -> list[tuple[object, ...]]:
-    """Returns a row of `COLUMNS` for each robot, and for all: what came of the slips."""
+def count_outcomes(results: list[dict[str, Any]]) -> list[tuple[object, ...]]:
+    """Return rows with the columns `COLUMNS`, for each robot and for all."""
     lines = []
     names = [name for name in BASES if any(result.get("robot") == name for result in results)]
     for name in [*names, "all"]:
         own = [result for result in results if name in ("all", result.get("robot"))]
         kinds = Counter(result.get("bare") for result in own if result.get("file") == "mjcf")
         urdf = sum(result.get("file") == "urdf" for result in own)
-        bad = sum(wrong(result) for result in own)
+        bad = sum(is_wrong(result) for result in own)
         bare = (kinds["refused"], kinds["falls"], kinds["stands"])
         lines.append((name, len(own), *bare, urdf, bad))
     return lines
 
 
-def wrong(result: dict[str, Any]) -> bool:
-    """Whether something is said that is not so, or nothing that can be read."""
+def is_wrong(result: dict[str, Any]) -> bool:
+    """Return True if a report is wrong, or a case ended in a crash or a foreign exception."""
     return bool(result.get("bad") or result.get("untyped") or result.get("crash"))
 
 
@@ -328,24 +366,24 @@ def main(
     folder: Path,
     to: Path | None,
 ) -> None:
-    """Makes slips, and counts what is said of them; resumes where it was stopped."""
+    """Plant mistakes, and count the wrong reports; resumes a stopped run."""
     folder.mkdir(parents=True, exist_ok=True)
     names = robot or tuple(BASES)
     for name in names:
-        base(name, str(folder))
+        read_base(name, str(folder))
     cases = []
     for number in range(first, first + count):
         name = names[number % len(names)]
         cases.append((f"{name}/{seed}/{number}", (name, seed, number, str(folder))))
     if again:
-        guarded.forget(folder / "slips.jsonl", wrong)
-    results = guarded.run(case, cases, folder / "slips.jsonl")
-    lines = counted(results)
+        guarded.remove_results(folder / "slips.jsonl", is_wrong)
+    results = guarded.run_cases(run_case, cases, folder / "slips.jsonl")
+    lines = count_outcomes(results)
     for line in [COLUMNS, *lines]:
         click.echo(" | ".join(map(str, line)))
     if to is not None:
         write_csv(to, COLUMNS, lines)
-    bad = [result for result in results if wrong(result)]
+    bad = [result for result in results if is_wrong(result)]
     for one in bad:
         click.echo(f"BAD {one}")
     if bad:

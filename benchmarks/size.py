@@ -1,7 +1,7 @@
-"""Measures how time and memory of crosscheck and audit grow with the number of links.
+"""Growth of time and memory of crosscheck and audit with the number of links.
 
-Each in a process of its own, start-up included; the time is the processors', on all threads, which
-other work on the machine hardly changes. Draws docs/images/size.png with ``--figure``::
+Each measurement is a separate process, start-up included. The time is the processor time of all
+threads, which depends little on other processes. ``--figure`` draws docs/images/size.png::
 
     python benchmarks/size.py --figure docs/images/size.png
 """
@@ -23,6 +23,7 @@ CHAIN, LEGS, HEAVIER, BODIES = (
     "legs, 20 masses differ",
     "free bodies",
 )
+"""Kinds of robots."""
 
 SIZES = {
     CHAIN: (12, 60, 120, 190, 245),  # deeper ones are refused
@@ -30,6 +31,7 @@ SIZES = {
     HEAVIER: (60, 192, 300, 600, 1200, 1996),
     BODIES: (10, 100, 500, 1500),
 }
+"""{kind: numbers of moving links}."""
 
 _MEASURE = """
 import json, resource, sys, time
@@ -43,15 +45,16 @@ taken = time.process_time()
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 print(json.dumps(dict(seconds=taken, gigabytes=peak, **said)))
 """
+"""Code that compares two files, or audits one, and prints time and memory as JSON."""
 
 
-def pair(legs: int, joints: int, heavier: int = 0) -> tuple[str, str]:
-    """Returns a URDF and an MJCF of a base with legs of some joints each.
+def make_pair(legs: int, joints: int, heavier: int = 0) -> tuple[str, str]:
+    """Return the URDF and the MJCF of a base with equal legs.
 
     Args:
-        legs: The number of legs.
-        joints: Of each leg.
-        heavier: So many links weigh a tenth more in the MJCF.
+        legs: Number of legs.
+        joints: Number of joints per leg.
+        heavier: Number of links whose mass is 10 % higher in the MJCF.
     """
     tensor = 'ixx="2e-4" iyy="3e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"'
     urdf = ['<robot name="r"><link name="base"><inertial><mass value="2"/>']
@@ -80,23 +83,24 @@ def pair(legs: int, joints: int, heavier: int = 0) -> tuple[str, str]:
     return "".join([*urdf, "</robot>"]), "".join([*mjcf, "</body></worldbody></mujoco>"])
 
 
-def bodies(count: int) -> str:
-    """Returns an MJCF of free bodies in a row."""
+def make_free_bodies(count: int) -> str:
+    """Return an MJCF with a row of free bodies."""
     each = '<body name="b{0}" pos="{0} 0 1"><freejoint/><geom size=".1"/></body>'
     rows = "".join(each.format(number) for number in range(count))
     return f"<mujoco><worldbody>{rows}</worldbody></mujoco>"
 
 
 MADE: dict[str, Callable[[int], tuple[str, ...]]] = {
-    CHAIN: lambda count: pair(1, count),
-    LEGS: lambda count: pair(count // 4, 4),
-    HEAVIER: lambda count: pair(count // 4, 4, heavier=20),
-    BODIES: lambda count: (bodies(count),),
+    CHAIN: lambda count: make_pair(1, count),
+    LEGS: lambda count: make_pair(count // 4, 4),
+    HEAVIER: lambda count: make_pair(count // 4, 4, heavier=20),
+    BODIES: lambda count: (make_free_bodies(count),),
 }
+"""{kind: function that returns the texts of its files}."""
 
 
-def measured(texts: tuple[str, ...]) -> dict[str, float]:
-    """Compares two files, or audits one, in a process of its own."""
+def measure_files(texts: tuple[str, ...]) -> dict[str, float]:
+    """Compare two files, or audit one, in a separate process; return time [s] and memory [GB]."""
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / f"robot.{end}" for end in ("urdf", "xml")[-len(texts) :]]
         for path, text in zip(paths, texts, strict=True):
@@ -107,12 +111,12 @@ def measured(texts: tuple[str, ...]) -> dict[str, float]:
     return result
 
 
-def rows(most: int) -> Iterator[dict[str, Any]]:
-    """Yields what each size took, as it is measured."""
+def measure_sizes(most: int) -> Iterator[dict[str, Any]]:
+    """Yield and print the measurement of each size."""
     for kind, sizes in SIZES.items():
         for size in sizes:
             if size <= most:
-                row = {"kind": kind, "links": size, **measured(MADE[kind](size))}
+                row = {"kind": kind, "links": size, **measure_files(MADE[kind](size))}
                 print(
                     f"{kind:24} {size:5}  {row['seconds']:6.2f} s  {row['gigabytes']:.2f} GB  "
                     f"{row['found']} found, complete: {row['complete']}",
@@ -121,8 +125,8 @@ def rows(most: int) -> Iterator[dict[str, Any]]:
                 yield row
 
 
-def draw(table: list[dict[str, Any]], path: Path) -> None:
-    """Draws time and memory over the number of links."""
+def draw_sizes(table: list[dict[str, Any]], path: Path) -> None:
+    """Draw time and memory over the number of links."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -165,14 +169,14 @@ def draw(table: list[dict[str, Any]], path: Path) -> None:
 
 
 def main() -> None:
-    """Measures, prints and draws."""
+    """Measure all sizes, and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--most", type=int, default=2000, help="links of the largest robot")
     parser.add_argument("--figure", type=Path, help="draw to this file")
     arguments = parser.parse_args()
-    table = list(rows(arguments.most))
+    table = list(measure_sizes(arguments.most))
     if arguments.figure:
-        draw(table, arguments.figure)
+        draw_sizes(table, arguments.figure)
 
 
 if __name__ == "__main__":

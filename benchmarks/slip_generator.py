@@ -1,6 +1,7 @@
-"""Draws one plausible slip, in an MJCF or a URDF: a sign, a power of ten, a unit, a swapped pair.
+"""Draw a random plausible mistake in an MJCF or a URDF: a sign, a power of ten, a unit, a swapped
+pair.
 
-The file is a tree; the same tree and the same random numbers make the same slip.
+The file is an XML tree; equal trees and random numbers give equal mistakes.
 """
 
 from __future__ import annotations
@@ -39,14 +40,24 @@ NAMES = {
     "target",
     "tendon",
 }
-"""Attributes of words, or without any effect."""
+"""Attributes that contain words, or have no effect."""
 
-LOOKS = {"visual", "asset", "statistic", "camera", "light", "material", "texture", "color", "size"}
-"""Elements that are looked at alone."""
+VISUAL_TAGS = {
+    "visual",
+    "asset",
+    "statistic",
+    "camera",
+    "light",
+    "material",
+    "texture",
+    "color",
+    "size",
+}
+"""Elements that affect only the appearance."""
 
 
-def one(change: Callable[[float], float]) -> Change:
-    """Changes one of several numbers."""
+def change_one(change: Callable[[float], float]) -> Change:
+    """Return a change of one random number of several."""
 
     def changed(values: list[float], random: np.random.Generator) -> list[float]:
         at = int(random.integers(len(values)))
@@ -55,11 +66,13 @@ def one(change: Callable[[float], float]) -> Change:
     return changed
 
 
-def each(change: Callable[[float], float]) -> Change:
+def change_each(change: Callable[[float], float]) -> Change:
+    """Return a change of each of several numbers."""
     return lambda values, _: [change(value) for value in values]
 
 
-def _swapped(values: list[float], random: np.random.Generator) -> list[float]:
+def _swap_two(values: list[float], random: np.random.Generator) -> list[float]:
+    """Exchange two random numbers."""
     if len(values) < 2:
         return values
     first, second = (int(i) for i in random.choice(len(values), 2, replace=False))
@@ -67,12 +80,13 @@ def _swapped(values: list[float], random: np.random.Generator) -> list[float]:
     return values
 
 
-def _rolled(values: list[float], _: np.random.Generator) -> list[float]:
-    """The last first, or the other way round: x y z w for w x y z."""
+def _roll(values: list[float], _: np.random.Generator) -> list[float]:
+    """Move the first number to the end: w x y z becomes x y z w."""
     return [*values[1:], values[0]]
 
 
-def _without_digit(value: float) -> float:
+def _drop_last_digit(value: float) -> float:
+    """Return a number without its last digit."""
     text = f"{value:.9g}"
     try:
         return float(text[:-1])
@@ -81,29 +95,30 @@ def _without_digit(value: float) -> float:
 
 
 CHANGES: dict[str, Change] = {
-    "sign of one": one(lambda v: -v),
-    "sign of all": each(lambda v: -v),
-    "ten times": one(lambda v: 10 * v),
-    "a tenth": one(lambda v: v / 10),
-    "a hundred times": each(lambda v: 100 * v),
-    "a thousand times": each(lambda v: 1000 * v),
-    "a thousandth": each(lambda v: v / 1000),
-    "a millionth": each(lambda v: v / 1e6),
-    "degrees": each(math.degrees),
-    "radians": each(math.radians),
-    "inches": each(lambda v: v / 0.0254),
-    "zero": one(lambda _: 0.0),
-    "one": one(lambda _: 1.0),
-    "swapped": _swapped,
-    "rolled": _rolled,
+    "sign of one": change_one(lambda v: -v),
+    "sign of all": change_each(lambda v: -v),
+    "ten times": change_one(lambda v: 10 * v),
+    "a tenth": change_one(lambda v: v / 10),
+    "a hundred times": change_each(lambda v: 100 * v),
+    "a thousand times": change_each(lambda v: 1000 * v),
+    "a thousandth": change_each(lambda v: v / 1000),
+    "a millionth": change_each(lambda v: v / 1e6),
+    "degrees": change_each(math.degrees),
+    "radians": change_each(math.radians),
+    "inches": change_each(lambda v: v / 0.0254),
+    "zero": change_one(lambda _: 0.0),
+    "one": change_one(lambda _: 1.0),
+    "swapped": _swap_two,
+    "rolled": _roll,
     "reversed": lambda values, _: values[::-1],
-    "twice": each(lambda v: 2 * v),
-    "half": each(lambda v: v / 2),
-    "inverse": each(lambda v: 1 / v if v else v),
+    "twice": change_each(lambda v: 2 * v),
+    "half": change_each(lambda v: v / 2),
+    "inverse": change_each(lambda v: 1 / v if v else v),
     "one is missing": lambda values, _: values[:-1] or values,
     "one too many": lambda values, _: [*values, values[-1]],
-    "a digit is lost": one(_without_digit),
+    "a digit is lost": change_one(_drop_last_digit),
 }
+"""{name: change of the numbers of an attribute}."""
 
 ADDED: dict[str, dict[str, tuple[str, ...]]] = {
     "joint": {
@@ -253,7 +268,7 @@ ADDED: dict[str, dict[str, tuple[str, ...]]] = {
         "xyz": ("0 0 1", "100 0 0", "0,0,1"),
     },
 }
-"""Attributes that somebody adds, or puts another value into, by element."""
+"""{element: {attribute: values}} of attributes that are added or overwritten."""
 
 MJCF_BLOCKS = (
     '<contact><exclude body1="world" body2="{body}"/></contact>',
@@ -283,51 +298,64 @@ MJCF_BLOCKS = (
     '<worldbody><body name="ball" pos="0 0 2"><freejoint/><geom size="0.1"/></body></worldbody>',
     '<keyframe><key name="zero"/></keyframe>',
 )
+"""Sections that are added to an MJCF, with placeholders for names."""
 
 
 def draw_slip(root: Element, random: np.random.Generator) -> Slip:
-    """Makes one slip in a tree, of any of the kinds.
+    """Make a random mistake in an XML tree, in place.
 
     Returns:
-        What it is; "" if the kind that was drawn has nothing to change there.
+        Description of the mistake; "" if the tree has no element for the kind that was drawn.
     """
-    kinds = [_number, _number, _number, _number, _added, _exchanged, _structural]
+    kinds = [
+        _change_number,
+        _change_number,
+        _change_number,
+        _change_number,
+        _add_attribute,
+        _exchange_values,
+        _change_structure,
+    ]
     return kinds[int(random.integers(len(kinds)))](root, random)
 
 
 def _pick(items: list[object], random: np.random.Generator) -> object:
+    """Return a random item of a list."""
     return items[int(random.integers(len(items)))]
 
 
-def _physical(root: Element) -> list[Element]:
+def _list_physical_elements(root: Element) -> list[Element]:
+    """Return the elements that affect the dynamics."""
     return [
         element
         for element in root.iter(etree.Element)
-        if element.tag not in LOOKS and not any(a.tag in LOOKS for a in element.iterancestors())
+        if element.tag not in VISUAL_TAGS
+        and not any(a.tag in VISUAL_TAGS for a in element.iterancestors())
     ]
 
 
-def _numbers(text: str) -> list[float] | None:
+def _parse_numbers(text: str) -> list[float] | None:
+    """Return the numbers of a text; None if a word is no number."""
     try:
         return [float(word) for word in text.split()] or None
     except ValueError:
         return None
 
 
-def _stated(root: Element) -> dict[tuple[str, str], list[tuple[Element, list[float]]]]:
-    """Returns all numbers of a file, by element and attribute."""
+def _list_numbers(root: Element) -> dict[tuple[str, str], list[tuple[Element, list[float]]]]:
+    """Return {(element, attribute): elements with their numbers} of a file."""
     found: dict[tuple[str, str], list[tuple[Element, list[float]]]] = {}
-    for element in _physical(root):
+    for element in _list_physical_elements(root):
         for name, text in element.attrib.items():
-            values = None if name in NAMES else _numbers(text)
+            values = None if name in NAMES else _parse_numbers(text)
             if values is not None:
                 found.setdefault((str(element.tag), name), []).append((element, values))
     return found
 
 
-def _number(root: Element, random: np.random.Generator) -> Slip:
-    """Another number in the place of one that is there; once, or wherever it is stated."""
-    stated = _stated(root)
+def _change_number(root: Element, random: np.random.Generator) -> Slip:
+    """Change the numbers of an attribute, in one element or in all of a kind."""
+    stated = _list_numbers(root)
     tag, attribute = sorted(stated)[int(random.integers(len(stated)))]
     places = stated[tag, attribute]
     name = list(CHANGES)[int(random.integers(len(CHANGES)))]
@@ -339,10 +367,10 @@ def _number(root: Element, random: np.random.Generator) -> Slip:
     return f"{name}: {tag}/{attribute} ({'all' if everywhere else at})"
 
 
-def _added(root: Element, random: np.random.Generator) -> Slip:
-    """An attribute that is added, or has another value, once or in all elements of a kind."""
+def _add_attribute(root: Element, random: np.random.Generator) -> Slip:
+    """Add or overwrite an attribute, in one element or in all of a kind."""
     present: dict[str, list[Element]] = {}
-    for element in _physical(root):
+    for element in _list_physical_elements(root):
         present.setdefault(str(element.tag), []).append(element)
     if root.tag == "mujoco":
         for tag, parent in (("flag", "option"), ("compiler", ".")):
@@ -360,10 +388,10 @@ def _added(root: Element, random: np.random.Generator) -> Slip:
     return f'added: {tag}/{attribute}="{value}" ({"all" if everywhere else at})'
 
 
-def _exchanged(root: Element, random: np.random.Generator) -> Slip:
-    """Two elements of a kind have each other's value of an attribute."""
+def _exchange_values(root: Element, random: np.random.Generator) -> Slip:
+    """Exchange the values of an attribute between two elements of a kind."""
     pairs = {}
-    for element in _physical(root):
+    for element in _list_physical_elements(root):
         for name in element.attrib:
             if name not in ("class", "childclass", "material"):
                 pairs.setdefault((str(element.tag), name), []).append(element)
@@ -379,9 +407,11 @@ def _exchanged(root: Element, random: np.random.Generator) -> Slip:
     return f"exchanged: {tag}/{attribute} ({one}, {two})"
 
 
-def _structural(root: Element, random: np.random.Generator) -> Slip:
-    """An element or an attribute is lost, there twice, elsewhere, or a block is added."""
-    elements = [element for element in _physical(root) if element.getparent() is not None]
+def _change_structure(root: Element, random: np.random.Generator) -> Slip:
+    """Remove, duplicate or add an element, remove an attribute, or change a name."""
+    elements = [
+        element for element in _list_physical_elements(root) if element.getparent() is not None
+    ]
     tags = sorted({str(element.tag) for element in elements})
     tag = str(_pick(list(tags), random))
     of_tag = [element for element in elements if element.tag == tag]

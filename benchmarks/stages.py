@@ -1,6 +1,6 @@
-"""Where the time of single calls goes: into the engine, and into what is around it.
+"""Distribution of the time of single calls to the engine and to the code around it.
 
-The parts are those that the package's functions call, one after the other, as they do.
+The parts are the functions that the package calls, in the same order.
 """
 
 from __future__ import annotations
@@ -28,40 +28,43 @@ from pupper_analysis.statics.contacts import make_contacts
 Parts = dict[str, float]
 
 
-class Watch:
-    """Takes the times of parts, by name."""
+class Stopwatch:
+    """Stopwatch that records the times of parts by name."""
 
     def __init__(self) -> None:
         self.taken: dict[str, list[float]] = {}
         self._since = time.perf_counter()
 
     def start(self) -> None:
+        """Start the time of the next part."""
         self._since = time.perf_counter()
 
     def stop(self, name: str) -> None:
+        """Record the time of a part [s], and start the next."""
         now = time.perf_counter()
         self.taken.setdefault(name, []).append(now - self._since)
         self._since = time.perf_counter()
 
     def medians(self) -> Parts:
+        """Return {part: median time [s]}."""
         return {name: statistics.median(times) for name, times in self.taken.items()}
 
 
-def stages(variant: str, calls: int) -> dict[str, Parts]:
-    """Returns {job: {part: median time (s)}}.
+def measure_stages(variant: str, calls: int) -> dict[str, Parts]:
+    """Return {job: {part: median time [s]}}.
 
     Args:
-        variant: The robot.
-        calls: Of each job, which take turns.
+        variant: Name of the robot.
+        calls: Number of calls of each job; the jobs run alternately.
     """
     robot = pa.load_variant(variant)
     jobs = {
-        "solve_stand": _stand,
-        "Configuration": _configuration,
-        "gravity_compensation": _forces,
-        "steady_state": _sag,
+        "solve_stand": _make_stand_job,
+        "Configuration": _make_configuration_job,
+        "gravity_compensation": _make_forces_job,
+        "steady_state": _make_sag_job,
     }
-    watches = {name: Watch() for name in jobs}
+    watches = {name: Stopwatch() for name in jobs}
     runs = {name: job(robot, watches[name]) for name, job in jobs.items()}
     for _ in range(calls):
         for name, run in runs.items():
@@ -70,7 +73,8 @@ def stages(variant: str, calls: int) -> dict[str, Parts]:
     return {name: watch.medians() for name, watch in watches.items()}
 
 
-def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
+def _make_stand_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
+    """Return a function that solves a stand in parts."""
     context, home = SearchContext(robot), robot.home[robot.nq - robot.nu :]
     shapes, solver = context.shapes, context.solver
 
@@ -102,7 +106,8 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     return run
 
 
-def _configuration(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
+def _make_configuration_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
+    """Return a function that evaluates a configuration in parts."""
     stand = pa.solve_stand(robot)
     model, data = robot.pin_model, robot.pin_model.createData()
     q = robot.pin_convention.q(stand.qpos)
@@ -133,7 +138,8 @@ def _configuration(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     return run
 
 
-def _forces(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
+def _make_forces_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
+    """Return a function that computes contact forces in parts."""
     config = pa.Configuration(robot, pa.solve_stand(robot).qpos)
 
     def run() -> None:
@@ -150,7 +156,8 @@ def _forces(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     return run
 
 
-def _sag(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
+def _make_sag_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
+    """Return a function that computes an equilibrium in parts."""
     stand = pa.solve_stand(robot)
 
     def run() -> None:

@@ -1,8 +1,8 @@
-"""Random stands, each verdict checked independently: `python benchmarks/stances.py` prints a table.
+"""Random stands with independent checks: `python benchmarks/stances.py` prints a table.
 
 The checks share no code with the package's solvers: MuJoCo's kinematics of the MJCF, bounded least
-squares from random starts, and linear programmes on MuJoCo's com and weight.
-`tests/physics/test_random_stands.py` runs the same with fewer tasks.
+squares from random initial guesses, and linear programs with MuJoCo's CoM and weight.
+`tests/physics/test_random_stands.py` runs the same checks with fewer tasks.
 """
 
 from __future__ import annotations
@@ -32,24 +32,32 @@ from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, steady_state
 from pupper_analysis.stance.stand import stand_statics
 
-EXACT = 1e-9
-"""Error that a solved stand may have (m, rad)."""
+MAX_STAND_ERROR = 1e-9
+"""Largest error of a solved stand [m, rad]."""
 
-REACHED = 1e-6
-"""A refused stand whose feet come as near as this is in reach after all (m)."""
+REACHED_FOOT_ERROR = 1e-6
+"""Foot error [m] below which a refused stand is feasible, so that the refusal is wrong."""
 
 SAG_TOLERANCE = 5e-4
-"""Error that a predicted sag may have (m)."""
+"""Largest error of a predicted sag [m]."""
 
-STIFF = 36.0
-"""What holds softer equilibria up for seconds is friction, which is not predicted (rad^2/s^2)."""
+MIN_PREDICTED_STIFFNESS = 36.0
+"""Stiffness of an equilibrium [rad^2/s^2] below which friction, which is not predicted, holds the
+robot for seconds."""
 
 STARTS = 200
+"""Number of random initial guesses of a search."""
+
 STEPS = 60
-FACETS = 64
+"""Maximum number of steps of a search."""
+
+NUM_FACETS = 64
+"""Number of edges of the polyhedral friction cones."""
 
 
 class Verdict(StrEnum):
+    """Outcome of a task."""
+
     HELD = "held"
     UNREACHABLE = "out of reach"
     BLOCKED = "in the way"
@@ -59,7 +67,7 @@ class Verdict(StrEnum):
 
 @dataclass
 class Outcome:
-    """One task's verdict; ``wrong`` says what the checks have against it."""
+    """Outcome of a task; ``wrong`` contains the objections of the checks."""
 
     task: pa.StandTask
     verdict: Verdict
@@ -73,7 +81,7 @@ class Outcome:
 
 
 def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
-    """A task with some demands of every kind, about half of which are in reach."""
+    """Return a random task with all kinds of demands; about half of these tasks are feasible."""
 
     def chance(share: float) -> bool:
         return bool(random.random() < share)
@@ -124,10 +132,10 @@ def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
 
 @dataclass
 class Demand:
-    """What a task means, worked out anew, with MuJoCo's kinematics of the MJCF.
+    """Numerical requirements of a task, computed with MuJoCo's kinematics of the MJCF.
 
-    Without ``shapes`` the URDF has fewer shapes than the MJCF: what MuJoCo finds in the ground in a
-    stand that is held does not count.
+    If ``shapes`` is False, the URDF has fewer shapes than the MJCF, and shapes in the ground of a
+    stand that holds are ignored.
     """
 
     robot: pa.Robot
@@ -137,7 +145,7 @@ class Demand:
     def __post_init__(self) -> None:
         robot, task, ground = self.robot, self.task, self.task.ground
         self.data = mujoco.MjData(robot.mj_model)
-        nominal = self.feet(robot.neutral())
+        nominal = self.foot_centres(robot.neutral())
         self.normal = (
             Rotation.from_rotvec(
                 ground.slope * np.array([-math.sin(ground.uphill), math.cos(ground.uphill), 0.0])
@@ -163,28 +171,33 @@ class Demand:
         points = np.array([contact[:2] for contact in contacts.values()])
         self.sides = -ConvexHull(points).equations  # a x + b y + c: distance inside (m)
 
-    def at(self, qpos: np.ndarray) -> None:
+    def set_configuration(self, qpos: np.ndarray) -> None:
+        """Set MuJoCo's data to a configuration qpos."""
         self.robot.mj_convention.set_state(self.data, qpos)
         mujoco.mj_kinematics(self.robot.mj_model, self.data)
         mujoco.mj_comPos(self.robot.mj_model, self.data)
 
-    def feet(self, qpos: np.ndarray) -> dict[str, np.ndarray]:
-        self.at(qpos)
+    def foot_centres(self, qpos: np.ndarray) -> dict[str, np.ndarray]:
+        """Return {foot: position (3,) [m] of its centre} in a configuration."""
+        self.set_configuration(qpos)
         return {
             foot: self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ place
             for foot, (body, place) in self.robot.contact_places.items()
         }
 
     def com(self) -> np.ndarray:
-        """The robot's com where ``feet`` has put it."""
+        """Return the CoM (3,) [m] in the configuration that was set last."""
         return np.array(self.data.subtree_com[0])
 
     def margin(self, place: np.ndarray) -> float:
+        """Return the distance [m] of a horizontal position from the support polygon's edge,
+        positive inside.
+        """
         return float((self.sides[:, :2] @ place[:2] + self.sides[:, 2]).min())
 
-    def misses(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far the feet (3 n,), and base or com (2,) are from where they shall be (m)."""
-        feet, task, com = self.feet(qpos), self.task, self.com()[:2]
+    def compute_errors(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the errors [m] of the feet (3 n,) and of the base or CoM in a configuration."""
+        feet, task, com = self.foot_centres(qpos), self.task, self.com()[:2]
         missed = np.concatenate([feet[foot] - centre for foot, centre in self.centres.items()])
         if task.offset is not None:
             place = qpos[:2] - self.centre[:2] - task.offset
@@ -198,42 +211,44 @@ class Demand:
             place = com - (self.centre[:2] if centred else np.array(task.com))
         return missed, place
 
-    def in_the_way(self, qpos: np.ndarray) -> bool:
-        """Whether MuJoCo finds a part other than a foot in the ground."""
+    def is_blocked(self, qpos: np.ndarray) -> bool:
+        """Return True if MuJoCo finds a part other than a foot in the ground."""
         robot = build_on_ground(self.robot, self.task.ground, self.centres)
         model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_forward(model, data)
         return any(
-            touch.dist < -REACHED
+            touch.dist < -REACHED_FOOT_ERROR
             and 0 in model.geom_bodyid[touch.geom]
             and not robot.foot_geoms.keys() & set(touch.geom.tolist())
             for touch in data.contact
         )
 
-    def nearest(self, random: np.random.Generator) -> float:
-        """How near feet, base and com come to their places in the best of many searches (m).
+    def search_smallest_error(self, random: np.random.Generator) -> float:
+        """Return the smallest error [m] of feet, base and CoM of many searches.
 
-        With parts in the ground a search counts as a metre off.
+        A result with parts in the ground counts as an error of 1 m.
         """
         robot = self.robot
         low = np.maximum(robot.lower_limits + self.task.joint_margin, -math.pi)
         high = np.minimum(robot.upper_limits - self.task.joint_margin, math.pi)
         joints = random.uniform(low, high, (STARTS, robot.nu))
         joints[0] = np.clip(robot.home[7:], low, high)
-        begin = np.column_stack([self.spread(random), joints])
+        begin = np.column_stack([self.draw_base_positions(random), joints])
         values, off = self.descend(begin, low, high)
         best = math.inf
         for index in np.argsort(off):
-            if off[index] >= REACHED:
+            if off[index] >= REACHED_FOOT_ERROR:
                 return min(best, float(off[index]))
-            if not self.in_the_way(self.qpos(values[index])):
+            if not self.is_blocked(self.qpos(values[index])):
                 return float(off[index])
             best = 1.0
         return best
 
-    def spread(self, random: np.random.Generator) -> np.ndarray:
-        """Places (n, 2) of the base to start from: where it shall be, or inside the polygon."""
+    def draw_base_positions(self, random: np.random.Generator) -> np.ndarray:
+        """Return initial base positions (n, 2) [m]: the required one, or random ones inside the
+        polygon.
+        """
         contacts = np.array(list(self.contacts.values()))[:, :2]
         if self.task.offset is not None:
             return np.tile(self.centre[:2] + self.task.offset, (STARTS, 1))
@@ -243,13 +258,14 @@ class Demand:
         return np.tile(place, (STARTS, 1))
 
     def qpos(self, values: np.ndarray) -> np.ndarray:
+        """Return qpos of the optimised values: base x and y [m], joint positions [rad]."""
         w, x, y, z = self.rotation.as_quat(scalar_first=True)
         return np.concatenate([values[:2], (self.height, w, x, y, z), values[2:]])
 
     def residual(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is missed (m,), and its derivative (m, 2 + nu), by MuJoCo's Jacobians."""
+        """Return the errors (m,) and their derivatives (m, 2 + nu), by MuJoCo's Jacobians."""
         robot, model, data = self.robot, self.robot.mj_model, self.data
-        missed, place = self.misses(self.qpos(values))
+        missed, place = self.compute_errors(self.qpos(values))
         columns = np.r_[0, 1, robot.mj_convention.qvel_index[6:]]
         jacobian, rows = np.zeros((3, model.nv)), []
         for body, local in robot.contact_places.values():
@@ -271,7 +287,16 @@ class Demand:
     def descend(
         self, values: np.ndarray, low: np.ndarray, high: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Bounded Levenberg-Marquardt steps from all starts at once; the largest residuals (n,)."""
+        """Run bounded Levenberg-Marquardt steps from all initial guesses.
+
+        Args:
+            values: Initial guesses (n, 2 + nu).
+            low: Lower limits (nu,) [rad].
+            high: Upper limits (nu,) [rad].
+
+        Returns:
+            Final values (n, 2 + nu), and their largest errors (n,).
+        """
         low, high = np.r_[-np.inf, -np.inf, low], np.r_[np.inf, np.inf, high]
         errors, rates = (np.array(part) for part in zip(*map(self.residual, values), strict=True))
         damping, active = np.full(len(values), 1e-3), np.arange(len(values))
@@ -295,19 +320,24 @@ class Demand:
             values[taken], errors[taken] = tried[better], new_errors[better]
             rates[taken] = new_rates[better]
             damping[active] = np.clip(damping[active] * np.where(better, 0.1, 8.0), 1e-14, 1e3)
-            if np.abs(errors).max(axis=1).min() < EXACT:
+            if np.abs(errors).max(axis=1).min() < MAX_STAND_ERROR:
                 break
         return values, np.abs(errors).max(axis=1)
 
-    def holdable(self, com: np.ndarray, inner: bool) -> bool:
-        """Whether forces in polyhedral cones, inside or around the true ones, balance the robot."""
+    def has_balancing_forces(self, com: np.ndarray, inner: bool) -> bool:
+        """Return True if forces in polyhedral friction cones balance the robot.
+
+        Args:
+            com: CoM (3,) [m].
+            inner: True for polyhedra inside the cones, False for polyhedra around them.
+        """
         robot = self.robot
         turn = np.linalg.qr(np.column_stack([self.normal, np.eye(3)[:, :2]]))[0][:, 1:]
         columns = []
         for foot, place in self.contacts.items():
             friction = robot.contacts[foot].sliding_friction
-            friction /= 1.0 if inner else math.cos(math.pi / FACETS)
-            for angle in np.arange(FACETS) * 2 * math.pi / FACETS:
+            friction /= 1.0 if inner else math.cos(math.pi / NUM_FACETS)
+            for angle in np.arange(NUM_FACETS) * 2 * math.pi / NUM_FACETS:
                 force = self.normal + friction * turn @ (math.cos(angle), math.sin(angle))
                 columns.append([*force, *np.cross(place - com, force) / 0.1])
         return bool(
@@ -322,9 +352,9 @@ class Demand:
 
 
 def check_reached(demand: Demand, stand: pa.Stand) -> tuple[float, list[str]]:
-    """The worst error of a solved stand (m, rad), and what is wrong with it."""
+    """Return the largest error of a solved stand [m, rad], and the objections."""
     robot, joints = demand.robot, stand.joint_positions(demand.robot)
-    missed, place = demand.misses(stand.qpos)
+    missed, place = demand.compute_errors(stand.qpos)
     turned = Rotation.from_quat(stand.qpos[3:7], scalar_first=True) * demand.rotation.inv()
     error = max(
         float(np.abs(missed).max()),
@@ -332,16 +362,18 @@ def check_reached(demand: Demand, stand: pa.Stand) -> tuple[float, list[str]]:
         abs(float(stand.qpos[2]) - demand.height),
         float(turned.magnitude()),
     )
-    wrong = [] if error < EXACT else [f"off by {error:.1e}"]
-    if (joints < robot.lower_limits - EXACT).any() or (joints > robot.upper_limits + EXACT).any():
+    wrong = [] if error < MAX_STAND_ERROR else [f"off by {error:.1e}"]
+    if (joints < robot.lower_limits - MAX_STAND_ERROR).any() or (
+        joints > robot.upper_limits + MAX_STAND_ERROR
+    ).any():
         wrong.append("beyond a joint limit")
-    if demand.shapes and demand.in_the_way(stand.qpos):
+    if demand.shapes and demand.is_blocked(stand.qpos):
         wrong.append("a part is in the ground")
     return error, wrong
 
 
 def check_forces(demand: Demand, statics: pa.statics.GravityCompensation) -> list[str]:
-    """What is wrong with the forces of a stand that is said to hold."""
+    """Return the objections to the contact forces of a stand that holds."""
     robot, com, weight = demand.robot, demand.com(), statics.contact_forces
     force, moment = demand.robot.mj_model.body_mass.sum() * robot.gravity, np.zeros(3)
     scale = float(np.linalg.norm(force))
@@ -358,16 +390,16 @@ def check_forces(demand: Demand, statics: pa.statics.GravityCompensation) -> lis
     return wrong
 
 
-def judge(
+def judge_task(
     robot: pa.Robot, task: pa.StandTask, random: np.random.Generator, shapes: bool = True
 ) -> Outcome:
-    """Solves a task, and checks the verdict."""
+    """Solve a task, and check the outcome."""
     demand = Demand(robot, task, shapes)
     try:
         stand = pa.solve_stand(robot, task, explain=False)
     except pa.StanceUnreachableError as error:
-        near = demand.nearest(random)
-        wrong = [f"in reach: {near:.1e} m"] if near < REACHED else []
+        near = demand.search_smallest_error(random)
+        wrong = [f"in reach: {near:.1e} m"] if near < REACHED_FOOT_ERROR else []
         verdict = Verdict.BLOCKED if error.blocked else Verdict.UNREACHABLE
         return Outcome(task, verdict, wrong=wrong, shortfall=near)
     except pa.ConfigurationError:
@@ -375,23 +407,25 @@ def judge(
         fine = demand.margin(place) >= task.com_margin
         return Outcome(task, Verdict.REQUEST, wrong=["a fine request"] if fine else [])
     error, wrong = check_reached(demand, stand)
-    demand.at(stand.qpos)
+    demand.set_configuration(stand.qpos)
     try:
         statics = stand_statics(robot, stand)
     except pa.StaticsInfeasibleError:
-        if demand.holdable(demand.com(), inner=True):
+        if demand.has_balancing_forces(demand.com(), inner=True):
             wrong.append("it can be held")
         return Outcome(task, Verdict.NOT_HELD, stand, wrong, error)
     wrong += check_forces(demand, statics)
-    if not demand.holdable(demand.com(), inner=False):
+    if not demand.has_balancing_forces(demand.com(), inner=False):
         wrong.append("it cannot be held")
     return Outcome(task, Verdict.HELD, stand, wrong, error)
 
 
-def judged(robot: pa.Robot, count: int, seed: int = 0, shapes: bool = True) -> list[Outcome]:
-    """The outcomes of some random tasks."""
+def judge_random_tasks(
+    robot: pa.Robot, count: int, seed: int = 0, shapes: bool = True
+) -> list[Outcome]:
+    """Return the outcomes of some random tasks."""
     random = np.random.default_rng(seed)
-    return [judge(robot, random_task(robot, random), random, shapes) for _ in range(count)]
+    return [judge_task(robot, random_task(robot, random), random, shapes) for _ in range(count)]
 
 
 # ------------------------------------------------------------------------------------- robots
@@ -408,14 +442,14 @@ OTHERS = {
         0.25,  # its keyframe is a crouch, with the legs at their limits
     ),
 }
-"""{robot of others: its URDF, its MJCF, its nominal height where the keyframe's is none (m)}."""
+"""{public robot: (URDF, MJCF, nominal height [m] if the keyframe has none)}."""
 
 
 def other_robot(folder: Path, name: str) -> pa.Robot:
-    """A published robot, with the URDF's masses, coms and inertias put into its MJCF.
+    """Return a public robot whose MJCF has the masses, CoM positions and inertias of its URDF.
 
-    As published its two files differ in these (see `pupper-analysis crosscheck`), and what one
-    model says of a stand is not true of the other.
+    The published files differ in these (see `pupper-analysis crosscheck`), so that a result for one
+    model would not be true for the other.
     """
     urdf, mjcf, height = OTHERS[name]
     feet = {leg: f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")}
@@ -439,9 +473,9 @@ def other_robot(folder: Path, name: str) -> pa.Robot:
 
 @dataclass
 class Sag:
-    """What a prediction of the sag, without feed-forward, came to in the simulation.
+    """Predicted sag without feed-forward, compared with a simulation.
 
-    The errors are those of the base's height in the last of 5 s, after 4.5 s of creep on average.
+    The errors are those of the base height in the last of 5 s, after 4.5 s of creep on average.
     """
 
     simulated: bool  # whether the simulation, let go in the stand, stood
@@ -451,8 +485,8 @@ class Sag:
     firm: bool = False  # whether the feet are predicted to stay in place as it is let go
 
 
-def sag(robot: pa.Robot, stand: pa.Stand) -> Sag:
-    """Compares predictions of the sag with simulations."""
+def compare_sag(robot: pa.Robot, stand: pa.Stand) -> Sag:
+    """Compare predictions of the sag with simulations."""
     run = pa.verify_stand(robot, stand, feedforward=False)
     try:
         begin, end = (steady_state(robot, stand, seconds=seconds) for seconds in (0.0, 4.5))
@@ -460,13 +494,13 @@ def sag(robot: pa.Robot, stand: pa.Stand) -> Sag:
         return Sag(run.passed)
     if end.failures:
         return Sag(run.passed)
-    rest = height_after(robot, stand, begin.qpos, 5.0) - end.base_height
+    rest = simulate_height(robot, stand, begin.qpos, 5.0) - end.base_height
     error, firm = abs(run.base_height - end.base_height), begin.release_margin > RELEASE_MARGIN
     return Sag(run.passed, error, abs(rest), end.stiffness, firm)
 
 
-def height_after(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float) -> float:
-    """The base's mean height in the last second of a simulation without feed-forward (m)."""
+def simulate_height(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float) -> float:
+    """Return the mean base height [m] in the last second of a simulation without feed-forward."""
     robot = build_on_ground(robot, stand.task.ground, stand.foot_targets)
     drive = model_with_servos(robot)
     model, data = drive.model, mujoco.MjData(drive.model)
@@ -480,8 +514,8 @@ def height_after(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: fl
     return float(np.mean(heights))
 
 
-def reason(failures: tuple[Diagnostic, ...]) -> str:
-    """What went wrong in a simulation, in short."""
+def describe_failure(failures: tuple[Diagnostic, ...]) -> str:
+    """Return the failure of a simulation as a short text."""
     kinds = {
         "simulation-diverged": "diverged",
         "body-touches-ground": "touches ground",
@@ -495,7 +529,8 @@ def reason(failures: tuple[Diagnostic, ...]) -> str:
     )
 
 
-def table(title: str, *columns: str) -> Table:
+def make_table(title: str, *columns: str) -> Table:
+    """Return an empty table with right-aligned columns."""
     made = Table(title=title)
     for column in columns:
         made.add_column(column, justify="right")
@@ -522,17 +557,17 @@ def main(
     seed: int,
     verbose: bool,
 ) -> None:
-    """Judges random stands of every variant, and simulates some of those that are held.
+    """Judge random stands of each variant, and simulate some of those that hold.
 
-    Simulated is the stand with its feet sunk into the soft ground, where that is in reach; it is ok
-    if `verify_stand` passes it. The sag is that of the stand for rigid ground: let go there, and
-    begun at rest in the predicted equilibrium.
+    The simulated stand has the feet in the soft ground, if that is feasible; it is ok if
+    `verify_stand` passes. The sag is that of the stand on rigid ground: released there, and started
+    at rest in the predicted equilibrium.
     """
-    verdicts = table(
+    verdicts = make_table(
         f"{count} random stands of each robot",
         *("robot", *Verdict, "wrong", "worst error (m, rad)", "nearest refused (mm)", "s"),
     )
-    simulations = table(
+    simulations = make_table(
         f"{simulated} of those that are held, simulated",
         *("robot", "as predicted", "torque", "force", "joint (rad)"),
         *("sag ok, firm", "worst (mm)", "sag ok, feet slip", "worst (mm)"),
@@ -543,7 +578,7 @@ def main(
     others = {} if robots is None else {name: other_robot(robots, name) for name in OTHERS}
     for name, robot in {**chosen, **others}.items():
         begin = time.perf_counter()
-        outcomes = judged(robot, count, seed, shapes=name in chosen)
+        outcomes = judge_random_tasks(robot, count, seed, shapes=name in chosen)
         counts = Counter(outcome.verdict for outcome in outcomes)
         for outcome in outcomes:
             if outcome.wrong:
@@ -553,7 +588,7 @@ def main(
         torque, force, joint, passed = 0.0, 0.0, 0.0, 0
         stands, sags = held[: simulated if name in chosen else 0], []
         for stand in stands:
-            sags.append(sag(robot, stand))
+            sags.append(compare_sag(robot, stand))
             try:
                 run = pa.verify_stand(
                     robot, pa.stance.solve_stand_on_soft_ground(robot, stand.task, explain=False)
@@ -566,7 +601,7 @@ def main(
                 torque, force = max(torque, run.torque_error), max(force, run.force_error)
                 joint = max(joint, run.joint_error)
             else:
-                failed[reason(run.failures)] += 1
+                failed[describe_failure(run.failures)] += 1
                 if verbose:
                     console.print(f"{name}: {'; '.join(run.failures)}: {stand.task}")
         compared = [found.error for found in sags if found.error is not None and found.firm]

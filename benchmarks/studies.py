@@ -1,14 +1,14 @@
-"""How fast studies are, and what survives kills: docs/data/study-speed.csv.
+"""Speed of studies, and their results after interruptions: docs/data/study-speed.csv.
 
-    python benchmarks/studies.py speed 10000       # statics and sag of v3, on two processes
+    python benchmarks/studies.py speed 10000       # statics and sag of v3, two processes
     python benchmarks/studies.py simulated 500     # with a simulation each
-    python benchmarks/studies.py efficiency        # 1 and 2 processes, 100 ms a design
-    python benchmarks/studies.py overhead          # of a design that costs nothing; memory
+    python benchmarks/studies.py efficiency        # 1 and 2 processes, 100 ms per design
+    python benchmarks/studies.py overhead          # time per trivial design; memory
     python benchmarks/studies.py finding           # how large v3 may be, with a figure
-    python benchmarks/studies.py kills 20          # of the parent, a worker
+    python benchmarks/studies.py kills 20          # of the parent, of a worker
 
-Designs of ``efficiency`` sleep: how well the engine keeps workers busy is then measured, whatever
-else the machine does. Times of ``speed`` are as wall and as processor time.
+Designs of ``efficiency`` sleep, so that the use of the workers is measured independently of other
+processes. Times of ``speed`` are elapsed and processor times.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ import pupper_analysis as pa
 from pupper_analysis.tools.study import running
 
 SAG = ("peak_utilisation", "base_height", "servo_sag", "com_margin")
+"""Measured quantities of ``speed``."""
+
 AXES = {  # 10 000 designs of v3
     "leg_scale": pa.study.linspace(0.8, 1.7, 10),
     "torso_mass_scale": pa.study.linspace(1.0, 2.8, 10),
@@ -37,26 +39,28 @@ AXES = {  # 10 000 designs of v3
     "slope": pa.study.linspace(0.0, 0.15, 4),
     "kp": [5.0, 8.0, 12.0, 20.0, 40.0],
 }
+"""{variable: values} of 10,000 designs of v3."""
 
 
-def sleeps(_robot: pa.Robot, _stand: pa.Stand) -> float:
+def sleep_metric(_robot: pa.Robot, _stand: pa.Stand) -> float:
+    """Return 1 after 100 ms."""
     time.sleep(0.1)
     return 1.0
 
 
-def cpu() -> float:
-    """Processor time of this process and of those that it has waited for (s)."""
+def processor_time() -> float:
+    """Return the processor time [s] of this process and of its finished child processes."""
     both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(used.ru_utime + used.ru_stime for used in both)
 
 
 def peak_memory() -> float:
-    """Of this process (MB)."""
+    """Return the peak memory of this process [MB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def part(count: int) -> dict[str, object]:
-    """The axes of some 10,000 designs, or fewer: of the last ones fewer values."""
+def reduce_axes(count: int) -> dict[str, object]:
+    """Return the variables of at most 10,000 designs, with fewer values of the scales if fewer."""
     axes: dict[str, object] = dict(AXES)
     size = 10_000
     for name in ("leg_scale", "torso_mass_scale"):
@@ -67,8 +71,9 @@ def part(count: int) -> dict[str, object]:
     return axes
 
 
-def speed(count: int, workers: int) -> None:
-    study = pa.Study("v3", part(count), SAG)
+def measure_speed(count: int, workers: int) -> None:
+    """Run a study without simulation, and print its speed."""
+    study = pa.Study("v3", reduce_axes(count), SAG)
     marks: list[tuple[int, float]] = []
 
     def watch(progress: running.Progress) -> None:
@@ -76,9 +81,9 @@ def speed(count: int, workers: int) -> None:
             marks.append((progress.done, progress.seconds))
 
     with tempfile.TemporaryDirectory() as folder:
-        before = cpu()
+        before = processor_time()
         done = study.execute(folder, workers=workers, progress=watch)
-        used = cpu() - before
+        used = processor_time() - before
         print(f"{done.done} designs, {workers} processes: {done.seconds:.1f} s, {done.rate:.1f}/s")
         print(f"processor: {used:.1f} s, {1e3 * used / done.done:.1f} ms a design")
         print(
@@ -88,13 +93,14 @@ def speed(count: int, workers: int) -> None:
         print("designs, seconds:", ", ".join(f"{n} {s:.0f}" for n, s in marks))
 
 
-def simulated(count: int, workers: int) -> None:
+def measure_simulated(count: int, workers: int) -> None:
+    """Run a study with simulations, and print its speed and the height differences."""
     vary = {"leg_scale": [1.0, 1.2], "payload": [0.0, 0.3], "kp": pa.study.uniform(5.0, 20.0)}
     study = pa.Study("v3", vary, ["simulated_height", "base_height"], samples=count)
     with tempfile.TemporaryDirectory() as folder:
-        before = cpu()
+        before = processor_time()
         done = study.execute(folder, workers=workers)
-        used = cpu() - before
+        used = processor_time() - before
         table = study.table(folder)
         off = 1e3 * (table["simulated_height"] - table["base_height"])
     print(f"{done.done} simulated designs, {workers} processes: {done.seconds:.1f} s")
@@ -104,14 +110,14 @@ def simulated(count: int, workers: int) -> None:
     )
 
 
-def efficiency() -> None:
-    """Of n workers: n x 1 worker's rate, without the start of the processes."""
+def measure_efficiency() -> None:
+    """Print the speed with n workers relative to n times the speed of one, without start-up."""
     vary = {"kp": pa.study.linspace(5.0, 20.0, 200)}
 
     def rate(**how: object) -> float:
         marks: list[tuple[int, float]] = []
         with tempfile.TemporaryDirectory() as folder:
-            study = pa.Study("v3", vary, [sleeps])
+            study = pa.Study("v3", vary, [sleep_metric])
             study.execute(
                 folder,
                 progress=lambda p: marks.append((p.done, p.seconds)),
@@ -126,8 +132,8 @@ def efficiency() -> None:
     print(f"of 10 designs a second and worker: {one / 10:.3f}, {two / 20:.3f}")
 
 
-def overhead() -> None:
-    """What the parent spends on a design, and its memory, for 1e3 to 1e5 designs."""
+def measure_overhead() -> None:
+    """Print the time of the parent per design, and its memory, for 1e3 to 3e4 designs."""
     for count in (1_000, 10_000, 30_000):
         code = (
             "import time, sys, tempfile; sys.path.insert(0, sys.argv[2])\n"
@@ -150,8 +156,8 @@ def overhead() -> None:
             subprocess.run([sys.executable, str(script), str(count), here], check=True)
 
 
-def finding() -> None:
-    """How long legs and how heavy a torso do v3's motors (3 N m) and servos (5 N m/rad) bear?"""
+def find_largest_robots() -> None:
+    """Print and draw how long the legs and how heavy the torso of v3 may be (3 N m motors)."""
     from pupper_analysis.present.figures import drawing
     from pupper_analysis.tools.study.outcome import pareto_front
 
@@ -193,34 +199,39 @@ running.SHARD_SECONDS = 0.1
 if __name__ == "__main__":
     studies.to_kill().execute(sys.argv[1], workers=2)
 """
+"""Code of a process that runs a study and is killed."""
 
 
-def to_kill() -> pa.Study:
+def make_study() -> pa.Study:
+    """Return the study whose processes are killed."""
     return pa.Study(
         "v3", {"payload": pa.study.linspace(0.0, 1.0, 60)}, ["servo_sag", "peak_utilisation"]
     )
 
 
-def rows_of(folder: Path) -> int:
+def count_rows(folder: Path) -> int:
+    """Return the number of stored rows of a study."""
     import pyarrow.parquet as pq
 
     return sum(pq.read_metadata(path).num_rows for path in (folder / "shards").glob("*.parquet"))
 
 
 def kill_parent(folder: Path, chance: random.Random) -> str:
+    """Kill the parent process of a study at a random time."""
     with tempfile.TemporaryDirectory() as other:
         script = Path(other) / "victim.py"
         script.write_text(VICTIM.format(here=str(Path(__file__).parent)))
         process = subprocess.Popen([sys.executable, str(script), str(folder)])
-        while process.poll() is None and not rows_of(folder):
+        while process.poll() is None and not count_rows(folder):
             time.sleep(0.02)
         time.sleep(chance.uniform(0.0, 1.0))
         process.send_signal(signal.SIGKILL)
         process.wait()
-    return f"{rows_of(folder)} rows were there"
+    return f"{count_rows(folder)} rows were there"
 
 
 def kill_worker(folder: Path, chance: random.Random) -> str:
+    """Kill a worker process of a study at a random time."""
     killed: list[int] = []
     when = chance.uniform(0.0, 1.0)
 
@@ -232,14 +243,14 @@ def kill_worker(folder: Path, chance: random.Random) -> str:
                 killed.append(victim.pid or 0)
                 victim.kill()
 
-    done = to_kill().execute(folder, workers=2, progress=watch)
+    done = make_study().execute(folder, workers=2, progress=watch)
     return f"{len(killed)} killed, {done.done} done"
 
 
-def kills(count: int, kinds: tuple[str, ...]) -> None:
-    """Each time: kill, go on, and compare with an undisturbed run, to the last bit."""
+def test_kills(count: int, kinds: tuple[str, ...]) -> None:
+    """Kill and resume a study, and compare the table with an uninterrupted run, bit by bit."""
     with tempfile.TemporaryDirectory() as folder:
-        whole = to_kill().run(folder, workers=2)
+        whole = make_study().run(folder, workers=2)
     directions: dict[str, Callable[[Path, random.Random], str]] = {
         "parent": kill_parent,
         "worker": kill_worker,
@@ -251,17 +262,19 @@ def kills(count: int, kinds: tuple[str, ...]) -> None:
             with tempfile.TemporaryDirectory() as name:
                 folder = Path(name) / "study"
                 message = directions[kind](folder, chance)
-                table = to_kill().run(folder, workers=2)
-                same = table.equals(whole) and rows_of(folder) == len(whole)
+                table = make_study().run(folder, workers=2)
+                same = table.equals(whole) and count_rows(folder) == len(whole)
                 good += same
                 print(f"{kind}: {message}; the same afterwards: {same}", flush=True)
         print(f"{kind}: {good} of {count} are the same afterwards")
 
 
 WHAT = ("speed", "simulated", "efficiency", "overhead", "kills", "finding")
+"""Names of the measurements."""
 
 
 def main() -> None:
+    """Run the measurement that the command line selects."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=list(WHAT))
     parser.add_argument("count", nargs="?", type=int)
@@ -269,14 +282,18 @@ def main() -> None:
     parser.add_argument("--kind", choices=["parent", "worker"])
     given = parser.parse_args()
     if given.what == "speed":
-        speed(given.count or 1000, given.workers)
+        measure_speed(given.count or 1000, given.workers)
     elif given.what == "simulated":
-        simulated(given.count or 100, given.workers)
+        measure_simulated(given.count or 100, given.workers)
     elif given.what in ("efficiency", "overhead", "finding"):
-        {"efficiency": efficiency, "overhead": overhead, "finding": finding}[given.what]()
+        {
+            "efficiency": measure_efficiency,
+            "overhead": measure_overhead,
+            "finding": find_largest_robots,
+        }[given.what]()
     else:
         kinds = (given.kind,) if given.kind else ("parent", "worker")
-        kills(given.count or 3, kinds)
+        test_kills(given.count or 3, kinds)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Writes what was measured as data: a file of ``docs/data``, from which the site makes a page."""
+"""Write measurements as CSV files in ``docs/data``, from which the documentation makes pages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Writes a table: its first line names the columns, with their units in brackets."""
+    """Write a table as CSV; the header contains the units in brackets."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

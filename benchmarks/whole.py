@@ -1,4 +1,4 @@
-"""What a user waits for: whole commands, by stage, and jobs that no engine does alone."""
+"""Times that a user waits: whole commands by stage, and jobs that no engine does alone."""
 
 from __future__ import annotations
 
@@ -23,29 +23,31 @@ from pupper_analysis.tools.analyze.analysis import analyze_variant, measure_leg_
 from pupper_analysis.tools.analyze.document import analysis_document
 
 STEP = 0.02
-"""rad: of the tutorial's grid, whose own is not told; this takes it as long as ours takes."""
+"""Step [rad] of the grid search. The tutorial does not state its step; with this one, the search
+takes as long as our solver."""
 
 
 def jobs(variant: str) -> list[Job]:
-    """Returns the jobs that need more than one engine."""
+    """Return the jobs that need more than one engine."""
     robot = pa.load_variant(variant)
     stand = pa.solve_stand(robot)
     return [_grid_search(), _cross_check(robot), _push(robot, stand)]
 
 
-def grid_pose(thigh: float, calf: float, height: float) -> tuple[float, float, float, float]:
-    """Searches a leg's pose on a grid, as the tutorial describes it.
+def search_grid(thigh: float, calf: float, height: float) -> tuple[float, float, float, float]:
+    """Search the pose of a leg on a grid, as the tutorial describes it.
 
-    A leg is two links in a plane, its abduction zero. Of all pairs of hip and knee angles that one
-    is taken whose foot is nearest to a height below the hip and, less important, below it.
+    A leg has two links in a plane, and zero abduction. Of all pairs of hip and knee angles, the
+    pair is returned whose foot is nearest to the height below the hip and, with less weight,
+    vertically below.
 
     Args:
-        thigh: Length of the thigh (m).
-        calf: Of the calf (m).
-        height: Of the hip above the centre of the foot (m).
+        thigh: Length of the thigh [m].
+        calf: Length of the calf [m].
+        height: Height of the hip above the centre of the foot [m].
 
     Returns:
-        Both angles (rad), and by how much the foot misses forwards and upwards (m).
+        Hip and knee angle [rad], and foot error forwards and upwards [m].
     """
     best = (math.inf, 0.0, 0.0, 0.0, 0.0)
     for hip in np.arange(0.0, 1.6, STEP).tolist():
@@ -59,6 +61,7 @@ def grid_pose(thigh: float, calf: float, height: float) -> tuple[float, float, f
 
 
 def _grid_search() -> Job:
+    """Return the job that solves the stand of the tutorial."""
     robot = pa.load_variant("original")
     stand = pa.solve_stand(robot)
     thigh, calf = measure_leg_lengths(robot)
@@ -68,7 +71,7 @@ def _grid_search() -> Job:
     height = float(hip[2] - stand.foot_targets[foot][2])
 
     def missed() -> Accuracy:
-        _, _, x, z = grid_pose(thigh, calf, height)
+        _, _, x, z = search_grid(thigh, calf, height)
         return Accuracy(math.hypot(x, z), np.inf, "m")
 
     return Job(
@@ -78,7 +81,7 @@ def _grid_search() -> Job:
         peers=(
             Rival(
                 f"grid search, one leg, {STEP:g} rad",
-                lambda: grid_pose(thigh, calf, height),
+                lambda: search_grid(thigh, calf, height),
                 missed,
             ),
         ),
@@ -86,6 +89,8 @@ def _grid_search() -> Job:
 
 
 def _cross_check(robot: pa.Robot) -> Job:
+    """Return the job that compares both files and engines."""
+
     def accuracy() -> Accuracy:
         check = pa.cross_check(robot)
         worst = max(quantity.relative for quantity in check.quantities)
@@ -95,6 +100,8 @@ def _cross_check(robot: pa.Robot) -> Job:
 
 
 def _push(robot: pa.Robot, stand: pa.Stand) -> Job:
+    """Return the job that searches the largest pushes."""
+
     def run() -> pa.simulation.PushRecovery:
         return pa.push_recovery(robot, stand, directions=4)
 
@@ -105,8 +112,8 @@ def _push(robot: pa.Robot, stand: pa.Stand) -> Job:
     return Job("push_recovery, 4 directions", run, accuracy, quick=False)
 
 
-def start_up(repeats: int) -> dict[str, float]:
-    """Returns how long it takes before anything is computed, {what: s}."""
+def measure_start_up(repeats: int) -> dict[str, float]:
+    """Return {command: start-up time [s]}."""
     commands = {
         "python -c pass": ["-c", "pass"],
         "import pupper_analysis": ["-c", "import pupper_analysis"],
@@ -128,8 +135,8 @@ def start_up(repeats: int) -> dict[str, float]:
     return {name: median_seconds(run(given), repeats) for name, given in commands.items()}
 
 
-def default_run(names: Iterable[str]) -> dict[str, float]:
-    """Returns how long each stage of the default run takes for some variants, {stage: s}."""
+def measure_default_run(names: Iterable[str]) -> dict[str, float]:
+    """Return {stage: time [s]} of the default run for some variants."""
     from pupper_analysis.present.figures.pose import write_pose_figure
     from pupper_analysis.tools.analyze import figures as render
     from pupper_analysis.tools.analyze.comparison_figures import FIGURES

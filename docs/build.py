@@ -1,8 +1,8 @@
-"""Builds the site: English, and Chinese in its folder ``zh``. A warning is an error.
+"""Build the site in English, and in Chinese in its folder ``zh``. A warning is an error.
 
     python docs/build.py build/docs
 
-Links within the site are checked as it is built; ``--links`` asks the web for the others, too.
+Links within the site are checked during the build; ``--links`` also checks links to other sites.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from pathlib import Path
 from sphinx.cmd.build import main
 
 DOCS = Path(__file__).resolve().parent
+"""Folder of this file."""
 
 
 def build(folder: Path, *, links: bool = False) -> int:
-    """Writes the site, and returns the exit status: 0 unless there was a warning.
+    """Write the site, and return the exit status: 0 unless there was a warning.
 
     Args:
-        folder: Gets ``index.html`` and ``zh/index.html``.
-        links: Asks for all addresses outside the site as well.
+        folder: Output folder, for ``index.html`` and ``zh/index.html``.
+        links: Whether to check all addresses outside the site.
     """
     strict = ["--fail-on-warning", "--keep-going", "--quiet", "--jobs", "2"]
     cache = folder.parent / "doctrees"

@@ -1,4 +1,4 @@
-"""The English site. ``docs/build.py`` builds it, and the Chinese one of ``docs/zh``."""
+"""Configuration of the English site; ``docs/zh`` contains that of the Chinese site."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ copybutton_prompt_text = "$ "
 
 
 def setup(app: object) -> None:
-    """Writes the generated pages, and has docstrings read as they are written."""
+    """Write the generated pages, and register the conversion of docstrings and signatures."""
     words = "zh" if app.config.language.startswith("zh") else "en"  # type: ignore[attr-defined]
     pages.write(Path(str(app.srcdir)), words)  # type: ignore[attr-defined]
     app.connect("autodoc-process-docstring", pages.plain_text)  # type: ignore[attr-defined]

@@ -35,7 +35,7 @@ WORDS = tomllib.loads((Path(__file__).resolve().parent / "words.toml").read_text
 
 
 def write(site: Path, language: str) -> None:
-    """Writes a site's generated pages; files that would stay as they are are not touched.
+    """Write a site's generated pages; files that would stay as they are are not touched.
 
     Args:
         site: The folder of its sources.
@@ -69,12 +69,12 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Returns a text as the cell of a Markdown table holds it."""
+    """Return a text as the cell of a Markdown table holds it."""
     return escape_control(" ".join(text.split())).replace("|", "\\|").replace("<", "&lt;")
 
 
 def _plain(text: str) -> str:
-    """Returns a text of which Markdown takes no letter for its own, outside `code`."""
+    """Return a text of which Markdown takes no letter for its own, outside `code`."""
     parts = text.split("`")
     if len(parts) % 2 == 0:  # a backtick that stands alone
         parts = [text.replace("`", "\\`")]
@@ -91,7 +91,7 @@ def _toctree(names: Iterable[str], depth: int = 1) -> str:
 
 
 def audit_rules(words: Mapping[str, Any], language: str) -> str:
-    """Returns the page of the audit's rules."""
+    """Return the page of the audit's rules."""
     rows = []
     for rule in RULES.values():
         said = rule.chinese if language == "zh" else vars(rule)
@@ -102,7 +102,7 @@ def audit_rules(words: Mapping[str, Any], language: str) -> str:
 
 
 def diagnostic_codes(words: Mapping[str, Any], language: str) -> str:
-    """Returns the page of all codes, with the words of their entries."""
+    """Return the page of all codes, with the words of their entries."""
     parts = [f"# {words['codes']}\n\n{words['codes-about']}\n"]
     for whose, path in word_files().items():
         if path.name not in LINE_ENTRY_FILES:
@@ -120,7 +120,7 @@ def diagnostic_codes(words: Mapping[str, Any], language: str) -> str:
 
 
 def _readable(template: str) -> str:
-    """Returns a template of the catalogue with its values named, and all that is optional said."""
+    """Return a template of the catalogue with its values named, and all that is optional said."""
     text = re.sub(r"\[!?\w+\?([^\[\]]*)\]", r"\1", template)
     text = re.sub(r"\{\w+\|[^{}|]*\|([^{}|]*)\}", r"\1", text)
     text = re.sub(r"(?<!\{)\{(\w+)[^{}]*\}(?!\})", r"⟨\1⟩", text)
@@ -128,7 +128,7 @@ def _readable(template: str) -> str:
 
 
 def result_fields(words: Mapping[str, Any], language: str) -> str:
-    """Returns the page of what the fields of results mean."""
+    """Return the page of what the fields of results mean."""
     meanings: dict[str, Any] = {}
     for whose, path in word_files().items():
         read = tomllib.loads(path.read_text("utf-8"))
@@ -188,7 +188,7 @@ def _command(name: str, command: click.Command) -> str:
 
 
 def api_pages() -> dict[str, str]:
-    """Returns the pages of the public interface: the package's own names, and each module's."""
+    """Return the pages of the public interface: the package's own names, and each module's."""
     own = [name for name in pa.__all__ if not isinstance(getattr(pa, name), ModuleType)]
     pages = {"api/pupper_analysis.md": _api("pa", pa.__name__, pa, own)}
     for name in pa.__all__:
@@ -201,7 +201,7 @@ def api_pages() -> dict[str, str]:
 
 
 def _public(module: ModuleType) -> list[str]:
-    """Returns what a module offers: its list, or what is defined in it."""
+    """Return what a module offers: its list, or what is defined in it."""
     names = getattr(module, "__all__", None)
     if names is not None:
         return list(names)
@@ -274,7 +274,7 @@ def plain_text(*event: Any) -> None:
 
 
 def _unmarked(line: str) -> str:
-    """Returns a line with all that stands outside ``literals`` and roles taken as plain text."""
+    """Return a line with all that stands outside ``literals`` and roles taken as plain text."""
     parts = re.split(r"(``.*?``|:\w+:`[^`]*`|^\s*:[^:]+:\s|^\s*\.\. .*$)", line)
     return "".join(
         part if index % 2 else re.sub(r"(?<!\\)([*|`]|_(?!\w))", r"\\\1", part)
@@ -286,7 +286,7 @@ def _unmarked(line: str) -> str:
 
 
 def robots_summary(rows: Sequence[Mapping[str, str]]) -> str:
-    """Returns how many robots have a defect with its line, and what becomes of them."""
+    """Return how many robots have a defect with its line, and what becomes of them."""
     judged = Counter(row["stand or hold"].split(",")[0].split(":")[0] for row in rows)
     compared = [row["crosscheck"] for row in rows if row["crosscheck"] != "-"]
     agree = sum(one == "AGREE" for one in compared)
@@ -299,7 +299,7 @@ def robots_summary(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def table_pages() -> dict[str, str]:
-    """Returns a page for each group of tables of ``docs/data``, and their list.
+    """Return a page for each group of tables of ``docs/data``, and their list.
 
     ``tables.toml`` has the groups, and of each table a title, what it says and the command that
     measures it.

@@ -1,9 +1,9 @@
-"""Takes the pictures of the live page and of a report anew, in chromium.
+"""Take the pictures of the live page and of a report, with chromium.
 
     python docs/take_pictures.py
 
-Needs the groups ``browser`` and ``test`` of pyproject.toml, chromium, and a font with Chinese. Look
-at what it writes.
+Requires the groups ``browser`` and ``test`` of pyproject.toml, chromium, and a font with Chinese.
+Inspect the written pictures.
 """
 
 from __future__ import annotations
@@ -21,17 +21,23 @@ from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.stand.stance import study_stance
 
 IMAGES = Path(__file__).resolve().parent / "images"
+"""Folder of the pictures."""
+
 OPTIONS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
+"""Options of chromium."""
+
 STATE = State("inside", height=128.0, pitch=-3.0, swing={"FL": 25.0}, com_margin=10.0, slope=7.0)
-PATIENCE = 120_000.0
-"""ms: without graphics hardware a picture takes seconds."""
+"""State of the live page in the picture."""
+
+TIMEOUT = 120_000.0
+"""Maximum time of a step [ms]: without graphics hardware, a picture takes seconds."""
 
 
-def live(browser: Browser, path: Path) -> None:
-    """The live page: v3 on three legs, uphill, and the simulated robot beside it."""
+def take_live_picture(browser: Browser, path: Path) -> None:
+    """Take the picture of the live page: v3 on three legs, uphill, beside the simulated robot."""
     served = Page(pa.load_variant("v3"), STATE)
     page = browser.new_page(viewport={"width": 1240, "height": 840})
-    page.set_default_timeout(PATIENCE)
+    page.set_default_timeout(TIMEOUT)
     page.goto(served.address)
     page.add_style_tag(content=".mantine-Notification-root {visibility: hidden}")
     page.get_by_text("leg_back_l_3").first.wait_for()
@@ -46,14 +52,14 @@ def live(browser: Browser, path: Path) -> None:
     served.close()
 
 
-def report(browser: Browser, path: Path) -> None:
-    """The report of v3's stand: its verdict, its view, and a joint whose axis is lit up."""
+def take_report_picture(browser: Browser, path: Path) -> None:
+    """Take the picture of the report of v3's stand, with a highlighted joint axis."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "report.html"
         robot = pa.load_variant("v3")
         pa.report.write_report(study_stance(robot, pa.StandTask()), file, robots=[robot])
         page = browser.new_page(viewport={"width": 1100, "height": 900})
-        page.set_default_timeout(PATIENCE)
+        page.set_default_timeout(TIMEOUT)
         page.goto(file.as_uri())
         joint = page.get_by_role("button", name="leg_front_r_3", exact=True).first
         heading = page.get_by_text("The stand in three dimensions").first
@@ -65,11 +71,11 @@ def report(browser: Browser, path: Path) -> None:
 
 
 def main() -> None:
-    """Writes both pictures."""
+    """Take both pictures."""
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=OPTIONS)
-        report(browser, IMAGES / "report_v3.png")
-        live(browser, IMAGES / "live_v3.png")
+        take_report_picture(browser, IMAGES / "report_v3.png")
+        take_live_picture(browser, IMAGES / "live_v3.png")
         browser.close()
 
 

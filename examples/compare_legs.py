@@ -10,7 +10,7 @@ SCALES = (0.8, 1.0, 1.2, 1.4, 1.6)
 
 
 def main() -> None:
-    """Prints height, peak torque and motor utilisation of each length."""
+    """Print height, peak torque and motor utilisation of each length."""
     print("leg scale   height (m)   peak torque (N m)   utilisation")
     for scale in SCALES:
         robot = pa.load_variant(pa.pupper.VariantSpec(base="v3", leg_scale=scale))

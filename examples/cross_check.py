@@ -11,7 +11,7 @@ import pupper_analysis as pa
 
 
 def main() -> None:
-    """Compares a URDF with its MJCF, before and after a slip is put into it."""
+    """Compare a URDF with its MJCF, before and after a slip is put into it."""
     with tempfile.TemporaryDirectory() as folder:
         urdf, mjcf = pa.pupper.write_variant("original", folder)
         print("as written: agree =", pa.compare_models(urdf, mjcf).agree)

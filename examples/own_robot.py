@@ -20,7 +20,7 @@ FEET = {
 
 
 def main() -> None:
-    """Loads the robot, lets it stand, and prints what its motors hold."""
+    """Load the robot, lets it stand, and prints what its motors hold."""
     with tempfile.TemporaryDirectory() as folder:
         urdf, mjcf = pa.pupper.write_variant(
             pa.pupper.VariantSpec(base="v3", leg_scale=1.1), Path(folder)

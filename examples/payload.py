@@ -12,7 +12,7 @@ BACK = (0.0, 0.0, 0.08)
 
 
 def main() -> None:
-    """Prints the limits, and what the motors hold with half of the least one on the back."""
+    """Print the limits, and what the motors hold with half of the least one on the back."""
     robot = pa.load_variant("v3")
     limit = pa.payload_limit(robot, point=BACK)
     for name in ("motors", "servos", "stance"):

@@ -10,7 +10,7 @@ import pupper_analysis as pa
 
 
 def main() -> None:
-    """Prints the largest push from which the stand recovers, in four directions."""
+    """Print the largest push from which the stand recovers, in four directions."""
     robot = pa.load_variant("v3")
     pushed = pa.push_recovery(
         robot, pa.stance.solve_stand_as_simulated(robot), directions=4, duration=3.0, resolution=0.1

@@ -16,7 +16,7 @@ POSE = [0.26, 0.0, -0.52, -0.26, 0.0, 0.52] * 2
 
 
 def make_policy(path: Path) -> Policy:
-    """Writes one layer that meets leans to the side with the hips, as RTNeural's JSON."""
+    """Write one layer that meets leans to the side with the hips, as RTNeural's JSON."""
     weights = [[0.0] * 12 for _ in range(36)]
     weights[4] = [0.0, 0.2, 0.0] * 4  # the direction of gravity, to the left
     layer = {"type": "dense", "activation": "tanh", "weights": [weights, [0.0] * 12]}

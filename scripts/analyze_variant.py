@@ -1,6 +1,6 @@
 """Analyses variants of Pupper: ``pupper-analysis analyze`` as a script."""
 
-from environment import run
+from environment import run_command
 
 if __name__ == "__main__":
-    run("analyze")
+    run_command("analyze")

@@ -1,12 +1,12 @@
-"""Says whether a tag may be released: it is the version that package, citation and changelog have.
+"""Check whether a tag may be released: package, citation and changelog must contain its version.
 
     python scripts/check_release.py v0.2.0
     python scripts/check_release.py --dist dist
     python scripts/check_release.py --index https://github.com/WHO/pupper_analysis v0.2.0
 
-With ``--dist``: whether a wheel and a source distribution hold what they must, and state what
-pyproject.toml states. ``--index`` writes the README that the package index shows: its links and
-pictures lead to that tag, and what is installed is the package.
+``--dist`` checks that a wheel and a source distribution are complete, and that their metadata agree
+with pyproject.toml. ``--index`` rewrites the README for the package index: links and pictures point
+to the tag, and the installation uses the package's name.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from email.parser import Parser
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+PROJECT_FOLDER = Path(__file__).resolve().parents[1]
+"""Root folder of this project."""
 
 
-def stated(root: Path = ROOT) -> dict[str, str]:
-    """Returns {file: the version that it states}; of the changelog, its newest release."""
+def read_versions(root: Path = PROJECT_FOLDER) -> dict[str, str]:
+    """Return {file: version in the file}; for the changelog, the newest release."""
     text = {
         name: (root / name).read_text(encoding="utf-8")
         for name in (
@@ -47,17 +48,17 @@ def stated(root: Path = ROOT) -> dict[str, str]:
     return versions
 
 
-def main(tag: str, root: Path = ROOT) -> None:
-    """Ends with status 1, and what differs, unless all files state the tag's version."""
-    other = {name: version for name, version in stated(root).items() if f"v{version}" != tag}
+def main(tag: str, root: Path = PROJECT_FOLDER) -> None:
+    """End with status 1 and print the differences if a file has another version than the tag."""
+    other = {name: version for name, version in read_versions(root).items() if f"v{version}" != tag}
     if other:
         message = ", ".join(f"{name} has {version}" for name, version in other.items())
         raise SystemExit(f"{tag}: {message}")
     print(f"{tag} may be released")
 
 
-def faults(folder: Path, root: Path = ROOT) -> Iterator[str]:
-    """Yields what is wrong with the distributions in a folder."""
+def list_faults(folder: Path, root: Path = PROJECT_FOLDER) -> Iterator[str]:
+    """Yield the faults of the distributions in a folder."""
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     stem = f"{project['name'].replace('-', '_')}-{project['version']}"
     wheels, sources = sorted(folder.glob("*.whl")), sorted(folder.glob("*.tar.gz"))
@@ -69,7 +70,7 @@ def faults(folder: Path, root: Path = ROOT) -> Iterator[str]:
     with zipfile.ZipFile(wheels[0]) as wheel:
         names = set(wheel.namelist())
         metadata = wheel.read(f"{stem}.dist-info/METADATA").decode()
-    yield from (f"METADATA: {one}" for one in _metadata_faults(metadata, project, root))
+    yield from (f"METADATA: {one}" for one in _list_metadata_faults(metadata, project, root))
     package = root / "pupper_analysis"
     ours = [
         path.relative_to(root).as_posix()
@@ -92,8 +93,14 @@ def faults(folder: Path, root: Path = ROOT) -> Iterator[str]:
             yield f"the source distribution lacks {name}"
 
 
-def _metadata_faults(text: str, project: dict[str, Any], root: Path) -> Iterator[str]:
-    """Yields where metadata are not the project's."""
+def _list_metadata_faults(text: str, project: dict[str, Any], root: Path) -> Iterator[str]:
+    """Yield the metadata that differ from pyproject.toml.
+
+    Args:
+        text: Metadata of the wheel.
+        project: Table ``[project]`` of pyproject.toml.
+        root: Root folder of the project.
+    """
     stated = Parser().parsestr(text)
     readme = (root / project["readme"]).read_text(encoding="utf-8")
     for key, expected in {
@@ -108,16 +115,22 @@ def _metadata_faults(text: str, project: dict[str, Any], root: Path) -> Iterator
         yield "the description is not the README"
 
 
-def check_distributions(folder: Path, root: Path = ROOT) -> None:
-    """Ends with status 1, and what is wrong, unless the distributions may be published."""
-    found = list(faults(folder, root))
+def check_distributions(folder: Path, root: Path = PROJECT_FOLDER) -> None:
+    """End with status 1, and print the faults, unless the distributions may be published."""
+    found = list(list_faults(folder, root))
     if found:
         raise SystemExit("\n".join(found))
     print(f"{folder}: wheel and source distribution have what they must")
 
 
-def for_index(readme: str, repository: str, tag: str) -> str:
-    """Convert the README for the package index: absolute links to a tag, installation by name."""
+def convert_readme(readme: str, repository: str, tag: str) -> str:
+    """Convert the README for the package index: absolute links to a tag, installation by name.
+
+    Args:
+        readme: Text of the README.
+        repository: Address of the repository.
+        tag: Name of the tag.
+    """
     where = {"!": f"{repository}/raw/{tag}/", "": f"{repository}/blob/{tag}/"}
     linked = re.sub(
         r"(!?)(\[[^\]]*\]\()(?!https?:|#)", lambda link: link[0] + where[link[1]], readme
@@ -133,7 +146,7 @@ if __name__ == "__main__":
     if sys.argv[1] == "--dist":
         check_distributions(Path(sys.argv[2]))
     elif sys.argv[1] == "--index":
-        page = ROOT / "README.md"
-        page.write_text(for_index(page.read_text(encoding="utf-8"), *sys.argv[2:4]), "utf-8")
+        page = PROJECT_FOLDER / "README.md"
+        page.write_text(convert_readme(page.read_text(encoding="utf-8"), *sys.argv[2:4]), "utf-8")
     else:
         main(sys.argv[1])

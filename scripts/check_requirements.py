@@ -1,9 +1,9 @@
-"""Writes what checking models needs, without what only stands need: a list, and what it locks.
+"""Write the requirements of the commands that check models, as a list and as a lock file.
 
-pip knows extras that add, and none that take away: ``pip install pupper-analysis`` is all, so that
-stands work. Where checking is all that is wanted, as in CI, this list is installed instead, and the
-package with ``--no-deps``. The GitHub Action runs in repositories of others, on a machine that
-holds their secrets: it installs the locked list, in which every package's files have hashes.
+Extras of a package can only add dependencies, and ``pip install pupper-analysis`` installs those of
+stands, too. To check models only, as in CI, this list is installed, and then the package with
+``--no-deps``. The GitHub Action runs in other repositories, on a machine with their secrets, so it
+installs the lock file, which contains a hash of each file.
 
     python scripts/check_requirements.py
 """
@@ -17,55 +17,65 @@ import tomllib
 from importlib.metadata import requires, version
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-FILE = ROOT / "requirements-check.txt"
-LOCK = ROOT / "requirements-check.lock"
+PROJECT_FOLDER = Path(__file__).parents[1]
+"""Root folder of this project."""
+
+FILE = PROJECT_FOLDER / "requirements-check.txt"
+"""List of the requirements."""
+
+LOCK = PROJECT_FOLDER / "requirements-check.lock"
+"""Lock file of the requirements."""
 
 NOT_NEEDED = ("placo", "matplotlib", "clarabel")
-"""Of the dependencies: by `check`, `crosscheck`, `audit`, `sync` and `diff`; a test blocks them."""
+"""Dependencies that `check`, `crosscheck`, `audit`, `sync` and `diff` do not need; a test blocks
+them."""
 
 HEADER = f"""\
 # What `check`, `crosscheck`, `audit`, `sync` and `diff` need: the dependencies of pyproject.toml
 # without {", ".join(NOT_NEEDED)}. Then: pip install --no-deps pupper-analysis
 # Written by scripts/check_requirements.py.
 """
+"""First lines of the list."""
 
 PINS = """\
 # The versions that placo {} pins, without which pip finds a Pinocchio and a urdfdom that do not
 # load together:
 """
+"""Comment in the list above the pinned versions."""
 
 
-def name_of(requirement: str) -> str:
-    """Returns the name of the package."""
+def requirement_name(requirement: str) -> str:
+    """Return the name of the package of a requirement."""
     found = re.match(r"[A-Za-z0-9._-]+", requirement)
     assert found is not None, requirement
     return found[0].lower()
 
 
-def requirements() -> str:
-    """Returns the file's content."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    needed = {name_of(line): line for line in project["dependencies"]}
+def make_requirements() -> str:
+    """Return the content of the list."""
+    project = tomllib.loads((PROJECT_FOLDER / "pyproject.toml").read_text())["project"]
+    needed = {requirement_name(line): line for line in project["dependencies"]}
     for name in NOT_NEEDED:
         del needed[name]
     # Pins of placo alone: what it depends on without one is its own, not Pinocchio's.
     pinned = [line for line in requires("placo") or () if "==" in line and ";" not in line]
     for line in pinned:
-        needed.pop(name_of(line), None)
+        needed.pop(requirement_name(line), None)
     lines = (HEADER, *needed.values(), PINS.format(version("placo")).rstrip(), *pinned)
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
-def locked() -> str:
-    """Returns the versions of all that is needed, and to build the package, for any machine."""
-    building = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+def make_lock() -> str:
+    """Return the content of the lock file: versions for use and for building, for any machine."""
+    building = tomllib.loads((PROJECT_FOLDER / "pyproject.toml").read_text())["build-system"][
+        "requires"
+    ]
     command = [
         *(sys.executable, "-m", "uv", "pip", "compile", "--quiet", "-"),
         *("--universal", "--generate-hashes", "--no-header", "--no-annotate"),
         *("--python-version", "3.11", "--no-emit-index-url", "--no-emit-find-links"),
     ]
-    asked = "\n".join([requirements(), *building])
+    asked = "\n".join([make_requirements(), *building])
     made = subprocess.run(command, input=asked, capture_output=True, text=True, check=True)
     return (
         f"# Written by scripts/check_requirements.py; pip install --require-hashes.\n{made.stdout}"
@@ -73,6 +83,6 @@ def locked() -> str:
 
 
 if __name__ == "__main__":
-    FILE.write_text(requirements())
-    LOCK.write_text(locked())
+    FILE.write_text(make_requirements())
+    LOCK.write_text(make_lock())
     print(f"{FILE.name} and {LOCK.name} are written")

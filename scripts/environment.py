@@ -1,4 +1,4 @@
-"""Finds the package for the scripts of this folder, whether it is installed or not."""
+"""Find the package for the scripts of this folder, whether it is installed or not."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 
-def run(command: str, *arguments: str) -> None:
-    """Runs a command; where the environment is not activated, says what to do instead.
+def run_command(command: str, *arguments: str) -> None:
+    """Run a command; print instructions if the environment is not activated.
 
     Args:
-        command: Its name.
-        *arguments: What comes before those that are typed.
+        command: Name of the command.
+        *arguments: Arguments before the typed ones.
     """
     from pupper_analysis.__main__ import main
 

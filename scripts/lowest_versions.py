@@ -1,4 +1,4 @@
-"""Prints the lowest versions that pyproject.toml allows, as constraints for pip."""
+"""Print the lowest versions that pyproject.toml permits, as constraints for pip."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import tomllib
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
+"""Path of pyproject.toml."""
 
 
 def lowest_versions(text: str) -> dict[str, str]:
-    """Returns {package: lowest version} of what the project and its tests need.
+    """Return {package: lowest version} of the dependencies of the package and its tests.
 
     Args:
-        text: A pyproject.toml.
+        text: Text of pyproject.toml.
 
     Raises:
         ValueError: If a requirement has no lower bound.

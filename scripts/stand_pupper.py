@@ -1,6 +1,6 @@
 """Drops Pupper v3 and sees that it stands: ``pupper-analysis live --drop`` as a script."""
 
-from environment import run
+from environment import run_command
 
 if __name__ == "__main__":
-    run("live", "--drop")
+    run_command("live", "--drop")

@@ -1,6 +1,6 @@
 """Shows Pupper v3 in MuJoCo's viewer: ``pupper-analysis live --mujoco`` as a script."""
 
-from environment import run
+from environment import run_command
 
 if __name__ == "__main__":
-    run("live", "--mujoco")
+    run_command("live", "--mujoco")

@@ -120,7 +120,7 @@ _ONE_MESH += '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
 
 
 def _read_mesh(path: Path) -> Any:
-    """Reads a mesh as a conversion does, and an MJCF that has it."""
+    """Read a mesh as a conversion does, and an MJCF that has it."""
     readable = path.suffix in (".stl", ".obj")
     try:
         _ = read_mesh(path) if readable else convert_to_obj(path)
@@ -196,7 +196,7 @@ def kinds() -> tuple[Kind, ...]:
 
 
 def damage(chance: random.Random, data: bytes) -> bytes:
-    """Returns a file with one or several damages: of disks, of editors, and of who means harm."""
+    """Return a file with one or several damages: of disks, of editors, and of who means harm."""
     for _ in range(chance.choice([1, 1, 1, 2, 5])):
         at, to = sorted(chance.randrange(len(data) + 1) for _ in range(2))
         some = bytes(chance.randrange(256) for _ in range(chance.choice([1, 4, 8])))
@@ -225,7 +225,7 @@ _WORDS = (b"nan", b"1e999", b'"', b"[", b"{" * 3000, b"\n", b"\0", b"\xe4", b"::
 
 @contextmanager
 def _limits() -> Iterator[None]:
-    """Lets no reader compute for long, or take much."""
+    """Let no reader compute for long, or take much."""
 
     def hang(_number: int, _frame: FrameType | None) -> None:
         raise Hang
@@ -244,7 +244,7 @@ def _limits() -> Iterator[None]:
 
 
 def problem_of(kind: Kind, data: bytes, folder: Path) -> str | None:
-    """Returns what is wrong with how a file is read; None if nothing is."""
+    """Return what is wrong with how a file is read; None if nothing is."""
     path = folder / kind.name
     path.write_bytes(data)
     try:
@@ -264,7 +264,7 @@ def problem_of(kind: Kind, data: bytes, folder: Path) -> str | None:
 
 
 def problems_of(kind: Kind, count: int, seed: int, folder: Path) -> list[str]:
-    """Reads a sound file and damaged ones; returns what is wrong, beginning with its number."""
+    """Read a sound file and damaged ones; returns what is wrong, beginning with its number."""
     for beside in kinds():  # which some name
         (folder / beside.name).write_bytes(beside.sound)
     kind.read(folder / kind.name)

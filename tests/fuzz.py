@@ -82,7 +82,7 @@ class Case:
     files: Mapping[str, bytes]
 
     def to_json(self) -> str:
-        """Returns it as text: files as they are where they are UTF-8, else in base 64."""
+        """Return it as text: files as they are where they are UTF-8, else in base 64."""
         files = {}
         for name, content in self.files.items():
             try:
@@ -93,7 +93,7 @@ class Case:
 
     @staticmethod
     def from_json(text: str) -> Case:
-        """Reads what `to_json` has written."""
+        """Read what `to_json` has written."""
         said = json.loads(text)
         files = {
             name: content["text"].encode()
@@ -108,7 +108,7 @@ class Case:
 
 
 def problems(case: Case, folder: Path) -> Iterator[str]:
-    """Runs a command in an empty folder; yields what it should not have done."""
+    """Run a command in an empty folder; yields what it should not have done."""
     for name, content in case.files.items():
         (folder / name).write_bytes(content)
     before = dict(case.files)
@@ -135,7 +135,7 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
 
 
 def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, float]:
-    """Runs a command; returns its exit status, None if it hangs, and all that it printed."""
+    """Run a command; returns its exit status, None if it hangs, and all that it printed."""
     from pupper_analysis import cli
 
     def hang(_number: int, _frame: FrameType | None) -> None:
@@ -240,7 +240,7 @@ def _no_constant(word: str) -> None:
 
 
 def _refused(folder: Path, case: Case) -> str | None:
-    """Says what MuJoCo has against an MJCF that a command was given, by MuJoCo's own reader.
+    """Return what MuJoCo has against an MJCF that a command was given, by MuJoCo's own reader.
 
     Unless ``--force --json robot.xml`` has written something else there, as it was asked to.
     """
@@ -260,7 +260,7 @@ def _refused(folder: Path, case: Case) -> str | None:
 
 
 def _checked(folder: Path, arguments: tuple[str, ...]) -> list[str]:
-    """Returns the MJCFs that ``check`` was to look at: a pair may have lost its own."""
+    """Return the MJCFs that ``check`` was to look at: a pair may have lost its own."""
     if arguments[0] != "check":
         return []
     try:
@@ -322,7 +322,7 @@ def _attribute(chosen: re.Match[bytes], value: str) -> bytes:
 
 
 def _spoil_value(draw: st.DrawFn, text: bytes) -> bytes:
-    """Puts something absurd, or a slip, in place of one value, or of one number of several."""
+    """Put something absurd, or a slip, in place of one value, or of one number of several."""
     found = list(_ATTRIBUTE.finditer(text))
     if not found:
         return text
@@ -341,7 +341,7 @@ def _spoil_value(draw: st.DrawFn, text: bytes) -> bytes:
 
 
 def _dangle(draw: st.DrawFn, text: bytes) -> bytes:
-    """Lets one reference, or name, be another."""
+    """Let one reference, or name, be another."""
     found = [at for at in _ATTRIBUTE.finditer(text) if at[1].decode() in _REFERENCES]
     if not found:
         return text
@@ -383,7 +383,7 @@ def _drop(draw: st.DrawFn, text: bytes) -> bytes:
 
 
 def _wrap(draw: st.DrawFn, text: bytes) -> bytes:
-    """Puts an element into others that an MJCF may have around it."""
+    """Put an element into others that an MJCF may have around it."""
     found = list(_ELEMENT.finditer(text))
     if not found:
         return text
@@ -428,14 +428,14 @@ def _base_files() -> list[tuple[bytes, bytes]]:
 
 @functools.cache
 def _legged() -> tuple[bytes, bytes]:
-    """Returns a pair that stands."""
+    """Return a pair that stands."""
     skeleton = ROOT / "urdf" / "pupper_skeleton.urdf", ROOT / "mjcf" / "pupper_skeleton.xml"
     return skeleton[0].read_bytes(), skeleton[1].read_bytes()
 
 
 @st.composite
 def spoilt_files(draw: st.DrawFn, pair: tuple[bytes, bytes] | None = None) -> dict[str, bytes]:
-    """Draws a URDF and an MJCF of one robot, one of which is spoilt, or both."""
+    """Draw a URDF and an MJCF of one robot, one of which is spoilt, or both."""
     urdf, mjcf = draw(st.sampled_from([*_base_files(), _legged()] if pair is None else [pair]))
     which = draw(st.sampled_from(["urdf", "mjcf", "mjcf", "both"]))
     for _ in range(draw(st.sampled_from([1, 1, 2, 3]))):
@@ -474,7 +474,7 @@ _VALUES = {
 
 @functools.cache
 def options_of(command: str) -> dict[str, tuple[str, ...]]:
-    """Returns {option of a command: what is given to it}; of a flag nothing."""
+    """Return {option of a command: what is given to it}; of a flag nothing."""
     from pupper_analysis import cli
 
     found = {}
@@ -495,7 +495,7 @@ def options_of(command: str) -> dict[str, tuple[str, ...]]:
 
 
 def _options(draw: st.DrawFn, command: str, most: int, least: int = 0) -> list[str]:
-    """Draws some of a command's options, with what is given to them."""
+    """Draw some of a command's options, with what is given to them."""
     known = options_of(command)
     names = st.sampled_from(sorted(known))
     chosen = draw(st.lists(names, min_size=least, max_size=most, unique=True))
@@ -508,7 +508,7 @@ def _options(draw: st.DrawFn, command: str, most: int, least: int = 0) -> list[s
 
 @st.composite
 def on_files(draw: st.DrawFn) -> Case:
-    """Draws a command on spoilt files."""
+    """Draw a command on spoilt files."""
     models = ["audit"] * 20 + ["crosscheck"] * 18 + ["sync"] * 10
     command = draw(st.sampled_from([*models, *["stand"] * 6, "payload"]))
     files = draw(spoilt_files(None if command in models else _legged()))
@@ -589,7 +589,7 @@ def _spoil_toml(draw: st.DrawFn, text: bytes) -> bytes:
 
 @st.composite
 def on_projects(draw: st.DrawFn) -> Case:
-    """Draws a command on several files, of which one or some are spoilt; or on standard input."""
+    """Draw a command on several files, of which one or some are spoilt; or on standard input."""
     command = draw(st.sampled_from(["diff", "diff", "check", "check", "convert", "study", "-"]))
     files = draw(spoilt_files())
     of = "audit" if command == "-" else command
@@ -622,7 +622,7 @@ def on_projects(draw: st.DrawFn) -> Case:
 
 @st.composite
 def on_variants(draw: st.DrawFn) -> Case:
-    """Draws a command with odd arguments."""
+    """Draw a command with odd arguments."""
     # A push is simulated for half a minute if nothing is wrong with its arguments.
     commands = ["stand"] * 5 + ["payload"] * 3 + ["workspace", "best", "path", "push", "analyze"]
     command = draw(st.sampled_from([*commands, "live"]))
@@ -645,7 +645,7 @@ def on_variants(draw: st.DrawFn) -> Case:
 
 
 def cases() -> st.SearchStrategy[Case]:
-    """Draws inputs: one in six is of arguments alone."""
+    """Draw inputs: one in six is of arguments alone."""
     return st.one_of(*[on_files()] * 4, on_projects(), on_variants())
 
 
@@ -653,13 +653,13 @@ def cases() -> st.SearchStrategy[Case]:
 
 
 def found_in(case: Case) -> list[str]:
-    """Runs a case in a folder of its own; returns what is wrong."""
+    """Run a case in a folder of its own; returns what is wrong."""
     with tempfile.TemporaryDirectory() as folder:
         return list(problems(case, Path(folder)))
 
 
 def chunk(seed: int, count: int, seconds: float) -> int:
-    """Runs some inputs in this process; keeps those that fail. Returns how many ran."""
+    """Run some inputs in this process; keeps those that fail. Returns how many ran."""
     end = time.monotonic() + seconds
     ran = 0
     now = KEPT / f"running-{os.getpid()}.json"
@@ -690,7 +690,7 @@ def chunk(seed: int, count: int, seconds: float) -> int:
 
 
 def keep(case: Case, found: list[str]) -> None:
-    """Keeps an input that fails, and says why."""
+    """Keep an input that fails, and says why."""
     path = KEPT / f"{secrets.token_hex(4)}.json"
     path.write_text(json.dumps({**json.loads(case.to_json()), "found": found}, indent=1))
     print(f"{path.name}: {' '.join(case.arguments)[:120]!a}")
@@ -699,7 +699,7 @@ def keep(case: Case, found: list[str]) -> None:
 
 
 def run(count: int, seconds: float, seed: int, size: int = 250) -> int:
-    """Runs inputs in processes of some hundred each; returns how many failed.
+    """Run inputs in processes of some hundred each; returns how many failed.
 
     A process that dies, or hangs in an engine, is a failure of the input that it was at.
     """
@@ -729,7 +729,7 @@ def run(count: int, seconds: float, seed: int, size: int = 250) -> int:
 
 
 def main() -> None:
-    """Runs the fuzzer."""
+    """Run the fuzzer."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("count", nargs="?", type=int, default=2000)
     parser.add_argument("--seconds", type=float, default=1e9, help="stop after so long")

@@ -22,7 +22,7 @@ stances.STARTS = 60  # the benchmark has 200
 def test_verdicts_of_random_stands_are_confirmed(name: str) -> None:
     """References: checks of benchmarks/stances.py, which share no code with the solvers; MuJoCo."""
     robot = load(name)
-    outcomes = stances.judged(robot, 8, seed=100 + NAMES.index(name))
+    outcomes = stances.judge_random_tasks(robot, 8, seed=100 + NAMES.index(name))
     assert not [(str(outcome.task), outcome.wrong) for outcome in outcomes if outcome.wrong]
     held = [outcome for outcome in outcomes if outcome.verdict is stances.Verdict.HELD]
     assert len(held) >= 3
@@ -39,8 +39,8 @@ def test_verdicts_of_random_stands_are_confirmed(name: str) -> None:
         assert run.passed or (name == "v3-long-leg" and not run.stability.is_stable_for()), (
             run.failures
         )
-        sag = stances.sag(robot, outcome.stand)
-        if sag.error is not None and sag.stiffness > stances.STIFF:
+        sag = stances.compare_sag(robot, outcome.stand)
+        if sag.error is not None and sag.stiffness > stances.MIN_PREDICTED_STIFFNESS:
             assert sag.rest < stances.SAG_TOLERANCE
         if sag.error is not None and sag.firm:
             assert sag.error < stances.SAG_TOLERANCE
@@ -77,7 +77,7 @@ FOUND_IN_REACH = {
 @pytest.mark.parametrize("name", FOUND_IN_REACH)
 def test_stand_with_com_inside_is_found_with_a_joint_at_its_limit(name: str) -> None:
     """Reference: checks of benchmarks/stances.py, which share no code with the solvers."""
-    outcome = stances.judge(load(name), FOUND_IN_REACH[name], np.random.default_rng(0))
+    outcome = stances.judge_task(load(name), FOUND_IN_REACH[name], np.random.default_rng(0))
     pa.solve_stand(load(name), FOUND_IN_REACH[name], explain=False)
     assert outcome.verdict is stances.Verdict.HELD
     assert not outcome.wrong
@@ -105,7 +105,7 @@ def test_checks_of_a_stand_detect_errors_of_1e_5_and_of_a_thousandth() -> None:
             error, wrong = stances.check_reached(demand, replace(stand, qpos=qpos))
             if not 3 <= index < 4:  # the quaternion's real part has hardly an effect
                 assert wrong, index
-        demand.at(stand.qpos)
+        demand.set_configuration(stand.qpos)
         statics = stand_statics(robot, stand)
         assert not stances.check_forces(demand, statics)
         pushed = {foot: 1.001 * force for foot, force in statics.contact_forces.items()}

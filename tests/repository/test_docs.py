@@ -158,9 +158,9 @@ def test_reference_lists_all_rules_codes_names_and_commands(generated: Path) -> 
 @pytest.mark.slow
 def test_the_picture_of_the_architecture_is_current() -> None:
     drawing = script("docs/draw_architecture.py")
-    assert drawing.embedded() == drawing.facts(drawing.folder_graph(), drawing.tool_graph()), (
-        "draw it again: python docs/draw_architecture.py"
-    )
+    assert drawing.read_embedded_facts() == drawing.collect_facts(
+        drawing.folder_graph(), drawing.tool_graph()
+    ), "draw it again: python docs/draw_architecture.py"
 
 
 def test_every_room_is_described_in_the_architecture() -> None:
@@ -170,7 +170,7 @@ def test_every_room_is_described_in_the_architecture() -> None:
 
 def test_release_check_requires_one_version_in_all_files(tmp_path: Path) -> None:
     release = script("scripts/check_release.py")
-    versions = release.stated()
+    versions = release.read_versions()
     assert set(versions.values()) == {pa.__version__}
     release.main(f"v{pa.__version__}")
     with pytest.raises(SystemExit, match=r"CHANGELOG\.md has"):
@@ -178,8 +178,8 @@ def test_release_check_requires_one_version_in_all_files(tmp_path: Path) -> None
 
 
 def test_links_of_the_released_readme_point_to_its_tag() -> None:
-    for_index = script("scripts/check_release.py").for_index
-    there = for_index((ROOT / "README.md").read_text(), "https://git.example/us/it", "v1.2.3")
+    convert = script("scripts/check_release.py").convert_readme
+    there = convert((ROOT / "README.md").read_text(), "https://git.example/us/it", "v1.2.3")
     targets = re.findall(r"\]\(([^)]+)\)", there)
     ours = [target for target in targets if target.startswith("https://git.example/us/it/")]
     assert [target for target in targets if not target.startswith("https://")] == []

@@ -215,19 +215,19 @@ def test_stability_verdicts_of_random_stands_agree_with_simulation() -> None:
     Any random nudge excites a growing mode; ``benchmarks/stability.py`` tries more nudges.
     """
     module = benchmark("stability")
-    module.NUDGES = 3
+    module.NUM_NUDGES = 3
     message = set()
-    for case in module.variants(60):
-        found, _ = module.judged(case)
+    for case in module.draw_cases(60):
+        found, _ = module.judge_case(case)
         leaving = found.modes_growing_within() if found.at_rest else ()
         if not found.at_rest:
             continue
         message.add(not leaving)
         if not leaving:
-            assert module.seen(case, 12.0).word == "stays", case.name
+            assert module.simulate_nudges(case, 12.0).word == "stays", case.name
             continue
         # Slow ones take longer than 12 s; what dry friction holds, a push beyond it sets free.
-        seen = module.tried(case, leaving)
+        seen = module.simulate_case(case, leaving)
         assert seen.word != "stays", (case.name, leaving[0])
     assert message == {True, False}
 

@@ -99,7 +99,8 @@ def test_slips_that_all_legs_share_are_found(name: str, tmp_path: Path) -> None:
     source = file(URDF, f"{name}.urdf")
     packages = {"example-robot-data": file(URDF, "").parent}
     slips = {
-        slip: symmetric.written(source, slip, tmp_path / f"{slip}.urdf") for slip in symmetric.SLIPS
+        slip: symmetric.write_slip(source, slip, tmp_path / f"{slip}.urdf")
+        for slip in symmetric.SLIPS
     }
     sound = _found(audit_model(shutil.copy(source, tmp_path / "sound.urdf"), packages=packages))
     found = {slip: _found(audit_model(path, packages=packages)) for slip, path in slips.items()}

@@ -261,7 +261,7 @@ def test_random_stands_of_other_quadrupeds(name: str) -> None:
         file(package, ".").resolve()
     folder = next(top for top in _folders() if (top / MJCF).is_dir())
     robot = stances.other_robot(folder, name)
-    outcomes = stances.judged(robot, 15, seed=7, shapes=False)
+    outcomes = stances.judge_random_tasks(robot, 15, seed=7, shapes=False)
     assert not [(str(outcome.task), outcome.wrong) for outcome in outcomes if outcome.wrong]
     held = [outcome for outcome in outcomes if outcome.verdict is stances.Verdict.HELD]
     assert len(held) > 5
@@ -301,7 +301,7 @@ def published(name: str) -> tuple[Path, Path]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["Mini Cheetah", "Go1", "Go2", "HyQReal1", "HyQReal2"])
 def test_public_pair_stands_as_published_or_with_a_cause(name: str) -> None:
-    row = corpus.stood(*published(name))
+    row = corpus.simulate_pair(*published(name))
     assert row.feet == "4"
     if name == "HyQReal1":
         said = row.stand.split("; ")  # as published, its shins carry

@@ -70,7 +70,7 @@ class Commands:
     def __call__(
         self, command: str, *options: str, robot: Sequence[str] | None = None
     ) -> tuple[Answer, dict[str, Any]]:
-        """Returns how a command ended, and its JSON; empty if it wrote none."""
+        """Return how a command ended, and its JSON; empty if it wrote none."""
         file = self.folder / next(self._files)
         given = self.robot if robot is None else robot
         done = answer(command, *given, *options, "--json", str(file), folder=self.folder)
@@ -149,18 +149,18 @@ def _compare_page(found: Agreement, page: Page, stance: dict[str, Any]) -> None:
 
 
 def _column(rows: list[dict[str, str]], name: str) -> list[str]:
-    """Returns a column's cells, whatever its unit."""
+    """Return a column's cells, whatever its unit."""
     return [cell for row in rows for head, cell in row.items() if head.startswith(f"{name} (")]
 
 
 def _is_shown(shown: str, meant: float) -> bool:
-    """Whether a number is the one that is meant, in the digits that are shown."""
+    """Return True if a number is the one that is meant, in the digits that are shown."""
     digits = len(shown.partition(".")[2])
     return abs(float(shown) - meant) <= 0.501 * 10.0**-digits
 
 
 def _by_format(files: Sequence[str]) -> dict[str, str]:
-    """Returns a robot's files by their format."""
+    """Return a robot's files by their format."""
     return {"mjcf" if file.endswith(".xml") else "urdf": file for file in files}
 
 
@@ -326,7 +326,7 @@ def _compare_best(found: Agreement, run: Commands, objectives: Sequence[str]) ->
 
 
 def _typed(task: dict[str, Any]) -> list[str]:
-    """Returns a task's pose and feet as options."""
+    """Return a task's pose and feet as options."""
     options = [f"--{name}={task[name]!r}" for name in ("height", "roll", "pitch", "yaw")]
     if task["offset"] is not None:
         options.append("--offset={!r},{!r}".format(*task["offset"]))
@@ -445,7 +445,7 @@ def _compare_held(found: Agreement, run: Commands, made: Path) -> None:
 
 
 def random_robots(first: int, count: int, folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Draws robots: two thirds as a pair, a third as a URDF alone.
+    """Draw robots: two thirds as a pair, a third as a URDF alone.
 
     Drawn URDFs have no shapes, and so no feet: one that is alone is made of the MJCF.
     """

@@ -84,13 +84,13 @@ MJCF = f"""<mujoco model="arm"><compiler angle="radian"/>
 
 @cache
 def arm() -> Robot:
-    """Loads the arm."""
+    """Load the arm."""
     with TemporaryDirectory() as folder:
         return load_arm(Path(folder))
 
 
 def load_arm(folder: Path, urdf: str = URDF, mjcf: str = MJCF) -> Robot:
-    """Loads the arm of two texts."""
+    """Load the arm of two texts."""
     files = folder / "arm.urdf", folder / "arm.xml"
     for file, text in zip(files, (urdf, mjcf), strict=True):
         file.write_text(text, encoding="utf-8")

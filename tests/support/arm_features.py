@@ -142,7 +142,7 @@ FEATURES: dict[str, Edit] = {
 
 
 def files(folder: Path, edit: Edit) -> tuple[Path, Path]:
-    """Writes an arm that its servos hold in its keyframe, with an edit of it."""
+    """Write an arm that its servos hold in its keyframe, with an edit of it."""
     urdf, mjcf = folder / "arm.urdf", folder / "arm.xml"
     urdf.write_text(arm.URDF)
     mjcf.write_text(edit(arm.MJCF.replace("</mujoco>", f"{KEYFRAME}</mujoco>")))

@@ -70,7 +70,7 @@ BODIES = {"urdf": pinocchio_bodies, "mjcf": mujoco_bodies}
 
 
 def assert_same_bodies(one: dict[str, Body], two: dict[str, Body], tolerance: float) -> None:
-    """Compares all there is, relative to the size of each quantity."""
+    """Compare all there is, relative to the size of each quantity."""
     assert one.keys() == two.keys()
     for name, body in one.items():
         for field, value in body._asdict().items():

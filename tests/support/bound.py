@@ -100,7 +100,7 @@ def _add(parent: ElementTree.Element, text: str) -> None:
 
 
 def _written(pair: Pair, urdf: ElementTree.Element, mjcf: ElementTree.Element) -> Pair:
-    """Moves the knees' motors to where they are, and writes both files."""
+    """Move the knees' motors to where they are, and writes both files."""
     for motor in mjcf.iterfind("actuator/*"):
         motor.set("joint", str(motor.get("joint")).replace("_knee", "_motor"))
     for key in mjcf.findall("keyframe"):

@@ -14,7 +14,7 @@ from pupper_analysis import cli
 
 
 def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    """Runs ``pupper-analysis`` in this process, to save the time of its start.
+    """Run ``pupper-analysis`` in this process, to save the time of its start.
 
     Returns:
         Exit status, standard output and standard error, with what C++ prints.
@@ -28,7 +28,7 @@ def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int
 def check_refusal(
     capfd: pytest.CaptureFixture[str], folder: Path, arguments: Sequence[str], message: str
 ) -> None:
-    """Checks that bad input is one line, exit status 2, and no file where it is typed."""
+    """Check that bad input is one line, exit status 2, and no file where it is typed."""
     here = folder / "empty"
     here.mkdir(exist_ok=True)
     with contextlib.chdir(here):
@@ -50,7 +50,7 @@ class Answer(NamedTuple):
 
 
 def answer(*arguments: str, folder: Path | None = None) -> Answer:
-    """Runs a command in this process, in a folder."""
+    """Run a command in this process, in a folder."""
     out, err = io.StringIO(), io.StringIO()
     with (
         contextlib.chdir(folder or "."),

@@ -135,7 +135,7 @@ def velocity_map_rate(
 
 
 def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
-    """Builds a Pinocchio model of the parameters; frames are of type BODY."""
+    """Build a Pinocchio model of the parameters; frames are of type BODY."""
     model = pin.Model()
     model.gravity = pin.Motion(parameters.gravity, np.zeros(3))
     index, still = {parameters.base: 0}, pin.SE3.Identity()

@@ -66,7 +66,7 @@ class Truth(StrEnum):
 
 @silence_mujoco()
 def truth_of(path: Path, plain: Path, *, slope: float = 0.0, load: float = 0.0) -> Truth:
-    """Simulates a file; one that has no keyframe from the plain file's, by the joints' names.
+    """Simulate a file; one that has no keyframe from the plain file's, by the joints' names.
 
     Args:
         path: The file.
@@ -119,7 +119,7 @@ def truth_of(path: Path, plain: Path, *, slope: float = 0.0, load: float = 0.0) 
 
 
 def _as_in(plain: mujoco.MjModel, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Puts a file where the keyframe of the plain one is, its servos told its angles."""
+    """Put a file where the keyframe of the plain one is, its servos told its angles."""
     data.qpos[:7] = plain.key_qpos[0, :7]
     for joint in range(model.njnt):
         if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
@@ -143,7 +143,7 @@ class Cell:
     truth: Truth | None = None  # of what else it is about than the row
 
     def wrong(self, truth: Truth) -> str:
-        """Returns what is better than the truth; empty if nothing is."""
+        """Return what is better than the truth; empty if nothing is."""
         truth = self.truth or truth
         if self.refused:
             return ""
@@ -175,7 +175,7 @@ Ask = Callable[[Path, Path, Path], Cell]
 
 
 def _command(name: str, *options: str, before: tuple[str, ...] = (), alone: bool = False) -> Ask:
-    """Runs a command of both files, or of the MJCF alone."""
+    """Run a command of both files, or of the MJCF alone."""
 
     def ask(urdf: Path, mjcf: Path, folder: Path) -> Cell:
         files = (str(mjcf),) if alone else (str(urdf), str(mjcf))
@@ -308,7 +308,7 @@ HELD: dict[str, Ask] = {"hold": _command("hold")}
 
 
 def truth_of_arm(path: Path) -> Truth:
-    """Simulates an arm's file from its keyframe; a joint that ends far from there has left it.
+    """Simulate an arm's file from its keyframe; a joint that ends far from there has left it.
 
     It is commanded elsewhere if it stays when its servos are commanded the angles there instead.
     """
@@ -330,7 +330,7 @@ def truth_of_arm(path: Path) -> Truth:
 
 
 def _arm_run(model: mujoco.MjModel, *, angles: bool) -> tuple[float, float, bool]:
-    """Returns how far the joints of the arm are off in the end, how fast, and whether it is lost.
+    """Return how far the joints of the arm are off in the end, how fast, and whether it is lost.
 
     Args:
         model: What MuJoCo makes of its file.
@@ -352,7 +352,7 @@ def _arm_run(model: mujoco.MjModel, *, angles: bool) -> tuple[float, float, bool
 
 
 def edits() -> Iterator[tuple[str, Callable[[Path], legged.Pair]]]:
-    """Yields what is tried: its name, and what writes its files into a folder."""
+    """Yield what is tried: its name, and what writes its files into a folder."""
     for name, edit in features.FEATURES.items():
         yield name, lambda folder, edit=edit: legged.Pair(*features.files(folder, edit))
     for name, slip in slips.SLIPS.items():

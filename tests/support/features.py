@@ -43,7 +43,7 @@ def one_servo(attributes: str) -> Edit:
 
 
 def shown(attributes: str) -> Edit:
-    """Gives each link a shape that is only seen, and the compiler an attribute."""
+    """Give each link a shape that is only seen, and the compiler an attribute."""
     seen = '<geom type="sphere" size="0.03" contype="0" conaffinity="0" group="2"/>'
 
     def edit(text: str) -> str:
@@ -246,7 +246,7 @@ def floor_in_a_body(text: str) -> str:
 
 
 def files(folder: Path, edit: Edit) -> tuple[Path, Path]:
-    """Writes a quadruped that stands by itself on its keyframe's commands, with an edit of it."""
+    """Write a quadruped that stands by itself on its keyframe's commands, with an edit of it."""
     foot = '<geom name="foot" type="sphere" size="0.02" pos="0 0 -0.2"/>'
     pair = legged.quadruped(folder, foot=foot, floor=True, actuators="position")
     text = pair.mjcf.read_text().replace('kv="5"', 'kv="1"')  # stable with Euler, at 2 ms

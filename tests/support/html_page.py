@@ -63,7 +63,7 @@ class Page:
         self.root = lxml_html.document_fromstring(self.text.encode(), base_url=None)
 
     def tables(self) -> dict[str, list[dict[str, str]]]:
-        """Returns {title: [{header with unit: cell} per row]}, in English."""
+        """Return {title: [{header with unit: cell} per row]}, in English."""
         found: dict[str, list[dict[str, str]]] = {}
         for figure in self.root.iter("figure"):
             if figure.get("class") != "table":
@@ -77,12 +77,12 @@ class Page:
         return found
 
     def shown(self) -> str:
-        """Returns all that is shown in English, scripts left out."""
+        """Return all that is shown in English, scripts left out."""
         return shown(self.root.find("body"))
 
 
 def shown(element: etree._Element, language: str = "en") -> str:
-    """Returns the text of an element in one language."""
+    """Return the text of an element in one language."""
     other = "zh" if language == "en" else "en"
 
     def walk(node: etree._Element) -> str:

@@ -109,7 +109,7 @@ def quadruped(
 
 
 def edited(pair: Pair, urdf: dict[str, str], mjcf: dict[str, str], count: int = 0) -> Pair:
-    """Replaces patterns in both files."""
+    """Replace patterns in both files."""
     for path, edits in ((pair.urdf, urdf), (pair.mjcf, mjcf)):
         text = path.read_text()
         for pattern, new in edits.items():
@@ -122,7 +122,7 @@ KEYFRAME = {"<keyframe>.*?</keyframe>": ""}
 
 
 def held(pair: Pair, *endings: str) -> Pair:
-    """Makes the joints whose names end so fixed ones, in both files; keyframes are gone."""
+    """Make the joints whose names end so fixed ones, in both files; keyframes are gone."""
     name = rf'"[^"]*(?:{"|".join(endings)})"'
     hinge = rf'(<joint name={name} type=)"revolute"((?:(?!</joint>).)*?)<axis [^>]*/><limit [^>]*/>'
     drives = rf"<joint name={name}[^>]*/>|<\w+ joint={name}[^>]*/>"
@@ -135,7 +135,7 @@ ARM = (("yaw", "0 0 1", (0.15, 0.0, 0.04)), ("shoulder", "0 1 0", (0.0, 0.0, 0.0
 
 
 def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
-    """Puts an arm of three hinges on a link, in both files; its hand is a sphere of 25 mm."""
+    """Put an arm of three hinges on a link, in both files; its hand is a sphere of 25 mm."""
     urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
     link, body = on, next(one for one in mjcf.iter("body") if one.get("name") == on)
     motors = mjcf.find("actuator")
@@ -166,14 +166,14 @@ def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
 
 
 def aside(pair: Pair, y: float) -> Pair:
-    """Puts the com of the base (at x = 0) aside, as it is in files of real robots."""
+    """Put the com of the base (at x = 0) aside, as it is in files of real robots."""
     new = rf"\g<1> {y} "
     urdf, mjcf = r'(<inertial><origin xyz="\S+) \S+ ', r'(<inertial pos="\S+) \S+ '
     return edited(pair, {urdf: new}, {mjcf: new}, count=1)
 
 
 def from_the_ground(pair: Pair, by: float) -> Pair:
-    """Puts the frame of a biped's base lower in both files, as where it is between the feet."""
+    """Put the frame of a biped's base lower in both files, as where it is between the feet."""
 
     def lifted(element: ElementTree.Element | None, word: str) -> None:
         assert element is not None
@@ -196,12 +196,12 @@ def from_the_ground(pair: Pair, by: float) -> Pair:
 
 
 def planar(pair: Pair) -> Pair:
-    """Takes the hips' roll joints out of a quadruped: its legs swing in planes, as Solo 8's."""
+    """Take the hips' roll joints out of a quadruped: its legs swing in planes, as Solo 8's."""
     return aside(held(pair, "_roll"), 2e-6)
 
 
 def sole_mesh(pair: Pair, foot: str, corners: int = 40) -> Pair:
-    """Puts a mesh in the place of a foot's geom: a sole that is round at its ends, as a shoe's."""
+    """Put a mesh in the place of a foot's geom: a sole that is round at its ends, as a shoe's."""
     angles = 2 * math.pi * (np.arange(corners) + 0.3) / corners
     rim = np.column_stack(
         [0.05 * np.sign(np.cos(angles)) + 0.04 * np.cos(angles) + 0.03, 0.04 * np.sin(angles)]
@@ -217,7 +217,7 @@ def sole_mesh(pair: Pair, foot: str, corners: int = 40) -> Pair:
 
 
 def fused(pair: Pair) -> Pair:
-    """Takes the trunk off a quadruped's MJCF: its legs are in the world, as MuJoCo converts URDFs.
+    """Take the trunk off a quadruped's MJCF: its legs are in the world, as MuJoCo converts URDFs.
 
     Its own shapes become the world's, and its mass is gone.
     """

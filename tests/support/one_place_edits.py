@@ -31,7 +31,7 @@ class Edit(NamedTuple):
     urdf: str = ""
 
     def written(self, mjcf: Path) -> None:
-        """Makes it in a copy of `mjcf/`."""
+        """Make it in a copy of `mjcf/`."""
         text = (mjcf / self.file).read_text()
         assert self.old in text
         (mjcf / self.file).write_text(text.replace(self.old, self.new))
@@ -79,7 +79,7 @@ FALLS = ("conaffinity", "floor", "contacts off")
 
 
 def copied(folder: Path) -> Path:
-    """Returns a copy of `mjcf/`."""
+    """Return a copy of `mjcf/`."""
     place = folder / "mjcf"
     shutil.copytree(ROOT / "mjcf", place, ignore=shutil.ignore_patterns("*.md"))
     return place

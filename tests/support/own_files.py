@@ -36,7 +36,7 @@ WEIGHT = 3.55
 
 
 def write(folder: Path, text: str) -> None:
-    """Writes the files that a block of a page names into a folder, but those that it makes."""
+    """Write the files that a block of a page names into a folder, but those that it makes."""
     _write_stances(folder, text)
     made: set[str] = set()  # by a command, before it is read
     for before, path, suffix, xacro in re.findall(
@@ -235,7 +235,7 @@ def measure_stands(plan: Path) -> None:
 
 
 def level(data: mujoco.MjData, feet: list[int]) -> None:
-    """Turns the base so that the feet that shall carry are at one height: they land together."""
+    """Turn the base so that the feet that shall carry are at one height: they land together."""
     places = data.geom_xpos[feet]
     normal = np.linalg.svd(places - places.mean(0))[2][-1]
     normal *= np.sign(normal[2])
@@ -302,7 +302,7 @@ def _write_sources(folder: Path) -> None:
 
 
 def _commit(folder: Path, text: str) -> None:
-    """Makes a repository of a folder, with the revisions that pages name; then edits its hopper."""
+    """Make a repository of a folder, with the revisions that pages name; then edits its hopper."""
 
     def git(*words: str) -> None:
         who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
@@ -322,7 +322,7 @@ def _commit(folder: Path, text: str) -> None:
 
 
 def write_models(folder: Path, text: str) -> None:
-    """Writes the models of a repository, and which are checked, but for `--init`."""
+    """Write the models of a repository, and which are checked, but for `--init`."""
     pair = '[[pair]]\nname = "v3"\nurdf = "{}v3.urdf"\nmjcf = "{}v3.xml"\n'
     (folder / "robots").mkdir(exist_ok=True)
     for suffix in (".urdf", ".xml"):

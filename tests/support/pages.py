@@ -73,7 +73,7 @@ class Block:
         return next((why for words, why in (NEVER | self.marks).items() if words in line), "")
 
     def lines(self) -> Iterator[tuple[str, int]]:
-        """Yields the commands of a shell block that are run, and their exit status."""
+        """Yield the commands of a shell block that are run, and their exit status."""
         for line in self.text.replace("\\\n", " ").splitlines():
             command, _, comment = line.partition("  #")
             if command.strip() and not self.reason(line):
@@ -148,7 +148,7 @@ def blocks_of_help(command: str) -> list[Block]:
 
 
 def furnish(folder: Path, block: Block) -> None:
-    """Puts what a block names into a folder: the checkout's files, and those of one's own."""
+    """Put what a block names into a folder: the checkout's files, and those of one's own."""
     if "analysis check" in block.text:
         own_files.write_models(folder, block.text)
     else:
@@ -206,7 +206,7 @@ def slowly(text: str) -> str:
 
 
 def run_shell(command: str, folder: Path) -> Answer:
-    """Runs a line as a shell does; one that only starts the command, in this process."""
+    """Run a line as a shell does; one that only starts the command, in this process."""
     command = slowly(command)
     words = shlex.split(command)
     if words[0] == "xacro":
@@ -236,7 +236,7 @@ def run_shell(command: str, folder: Path) -> Answer:
 
 
 def run_python(block: Block, folder: Path, names: dict[str, Any]) -> str:
-    """Runs a block of Python in the names of its page; returns what it prints."""
+    """Run a block of Python in the names of its page; returns what it prints."""
     out = io.StringIO()
     code = compile(slowly(block.text), f"{block.page}:{block.line}", "exec")
     with contextlib.chdir(folder), contextlib.redirect_stdout(out):
@@ -252,7 +252,7 @@ def misses(shown: str, printed: str) -> list[str]:
 
 
 def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
-    """Runs the blocks of a page one after the other, in one folder, and compares what they print.
+    """Run the blocks of a page one after the other, in one folder, and compares what they print.
 
     Args:
         blocks: The blocks.

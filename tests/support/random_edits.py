@@ -117,7 +117,7 @@ _FLAG: dict[str, Value] = {
 
 
 def edit(tree: etree._ElementTree, random: np.random.Generator) -> Edit:
-    """Makes one edit in an MJCF's tree."""
+    """Make one edit in an MJCF's tree."""
     root = tree.getroot()
     geoms = list(root.iter("geom"))
     keys = [key for key in root.iter("key") if key.get("qpos")]
@@ -167,7 +167,7 @@ def edit(tree: etree._ElementTree, random: np.random.Generator) -> Edit:
 def edit_structure(
     tree: etree._ElementTree, random: np.random.Generator, folder: Path
 ) -> tuple[etree._ElementTree, Edit]:
-    """Makes one edit of what a file is built from: classes, the compiler, parts of other files.
+    """Make one edit of what a file is built from: classes, the compiler, parts of other files.
 
     Args:
         tree: The MJCF's; where an edit is of an included, attached or repeated part, it gets it.
@@ -192,7 +192,7 @@ def edit_structure(
 
 
 def _change_number(element: Element, random: np.random.Generator) -> str:
-    """Changes one number of an element, or of one below it; returns which."""
+    """Change one number of an element, or of one below it; returns which."""
     having = [
         (each, word)
         for each in element.iter()
@@ -367,7 +367,7 @@ def _in_default(geom: Element) -> bool:
 
 
 def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
-    """Returns times since the start and positions (steps, 1 + nq) of bare MuJoCo.
+    """Return times since the start and positions (steps, 1 + nq) of bare MuJoCo.
 
     From the first keyframe.
     """
@@ -388,7 +388,7 @@ def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
 
 
 def apart(one: np.ndarray, two: np.ndarray) -> float:
-    """Returns how far two rollouts are apart at the same times; infinite if one diverges alone."""
+    """Return how far two rollouts are apart at the same times; infinite if one diverges alone."""
     if one.shape[1] != two.shape[1]:
         return float("inf")
     begun_anew = [bool((np.diff(run[:, 0], prepend=0.0) < 0).any()) for run in (one, two)]
@@ -468,7 +468,7 @@ def answers(
 
 
 def _line(tree: etree._ElementTree, element: Element, written: Path) -> int:
-    """Returns an element's line in the file as it is written."""
+    """Return an element's line in the file as it is written."""
     (there,) = etree.parse(written).xpath(tree.getpath(element))
     return int(there.sourceline)
 

@@ -57,7 +57,7 @@ class Robot:
 
 
 def drawn(seed: int) -> Robot:
-    """Draws a robot."""
+    """Draw a robot."""
     random = np.random.default_rng(seed)
     legs, joints = [(4, 3), (4, 3), (4, 4), (6, 3), (2, 6), (4, 6)][int(random.integers(6))]
     other = np.random.default_rng([seed, 1])  # what came later, so that others stay as they were
@@ -124,7 +124,7 @@ def _leg(
     *,
     flat: bool,
 ) -> list[Link]:
-    """Draws one of the legs: all alike, but for where they are."""
+    """Draw one of the legs: all alike, but for where they are."""
     fixed = np.random.default_rng(7)  # of all legs alike
     wide = 0.1 + 0.5 * size
     links, parent = [], "base"
@@ -160,7 +160,7 @@ def _leg(
 
 
 def _foot(random: np.random.Generator, size: float, *, flat: bool) -> str:
-    """Draws a foot's geoms: by the seed, so that each leg may have another."""
+    """Draw a foot's geoms: by the seed, so that each leg may have another."""
     if flat:
         return str(
             random.choice([
@@ -189,7 +189,7 @@ def _foot(random: np.random.Generator, size: float, *, flat: bool) -> str:
 
 
 def written(robot: Robot, folder: Path) -> Pair:
-    """Writes a robot's two files."""
+    """Write a robot's two files."""
     pair = Pair(folder / "robot.urdf", folder / "robot.xml")
     pair.urdf.write_text(_urdf(robot))
     pair.mjcf.write_text(_mjcf(robot))
@@ -302,7 +302,7 @@ def _mjcf(robot: Robot) -> str:
 
 
 def _order(robot: Robot) -> list[Link]:
-    """Returns the MJCF's joints in the order of its bodies: depth first."""
+    """Return the MJCF's joints in the order of its bodies: depth first."""
 
     def below(name: str) -> list[Link]:
         found = []
@@ -315,7 +315,7 @@ def _order(robot: Robot) -> list[Link]:
 
 
 def irregular_biped(seed: int) -> Robot:
-    """Draws a biped with box soles of which no two links are alike, nor any axis exact."""
+    """Draw a biped with box soles of which no two links are alike, nor any axis exact."""
     random = np.random.default_rng(seed)
     size = float(random.uniform(0.12, 0.3))
     robot = Robot(
@@ -375,7 +375,7 @@ def _irregular_leg(
 
 
 def ring(seed: int, legs: int = 6, strength: float = 2.5) -> Robot:
-    """Draws a robot whose legs stand in a ring, each turned outward by its hip.
+    """Draw a robot whose legs stand in a ring, each turned outward by its hip.
 
     Args:
         seed: What decides.

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def script(path: str) -> ModuleType:
-    """Loads a script of the repository, which is in no package, as a module."""
+    """Load a script of the repository, which is in no package, as a module."""
     name = f"{Path(path).stem}_script"
     spec = importlib.util.spec_from_file_location(name, ROOT / path)
     assert spec is not None

@@ -322,7 +322,7 @@ def compared(files: Files, **options: Any) -> Comparison:
 
 
 def agree(files: Files) -> bool:
-    """Whether two files have the same numbers, and dynamics to rounding."""
+    """Return True if two files have the same numbers, and dynamics to rounding."""
     compared = pa.compare_models(
         files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict(), configurations=2
     )

@@ -22,7 +22,7 @@ NEAR = 1e-6
 
 
 def of_urdf(path: Path) -> Table:
-    """Reads what a URDF states of masses, limits, dynamics, couplings and shapes that touch."""
+    """Read what a URDF states of masses, limits, dynamics, couplings and shapes that touch."""
     found: Table = {}
     root = etree.parse(path).getroot()
     for link in root.findall("link"):
@@ -70,7 +70,7 @@ _OPTIONS = (
 
 
 def of_mjcf(path: Path) -> Table:
-    """Reads what MuJoCo makes of an MJCF's joints, touching geoms, options and other elements."""
+    """Read what MuJoCo makes of an MJCF's joints, touching geoms, options and other elements."""
     model = mujoco.MjModel.from_xml_path(str(path))
     found: Table = {}
     for word in _OPTIONS:
@@ -135,7 +135,7 @@ def _same(one: object, two: object) -> bool:
 
 
 def silent_losses(before: Table, after: Table, said: str) -> dict[str, list[str]]:
-    """Returns {word: the elements that have another value, of which nothing is said}."""
+    """Return {word: the elements that have another value, of which nothing is said}."""
     lost: dict[str, list[str]] = {}
     for (name, word), value in before.items():
         more = name == "number" and int(value) <= int(after[name, word])  # type: ignore[call-overload]
@@ -147,7 +147,7 @@ def silent_losses(before: Table, after: Table, said: str) -> dict[str, list[str]
 
 
 def round_trip(source: Path, folder: Path) -> tuple[dict[str, list[str]], int]:
-    """Converts a file there and back; returns what is lost silently, of how many numbers."""
+    """Convert a file there and back; returns what is lost silently, of how many numbers."""
     endings = (".xml", ".urdf") if source.suffix == ".urdf" else (".urdf", ".xml")
     there, back = (folder / f"{name}{end}" for name, end in zip("ab", endings, strict=True))
     said = []

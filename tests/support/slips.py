@@ -26,7 +26,7 @@ def standing(folder: Path, **options: object) -> legged.Pair:
 
 
 def _number(attribute: str, change: Callable[[float], float], *, one: bool) -> Slip:
-    """Changes an attribute of a single number, in one place or in all."""
+    """Change an attribute of a single number, in one place or in all."""
 
     def slip(text: str, random: np.random.Generator) -> str:
         found = list(re.finditer(rf'(?<=\b{attribute}=")[-+.\de]+(?=")', text))
@@ -40,7 +40,7 @@ def _number(attribute: str, change: Callable[[float], float], *, one: bool) -> S
 
 
 def _listed(attribute: str, change: Callable[[list[float], np.random.Generator], None]) -> Slip:
-    """Changes an attribute of several numbers, in one place."""
+    """Change an attribute of several numbers, in one place."""
 
     def slip(text: str, random: np.random.Generator) -> str:
         found = list(re.finditer(rf'(?<=\b{attribute}=")[^"]+(?=")', text))
@@ -77,7 +77,7 @@ def _tenth(values: list[float], random: np.random.Generator) -> None:
 
 
 def _other_joint(text: str, random: np.random.Generator) -> str:
-    """Gives two actuators each other's joint."""
+    """Give two actuators each other's joint."""
     joints = re.findall(r'<position joint="(\w+)"', text)
     one, two = (str(joint) for joint in random.choice(joints, 2, replace=False))
     text = text.replace(f'<position joint="{one}"', "<position joint=\0")

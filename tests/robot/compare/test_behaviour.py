@@ -40,7 +40,7 @@ Written = Callable[..., tuple[Path, Path]]
 def written(tmp_path: Path) -> Written:
     def write(legs: int, joints: int, heavier: int = 0) -> tuple[Path, Path]:
         files = tmp_path / f"{legs}x{joints}.urdf", tmp_path / f"{legs}x{joints}.xml"
-        for file, text in zip(files, size.pair(legs, joints, heavier), strict=True):
+        for file, text in zip(files, size.make_pair(legs, joints, heavier), strict=True):
             file.write_text(text)
         return files
 

@@ -27,15 +27,15 @@ OWN = [name for name in one_slip.BASES if name not in ("go1", "anymal", "hyq")]
 @pytest.mark.parametrize("name", OWN)
 def test_findings_of_one_plausible_slip_are_true(name: str, tmp_path: Path) -> None:
     for number in range(5):  # none of those in docs/data/slips.csv, whose seed is 0
-        result = one_slip.case((name, 1, number, str(tmp_path)))
-        assert not one_slip.wrong(result), result
+        result = one_slip.run_case((name, 1, number, str(tmp_path)))
+        assert not one_slip.is_wrong(result), result
 
 
 @pytest.mark.slow
 def test_findings_of_extreme_attribute_values_are_true(tmp_path: Path) -> None:
-    cases = attributes.cases(str(tmp_path), ())
+    cases = attributes.list_cases(str(tmp_path), ())
     assert len(cases) > 5000
     for index in np.random.default_rng(0).choice(len(cases), 40, replace=False):
         key, argument = cases[index]
-        result = attributes.case(argument)
-        assert not one_slip.wrong(result), (key, result)
+        result = attributes.run_case(argument)
+        assert not one_slip.is_wrong(result), (key, result)

@@ -103,7 +103,7 @@ def test_time_step_of_tracking_suits_the_damping_of_the_servos() -> None:
 def test_commands_include_the_foot_depth_on_soft_ground() -> None:
     """Reference: MuJoCo at rest with the first command. v3's feet are 4 mm in the ground, which
     changes the knee torques by 3 %."""
-    robot = benchmark("sag").changed(load("v3"), benchmark("sag").without_dry_friction)
+    robot = benchmark("sag").change_model(load("v3"), benchmark("sag").remove_dry_friction)
     lower = pa.StandTask(height=0.99 * robot.stand_height)
     path = stance_path(robot, [pa.StandTask(), lower], 9.0, rate=5)
     plan, joints = path_commands(robot, path), robot.mj_convention.qvel_index[6:]
