@@ -1,7 +1,8 @@
-"""What each variant carries: `python benchmarks/payload.py` prints a table.
+"""Payload of each variant: `python benchmarks/payload.py` prints a table.
 
-The bounds per stance, nominal and best, of which the least is the payload; and MuJoCo with 0.97 and
-1.05 of it on the robot, 12 s, nudged to all sides. Half a minute or less per variant.
+For the nominal and the best stance, the table contains the bounds by motors, servos and reach; the
+smallest is the payload. MuJoCo then simulates 0.97 times this payload for 12 s, with
+nudges in all directions. At most half a minute per variant.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ import pupper_analysis as pa
 from pupper_analysis.tools.payload.limit import PayloadTrial
 
 
-def kilograms(mass: float) -> str:
+def format_mass(mass: float) -> str:
+    """Return a mass [kg] as text, rounded down to 10 g; "-" if infinite."""
     return "-" if math.isinf(mass) else f"{math.floor(100 * mass) / 100:.2f}"
 
 
-def happened(trial: PayloadTrial | None) -> str:
+def describe_trial(trial: PayloadTrial | None) -> str:
+    """Return the result of a simulated payload as text; "-" without simulation."""
     if trial is None:
         return "-"
     if trial.failure is None:
@@ -31,8 +34,8 @@ def happened(trial: PayloadTrial | None) -> str:
 @click.command()
 @click.argument("names", nargs=-1)
 def main(names: tuple[str, ...]) -> None:
-    """Find what variants carry, and simulate it."""
-    table = Table("variant", "stance", "motors", "servos", "reach", "then", "at 0.97", "at 1.05")
+    """Compute the payloads of variants, and simulate them."""
+    table = Table("variant", "stance", "motors", "servos", "reach", "then", "at 0.97")
     for name in names or pa.VARIANTS:
         robot = pa.load_variant(name)
         best = pa.best_stance(robot, pa.stance.Objective.PAYLOAD)
@@ -41,10 +44,9 @@ def main(names: tuple[str, ...]) -> None:
             table.add_row(
                 name,
                 kind,
-                *(kilograms(b.mass) for b in (limit.motors, limit.servos, limit.stance)),
+                *(format_mass(b.mass) for b in (limit.motors, limit.servos, limit.stance)),
                 limit.failure.value,
-                happened(limit.trial),
-                happened(limit.beyond),
+                describe_trial(limit.trial),
             )
     Console(width=170).print(table)
 

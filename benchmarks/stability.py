@@ -1,12 +1,12 @@
-"""The spectrum of a step against nudged simulations: do both say the same of what stands?
+"""Compare the spectrum of a simulation step with nudged simulations.
 
     python benchmarks/stability.py [COUNT] [--seed SEED] [--files FILE.xml ...]
 
 Random variants, stances, payloads and gains (and MJCFs with a keyframe, each at three time steps)
-are judged by ``step_stability``, and simulated for 12 s, nudged by 1e-3 m/s and rad/s in three
-random ways. A robot *leaves* if a joint is further than 1e-2 rad from where it was at any time,
-*goes on* if a nudge does not decay, and *stays* otherwise. What differs is marked; the
-last table counts.
+are judged by ``step_stability``, and simulated for 12 s after three random nudges of 1e-3 m/s and
+rad/s. A robot *leaves* if a joint moves more than 1e-2 rad from its position at any time, *goes on*
+if a nudge does not decay, and *stays* otherwise. Disagreements are marked; the last table contains
+the counts.
 """
 
 from __future__ import annotations
@@ -44,22 +44,24 @@ from pupper_analysis.simulation.stability import (
 
 Array = NDArray[np.float64]
 
-NUDGES = 3
+NUM_NUDGES = 3
+"""Number of nudges per case."""
 
-DOUBLINGS = 14.0
-"""After so many a nudge of 1e-3 (some 1e-5 rad) is 0.1 rad: what is refused is simulated for so
-long, if that is longer than 12 s."""
+NUM_DOUBLINGS = 14.0
+"""Number of doublings of a mode after which a nudge of 1e-3 (some 1e-5 rad) becomes 0.1 rad. A
+case that the spectrum rejects is simulated for this time, if it exceeds 12 s."""
 
-HARD = 0.3
-"""Of a push beyond dry friction (m/s, rad/s), which frees what that holds."""
+HARD_NUDGE_SPEED = 0.3
+"""Speed of a stronger nudge [m/s, rad/s], which overcomes dry friction. Chosen, not tuned."""
 
-SLOW = DOUBLINGS * HOLD_DURATION
-"""Longer is not waited (s): what buckles more slowly than in ``HOLD_DURATION`` is not refused."""
+MAX_DURATION = NUM_DOUBLINGS * HOLD_DURATION
+"""Maximum simulated time [s]: modes that grow more slowly than in ``HOLD_DURATION`` are not
+rejected."""
 
 
 @dataclass
 class Case:
-    """A model at rest, under a command."""
+    """Model at rest under a command."""
 
     name: str
     model: mujoco.MjModel
@@ -68,13 +70,14 @@ class Case:
 
 
 @dataclass
-class Seen:
-    """What became of nudges, at worst.
+class Response:
+    """Response to nudges, in the worst case.
 
     Attributes:
-        way: The greatest way of a joint from where it was before (rad, m): at any time, or at the
-            end of a harder push, which itself takes joints away.
-        goes_on: Whether one did not decay: what shakes may end in a cycle of milliradians.
+        way: Largest displacement of a joint [rad, m]: at any time, or at the end of a stronger
+            nudge, which itself displaces joints.
+        goes_on: Whether a nudge did not decay: an oscillation may end in a limit cycle of
+            milliradians.
     """
 
     way: float
@@ -82,14 +85,14 @@ class Seen:
 
     @property
     def word(self) -> str:
-        """One word for it."""
+        """Response in a word: leaves, goes on or stays."""
         if not self.way < MAX_JOINT_DISPLACEMENT:
             return "leaves"
         return "goes on" if self.goes_on else "stays"
 
 
-def variants(count: int, seed: int = 0) -> Iterator[Case]:
-    """Yields random stands of the variants on random gains, with feed-forward."""
+def draw_cases(count: int, seed: int = 0) -> Iterator[Case]:
+    """Yield random stands of the variants with random gains, and feed-forward."""
     random = np.random.default_rng(seed)
     names = sorted(pa.VARIANTS)
     while count:
@@ -122,8 +125,8 @@ def variants(count: int, seed: int = 0) -> Iterator[Case]:
         count -= 1
 
 
-def files(paths: list[str]) -> Iterator[Case]:
-    """Yields MJCFs from their keyframes, at their time step, half and twice of it."""
+def read_cases(paths: list[str]) -> Iterator[Case]:
+    """Yield MJCFs at their keyframes, with half, once and twice their time step."""
     for path in paths:
         for factor in (0.5, 1.0, 2.0):
             model = mujoco.MjModel.from_xml_path(path)
@@ -136,8 +139,8 @@ def files(paths: list[str]) -> Iterator[Case]:
             yield Case(f"{path} {step}", model, full_state(model, data), data.ctrl.copy())
 
 
-def judged(case: Case) -> tuple[Stability, float]:
-    """Judges a case, and tells how long that took (ms)."""
+def judge_case(case: Case) -> tuple[Stability, float]:
+    """Return the stability of a case by the spectrum, and the time of the computation [ms]."""
     data = mujoco.MjData(case.model)
     mujoco.mj_setState(case.model, data, case.start, STATE_SPEC)
     data.ctrl[:] = case.ctrl
@@ -146,26 +149,30 @@ def judged(case: Case) -> tuple[Stability, float]:
     return found, 1e3 * (time.process_time() - begun)
 
 
-def waited(mode: Mode) -> float:
-    """Returns for how long a stand is simulated that a mode is said to take away (s)."""
-    return min(max(HOLD_DURATION, DOUBLINGS * (mode.doubling_time or 0.0)), SLOW)
+def simulated_time(mode: Mode) -> float:
+    """Return the time [s] of the simulation of a case with a growing mode."""
+    return min(max(HOLD_DURATION, NUM_DOUBLINGS * (mode.doubling_time or 0.0)), MAX_DURATION)
 
 
-def seen(
+def simulate_nudges(
     case: Case, duration: float, speed: float = NUDGE_SPEED, *, enough: float = float("inf")
-) -> Seen:
-    """Simulates what nudges do to a case.
+) -> Response:
+    """Simulate a case after nudges.
 
-    Nudges after one that takes it ``enough`` away (rad) are not tried.
+    Args:
+        case: The case.
+        duration: Simulated time [s].
+        speed: Speed of the nudges [m/s, rad/s].
+        enough: Displacement [rad, m] after which no further nudge is simulated.
     """
     model, steps = case.model, round(duration / case.model.opt.timestep)
     settled = simulate_commands(
         model, case.start, np.tile(case.ctrl, (round(1 / model.opt.timestep), 1))
     )[-1]
     if abs(settled[0] - case.start[0] - 1.0) > 0.01 or not np.isfinite(settled).all():
-        return Seen(np.inf, goes_on=True)
-    found = Seen(0.0, goes_on=False)
-    for seed in range(NUDGES):
+        return Response(np.inf, goes_on=True)
+    found = Response(0.0, goes_on=False)
+    for seed in range(NUM_NUDGES):
         start = settled.copy()
         rates = slice(1 + model.nq, 1 + model.nq + model.nv)
         start[rates] += speed * np.random.default_rng(seed).uniform(-1, 1, model.nv)
@@ -180,17 +187,24 @@ def seen(
     return found
 
 
-def tried(case: Case, leaving: tuple[Mode, ...]) -> Seen:
-    """Simulates nudges of a case; longer, and harder, if modes are said to take it away."""
-    found = seen(case, HOLD_DURATION)
+def simulate_case(case: Case, leaving: tuple[Mode, ...]) -> Response:
+    """Simulate nudges of a case; longer, and with stronger nudges, if modes are growing."""
+    found = simulate_nudges(case, HOLD_DURATION)
     if not leaving or found.word == "leaves" or (found.goes_on and leaving[0].shakes):
         return found
-    longer = waited(leaving[0])
-    found = seen(case, longer, enough=MAX_JOINT_DISPLACEMENT) if longer > HOLD_DURATION else found
-    return found if found.word != "stays" else seen(case, HOLD_DURATION, HARD)
+    longer = simulated_time(leaving[0])
+    found = (
+        simulate_nudges(case, longer, enough=MAX_JOINT_DISPLACEMENT)
+        if longer > HOLD_DURATION
+        else found
+    )
+    return (
+        found if found.word != "stays" else simulate_nudges(case, HOLD_DURATION, HARD_NUDGE_SPEED)
+    )
 
 
 def main() -> None:
+    """Judge and simulate all cases, and print the result of each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", nargs="?", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
@@ -198,8 +212,8 @@ def main() -> None:
     given = parser.parse_args()
     message: Counter[tuple[str, str]] = Counter()
     spent = []
-    for case in (*variants(given.count, given.seed), *files(given.files)):
-        found, took = judged(case)
+    for case in (*draw_cases(given.count, given.seed), *read_cases(given.files)):
+        found, took = judge_case(case)
         spent.append(took)
         leaving = found.modes_growing_within() if found.at_rest else ()
         if not found.at_rest:
@@ -210,10 +224,10 @@ def main() -> None:
             says = "shakes without dry friction"
         else:
             says = "shakes" if leaving[0].shakes else "buckles"
-        saw = tried(case, leaving)
+        saw = simulate_case(case, leaving)
         message[says, saw.word] += 1
         differs = "DIFFERS: " if (says == "holds") != (saw.word == "stays") else ""
-        mode = leaving[0] if leaving else found.slowest
+        mode = leaving[0] if leaving else found.least_damped
         print(f"{differs}{case.name}: {says}, {saw.word} ({saw.way:.1e} rad); {mode}", flush=True)
     print(f"{sum(message.values())} cases, {np.median(spent or [0]):.1f} ms each (median)")
     for (says, word), number in sorted(message.items()):
