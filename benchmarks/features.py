@@ -29,7 +29,7 @@ from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from tests.support.features import FEATURES, Edit, files
+from tests.support.features import FEATURES, Edit, write_files
 
 SECONDS = 6.0
 """Simulated time [s]."""
@@ -119,7 +119,7 @@ def make_row(name: str, edit: Edit, robot: pa.Robot, stand: pa.Stand, folder: Pa
         stand: Stand of this robot.
         folder: Folder for the files.
     """
-    urdf, mjcf = files(folder, edit)
+    urdf, mjcf = write_files(folder, edit)
     bare = simulate_height_loss(robot, stand, mjcf)
     predicted, unreserved, verdict = None, False, ""
     try:
@@ -152,7 +152,7 @@ def make_rows(names: tuple[str, ...]) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as top:
         plain = Path(top) / "plain"
         plain.mkdir()
-        urdf, mjcf = files(plain, FEATURES["as it is"])
+        urdf, mjcf = write_files(plain, FEATURES["as it is"])
         robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
         stand = pa.solve_stand(robot)
         for number, (name, edit) in enumerate(FEATURES.items()):

@@ -215,7 +215,7 @@ class Row:
     outcome: str
     held_out_file: float
     held_out: float
-    count_true_intervals: int
+    hold: int
     of: int
     ratio_off: float
     ratio_half: float

@@ -65,8 +65,8 @@ copybutton_prompt_text = "$ "
 def setup(app: object) -> None:
     """Write the generated pages, and register the conversion of docstrings and signatures."""
     words = "zh" if app.config.language.startswith("zh") else "en"  # type: ignore[attr-defined]
-    pages.write(Path(str(app.srcdir)), words)  # type: ignore[attr-defined]
-    app.connect("autodoc-process-docstring", pages.plain_text)  # type: ignore[attr-defined]
+    pages.write_pages(Path(str(app.srcdir)), words)  # type: ignore[attr-defined]
+    app.connect("autodoc-process-docstring", pages.escape_docstring)  # type: ignore[attr-defined]
     app.connect("autodoc-process-signature", pages.shorten_aliases)  # type: ignore[attr-defined]
 
 

@@ -1,9 +1,9 @@
-"""Writes the pages that follow from the package: commands, rules, codes, results, API, tables.
+"""Write the documentation pages that are generated from the package.
 
-``conf.py`` calls ``write`` before each build. Nothing that it writes is committed, so no page can
-be out of step with the code: ``commands/`` are the argument parser's, ``audit-rules`` and
-``diagnostics`` the catalogue's, ``results`` the meanings that pages show, ``api/`` the docstrings,
-``tables/`` the files of ``docs/data``.
+``conf.py`` calls ``write_pages`` before each build. Generated pages are not committed, so that they
+always agree with the code. Sources are the argument parser (``commands/``), the catalogue
+(``audit-rules``, ``diagnostics``), the meanings of fields (``results``), docstrings (``api/``), and
+the files of ``docs/data`` (``tables/``).
 """
 
 from __future__ import annotations
@@ -26,30 +26,34 @@ from pupper_analysis.present.formats import escape_control
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, RULES
 
 PACKAGE = Path(pa.__file__).parent
+"""Folder of the package."""
+
 DATA = Path(__file__).resolve().parent / "data"
+"""Folder of the tables."""
+
 GENERATED = "generated"
-"""The folder of a site's reference with what is written here; git ignores it."""
+"""Folder for generated pages in a site's reference; Git ignores it."""
 
 WORDS = tomllib.loads((Path(__file__).resolve().parent / "words.toml").read_text("utf-8"))
-"""What stands on these pages beside the package's own words, {language: {key: words}}."""
+"""{language: {key: text}} of texts on the pages that are not from the package."""
 
 
-def write(site: Path, language: str) -> None:
-    """Write a site's generated pages; files that would stay as they are are not touched.
+def write_pages(site: Path, language: str) -> None:
+    """Write the generated pages of a site; unchanged files are not touched.
 
     Args:
-        site: The folder of its sources.
+        site: Folder of the site's sources.
         language: ``en`` or ``zh``.
     """
     folder = site / "reference" / GENERATED
     words = WORDS[language]
     pages = {
-        "audit-rules.md": audit_rules(words, language),
-        "diagnostics.md": diagnostic_codes(words, language),
-        "results.md": result_fields(words, language),
+        "audit-rules.md": make_rules_page(words, language),
+        "diagnostics.md": make_codes_page(words, language),
+        "results.md": make_results_page(words, language),
     }
     if language == "en":
-        pages |= command_pages() | api_pages() | table_pages()
+        pages |= make_command_pages() | make_api_pages() | make_table_pages()
     for old in folder.rglob("*.*"):
         if old.relative_to(folder).as_posix() not in pages:
             old.unlink()
@@ -63,18 +67,19 @@ def write(site: Path, language: str) -> None:
 # ---------------------------------------------------------------------------------- small parts
 
 
-def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _format_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table."""
     lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines) + "\n"
+    return "\n".join("| " + " | ".join(map(_format_cell, line)) + " |" for line in lines) + "\n"
 
 
-def _cell(text: str) -> str:
-    """Return a text as the cell of a Markdown table holds it."""
+def _format_cell(text: str) -> str:
+    """Return a text as a cell of a Markdown table."""
     return escape_control(" ".join(text.split())).replace("|", "\\|").replace("<", "&lt;")
 
 
-def _plain(text: str) -> str:
-    """Return a text of which Markdown takes no letter for its own, outside `code`."""
+def _escape_markdown(text: str) -> str:
+    """Return a text whose characters are no Markdown syntax, except in `code`."""
     parts = text.split("`")
     if len(parts) % 2 == 0:  # a backtick that stands alone
         parts = [text.replace("`", "\\`")]
@@ -83,26 +88,29 @@ def _plain(text: str) -> str:
     return "`".join(parts)
 
 
-def _toctree(names: Iterable[str], depth: int = 1) -> str:
+def _format_toctree(names: Iterable[str], depth: int = 1) -> str:
+    """Return a table of contents for Sphinx."""
     return f"```{{toctree}}\n:maxdepth: {depth}\n\n" + "\n".join(names) + "\n```\n"
 
 
 # ------------------------------------------------------------------- the catalogue of diagnostics
 
 
-def audit_rules(words: Mapping[str, Any], language: str) -> str:
-    """Return the page of the audit's rules."""
+def make_rules_page(words: Mapping[str, Any], language: str) -> str:
+    """Return the page of the audit rules."""
     rows = []
     for rule in RULES.values():
         said = rule.chinese if language == "zh" else vars(rule)
         where = "all" if rule.formats == MODEL_FORMATS else ", ".join(rule.formats).upper()
-        words_of = (_plain(said[key]) for key in ("title", "why", "todo"))
+        words_of = (_escape_markdown(said[key]) for key in ("title", "why", "todo"))
         rows.append((f"`{rule.id}`", str(rule.severity), where, *words_of))
-    return f"# {words['rules']}\n\n{words['rules-about']}\n\n" + _table(words["rule-columns"], rows)
+    return f"# {words['rules']}\n\n{words['rules-about']}\n\n" + _format_table(
+        words["rule-columns"], rows
+    )
 
 
-def diagnostic_codes(words: Mapping[str, Any], language: str) -> str:
-    """Return the page of all codes, with the words of their entries."""
+def make_codes_page(words: Mapping[str, Any], language: str) -> str:
+    """Return the page of all codes, with the texts of their entries."""
     parts = [f"# {words['codes']}\n\n{words['codes-about']}\n"]
     for whose, path in word_files().items():
         if path.name not in LINE_ENTRY_FILES:
@@ -112,57 +120,64 @@ def diagnostic_codes(words: Mapping[str, Any], language: str) -> str:
             if not entries:
                 continue
             rows = [
-                (f"`{code}`", entry.get("severity", "note"), _plain(_readable(entry[language])))
+                (
+                    f"`{code}`",
+                    entry.get("severity", "note"),
+                    _escape_markdown(_simplify_template(entry[language])),
+                )
                 for code, entry in entries.items()
             ]
-            parts.append(f"## {whose}\n\n" + _table(words["code-columns"], rows))
+            parts.append(f"## {whose}\n\n" + _format_table(words["code-columns"], rows))
     return "\n".join(parts)
 
 
-def _readable(template: str) -> str:
-    """Return a template of the catalogue with its values named, and all that is optional said."""
+def _simplify_template(template: str) -> str:
+    """Return a template with the names of its values, and with all optional texts."""
     text = re.sub(r"\[!?\w+\?([^\[\]]*)\]", r"\1", template)
     text = re.sub(r"\{\w+\|[^{}|]*\|([^{}|]*)\}", r"\1", text)
     text = re.sub(r"(?<!\{)\{(\w+)[^{}]*\}(?!\})", r"⟨\1⟩", text)
     return text.replace("{{", "{").replace("}}", "}")
 
 
-def result_fields(words: Mapping[str, Any], language: str) -> str:
-    """Return the page of what the fields of results mean."""
+def make_results_page(words: Mapping[str, Any], language: str) -> str:
+    """Return the page with the meanings of the fields of results."""
     meanings: dict[str, Any] = {}
     for whose, path in word_files().items():
         read = tomllib.loads(path.read_text("utf-8"))
         meanings |= read if whose == "meanings" else read.get("meanings", {})
     parts = [f"# {words['results']}\n\n{words['results-about']}\n"]
     for name, fields in sorted(meanings.items()):
-        rows = [(f"`{field}`", _plain(said[language])) for field, said in fields.items()]
-        parts.append(f"## {name}\n\n" + _table(words["result-columns"], rows))
+        rows = [(f"`{field}`", _escape_markdown(said[language])) for field, said in fields.items()]
+        parts.append(f"## {name}\n\n" + _format_table(words["result-columns"], rows))
     return "\n".join(parts)
 
 
 # --------------------------------------------------------------------------------- command line
 
 
-def command_pages() -> dict[str, str]:
-    """Return a page for each command with its help and options, and the list of commands."""
+def make_command_pages() -> dict[str, str]:
+    """Return {path: text} of a page per command, and of the list of commands."""
     commands = {name: cli.find_command(name) for name in cli.COMMAND_NAMES}
-    pages = {f"commands/{name}.md": _command(name, command) for name, command in commands.items()}
+    pages = {
+        f"commands/{name}.md": _make_command_page(name, command)
+        for name, command in commands.items()
+    }
     rows = [
-        (f"[{name}](commands/{name}.md)", _plain(command.get_short_help_str(limit=200)))
+        (f"[{name}](commands/{name}.md)", _escape_markdown(command.get_short_help_str(limit=200)))
         for name, command in commands.items()
     ]
     first = f"# {WORDS['en']['commands']}\n\n{WORDS['en']['commands-about']}\n\n"
-    table = _table(("Command", "Purpose"), rows)
-    hidden = _toctree(pages_without_suffix(pages)).replace(":maxdepth: 1", ":hidden:")
+    table = _format_table(("Command", "Purpose"), rows)
+    hidden = _format_toctree(remove_suffixes(pages)).replace(":maxdepth: 1", ":hidden:")
     return pages | {"commands.md": f"{first}{table}\n{hidden}"}
 
 
-def pages_without_suffix(pages: Iterable[str]) -> list[str]:
-    """Return the names of pages as a toctree refers to them."""
+def remove_suffixes(pages: Iterable[str]) -> list[str]:
+    """Return the names of pages without suffix, as a table of contents requires."""
     return [page.removesuffix(".md") for page in pages]
 
 
-def _command(name: str, command: click.Command) -> str:
+def _make_command_page(name: str, command: click.Command) -> str:
     """Return the page of a command: usage, help and table of options."""
     context = click.Context(command, info_name=f"pupper-analysis {name}")
     usage = " ".join(command.collect_usage_pieces(context))
@@ -175,33 +190,35 @@ def _command(name: str, command: click.Command) -> str:
         elif "\b" in paragraph:
             parts.append("```text\n" + text + "\n```")
         elif text:
-            parts.append(_plain(text))
+            parts.append(_escape_markdown(text))
     rows = []
     for option in command.params:
         record = option.get_help_record(context)
         if record is not None and isinstance(option, click.Option):
-            rows.append((f"`{record[0]}`", _plain(record[1])))
-    return "\n\n".join(parts) + "\n\n" + _table(("Option", "Effect"), rows)
+            rows.append((f"`{record[0]}`", _escape_markdown(record[1])))
+    return "\n\n".join(parts) + "\n\n" + _format_table(("Option", "Effect"), rows)
 
 
 # ------------------------------------------------------------------------------------------ API
 
 
-def api_pages() -> dict[str, str]:
-    """Return the pages of the public interface: the package's own names, and each module's."""
+def make_api_pages() -> dict[str, str]:
+    """Return {path: text} of the pages of the public interface: the package, and each module."""
     own = [name for name in pa.__all__ if not isinstance(getattr(pa, name), ModuleType)]
-    pages = {"api/pupper_analysis.md": _api("pa", pa.__name__, pa, own)}
+    pages = {"api/pupper_analysis.md": _make_api_page("pa", pa.__name__, pa, own)}
     for name in pa.__all__:
         module = getattr(pa, name)
         if isinstance(module, ModuleType):
             public = f"{pa.__name__}.{name}"
-            pages[f"api/{name}.md"] = _api(f"pa.{name}", public, module, _public(module))
+            pages[f"api/{name}.md"] = _make_api_page(
+                f"pa.{name}", public, module, _list_public_names(module)
+            )
     first = f"# {WORDS['en']['api']}\n\n{WORDS['en']['api-about']}\n\n"
-    return pages | {"api.md": first + _toctree(pages_without_suffix(pages), 2)}
+    return pages | {"api.md": first + _format_toctree(remove_suffixes(pages), 2)}
 
 
-def _public(module: ModuleType) -> list[str]:
-    """Return what a module offers: its list, or what is defined in it."""
+def _list_public_names(module: ModuleType) -> list[str]:
+    """Return the public names of a module: ``__all__``, or the names that it defines."""
     names = getattr(module, "__all__", None)
     if names is not None:
         return list(names)
@@ -212,8 +229,8 @@ def _public(module: ModuleType) -> list[str]:
     ]
 
 
-def _api(title: str, public: str, module: ModuleType, names: Sequence[str]) -> str:
-    """Return the page of a module's names, each under the path by which users import it.
+def _make_api_page(title: str, public: str, module: ModuleType, names: Sequence[str]) -> str:
+    """Return the page of a module with names, each under its public import path.
 
     Args:
         title: Heading of the page.
@@ -222,14 +239,15 @@ def _api(title: str, public: str, module: ModuleType, names: Sequence[str]) -> s
         names: Names in the module.
     """
     about = (module.__doc__ or "").strip().split("\n\n")[0]
-    lines = [f"# {title}", "", _plain(" ".join(about.split())), "", "```{eval-rst}"]
+    lines = [f"# {title}", "", _escape_markdown(" ".join(about.split())), "", "```{eval-rst}"]
     lines += [f".. currentmodule:: {public}", ""]
     for name in sorted(names, key=lambda name: (name[0].isupper(), name)):
-        lines += _directive(public, name, getattr(module, name))
+        lines += _format_directive(public, name, getattr(module, name))
     return "\n".join([*lines, "```", ""])
 
 
-def _directive(module: str, name: str, value: object) -> list[str]:
+def _format_directive(module: str, name: str, value: object) -> list[str]:
+    """Return the Sphinx directive of a name, as lines."""
     full = f"{module}.{name}"
     # What is the package's own, too, is referred to there: of two places none is the one meant.
     twice = module != pa.__name__ and getattr(pa, name, None) is value
@@ -242,7 +260,7 @@ def _directive(module: str, name: str, value: object) -> list[str]:
 
 
 def shorten_aliases(*event: Any) -> tuple[str, str] | None:
-    """Replace Sphinx' marker of an aliased type by the name of the alias, as ``ArrayLike``.
+    """Replace Sphinx's marker of an aliased type by the name of the alias, such as ``ArrayLike``.
 
     Args:
         event: Arguments of ``autodoc-process-signature``; the last two are signature and return
@@ -255,11 +273,12 @@ def shorten_aliases(*event: Any) -> tuple[str, str] | None:
     return re.sub(marker, r"\1", signature), re.sub(marker, r"\1", returned or "")
 
 
-def plain_text(*event: Any) -> None:
-    """Has Sphinx take docstrings as they are written: ``*``, ``|x|``, ``name_`` are no markup.
+def escape_docstring(*event: Any) -> None:
+    """Escape ``*``, ``|`` and ``_`` in docstrings, which Sphinx would take as markup.
 
     Args:
-        event: What ``autodoc-process-docstring`` passes; the last is the lines, which are changed.
+        event: Arguments of ``autodoc-process-docstring``; the last is the list of lines, which
+            is modified.
     """
     lines: list[str] = event[-1]
     literal: int | None = None
@@ -268,13 +287,13 @@ def plain_text(*event: Any) -> None:
         if literal is not None and line.strip() and indent <= literal:
             literal = None
         if literal is None:
-            lines[index] = _unmarked(line)
+            lines[index] = _escape_line(line)
             if line.rstrip().endswith("::"):
                 literal = indent
 
 
-def _unmarked(line: str) -> str:
-    """Return a line with all that stands outside ``literals`` and roles taken as plain text."""
+def _escape_line(line: str) -> str:
+    """Return a line with escaped markup characters, except in ``literals`` and roles."""
     parts = re.split(r"(``.*?``|:\w+:`[^`]*`|^\s*:[^:]+:\s|^\s*\.\. .*$)", line)
     return "".join(
         part if index % 2 else re.sub(r"(?<!\\)([*|`]|_(?!\w))", r"\\\1", part)
@@ -285,8 +304,8 @@ def _unmarked(line: str) -> str:
 # --------------------------------------------------------------------------------------- tables
 
 
-def robots_summary(rows: Sequence[Mapping[str, str]]) -> str:
-    """Return how many robots have a defect with its line, and what becomes of them."""
+def summarise_robots(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return the number of robots with a defect, and the numbers of verdicts, as text."""
     judged = Counter(row["stand or hold"].split(",")[0].split(":")[0] for row in rows)
     compared = [row["crosscheck"] for row in rows if row["crosscheck"] != "-"]
     agree = sum(one == "AGREE" for one in compared)
@@ -298,11 +317,10 @@ def robots_summary(rows: Sequence[Mapping[str, str]]) -> str:
     )
 
 
-def table_pages() -> dict[str, str]:
-    """Return a page for each group of tables of ``docs/data``, and their list.
+def make_table_pages() -> dict[str, str]:
+    """Return {path: text} of a page per group of tables in ``docs/data``, and of their list.
 
-    ``tables.toml`` has the groups, and of each table a title, what it says and the command that
-    measures it.
+    ``tables.toml`` contains the groups, and the title, description and command of each table.
     """
     groups = tomllib.loads((DATA / "tables.toml").read_text("utf-8"))
     pages = {}
@@ -313,10 +331,12 @@ def table_pages() -> dict[str, str]:
                 header, *rows = csv.reader(file)
             parts += [f"## {table['title']}", table["about"].strip()]
             if name == "robots-of-packages":
-                parts.append(robots_summary([dict(zip(header, row, strict=True)) for row in rows]))
+                parts.append(
+                    summarise_robots([dict(zip(header, row, strict=True)) for row in rows])
+                )
             if "command" in table:
                 parts.append(f"```sh\n{table['command']}\n```")
-            parts.append(_table(header, [map(_plain, row) for row in rows]))
+            parts.append(_format_table(header, [map(_escape_markdown, row) for row in rows]))
         pages[f"tables/{group}.md"] = "\n\n".join(parts)
     first = f"# {WORDS['en']['tables']}\n\n{WORDS['en']['tables-about']}\n\n"
-    return pages | {"tables.md": first + _toctree([f"tables/{name}" for name in groups])}
+    return pages | {"tables.md": first + _format_toctree([f"tables/{name}" for name in groups])}

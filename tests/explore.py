@@ -32,13 +32,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--robots", type=int, default=0, help="number of random robots")
     options = parser.parse_args()
-    edits = dict(every_command.edits())
+    edits = dict(every_command.list_edits())
     pairs = [(name, command) for name in edits for command in every_command.COMMANDS]
     drawn = random.Random(options.seed).sample(pairs, min(options.count, len(pairs)))
     failures = 0
     for name, command in drawn:
         with tempfile.TemporaryDirectory() as folder:
-            row = every_command.row_of(name, edits[name], Path(folder), (command,))
+            row = every_command.make_row(name, edits[name], Path(folder), (command,))
         for wrong in row.wrong.values():
             failures += 1
             print(f"{name}, {command}: {wrong} ({row.cells[command].word})")

@@ -15,10 +15,10 @@ def test_commands_agree_on_the_same_robot(seed: int | None, tmp_path: Path) -> N
     """Of a variant, of a random pair, and of a random URDF alone, which is converted, too."""
     name, files = "v3", ("v3",)
     if seed is not None:
-        [(name, files)] = agreement.random_robots(seed, 1, tmp_path)
+        [(name, files)] = agreement.write_random_robots(seed, 1, tmp_path)
     place = tmp_path / "answers"
     place.mkdir()
-    found = agreement.of_robot(name, place, *files, everywhere=seed is None)
+    found = agreement.compare_commands(name, place, *files, everywhere=seed is None)
     assert not found.disagreements, found.codes
     stood = found.codes["stand"]
     assert not stood.startswith("exit"), stood  # a robot that is refused proves nothing
@@ -30,6 +30,6 @@ def test_commands_agree_on_what_an_arm_holds(tmp_path: Path) -> None:
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES["as it is"])
     place = tmp_path / "answers"
     place.mkdir()
-    found = agreement.of_robot("arm", place, str(urdf), str(mjcf))
+    found = agreement.compare_commands("arm", place, str(urdf), str(mjcf))
     assert not found.disagreements, found.codes
     assert found.payload > 0

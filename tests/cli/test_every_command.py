@@ -10,7 +10,7 @@ from tests.prepare.test_planted import ODD
 from tests.support import arm_features, every_command
 from tests.support.every_command import COMMANDS, FILES, Truth
 
-EDITS = dict(every_command.edits())
+EDITS = dict(every_command.list_edits())
 
 KINDS = (
     "as it is",
@@ -42,7 +42,7 @@ def test_no_verdict_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> Non
 
     tests/prepare/test_planted.py compares the edits in ``ODD`` with the same reference.
     """
-    row = every_command.row_of(name, EDITS[name], tmp_path, ("python",))
+    row = every_command.make_row(name, EDITS[name], tmp_path, ("python",))
     assert row.cells.keys() == {"python"}
     assert not row.wrong, row.cells["python"].word
 
@@ -71,7 +71,7 @@ that ignores the verdict, but not its own simulations, would pass it."""
 @pytest.mark.parametrize(("name", "command"), PAIRS)
 def test_no_command_is_better_than_bare_mujoco(name: str, command: str, tmp_path: Path) -> None:
     """``tests.explore`` draws pairs of the other edits and commands at random."""
-    row = every_command.row_of(name, EDITS[name], tmp_path, (command,))
+    row = every_command.make_row(name, EDITS[name], tmp_path, (command,))
     assert not row.wrong, row.cells[command].word
 
 
@@ -85,7 +85,7 @@ def test_no_command_is_better_than_bare_mujoco(name: str, command: str, tmp_path
 )  # fmt: skip
 def test_no_converted_file_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
     """``convert`` there and back, and a stance on a slope with a payload, which a file states."""
-    row = every_command.row_of(name, EDITS[name], tmp_path, FILES)
+    row = every_command.make_row(name, EDITS[name], tmp_path, FILES)
     assert row.cells.keys() == FILES.keys()
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
 
@@ -93,7 +93,7 @@ def test_no_converted_file_is_better_than_bare_mujoco(name: str, tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", arm_features.FEATURES)
 def test_no_verdict_of_an_arm_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
-    row = every_command.row_of_arm(name, tmp_path)
+    row = every_command.make_arm_row(name, tmp_path)
     assert row.cells.keys() == every_command.HELD.keys()
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
 
@@ -115,7 +115,7 @@ def test_expected_outcome_of_an_unmodified_arm_equals_bare_mujoco(
     name: str, tmp_path: Path
 ) -> None:
     _, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[name])
-    assert every_command.truth_of_arm(mjcf) is ARMS[name]
+    assert every_command.simulate_arm_truth(mjcf) is ARMS[name]
 
 
 @pytest.mark.slow
@@ -123,7 +123,7 @@ def test_state_that_mujoco_resets_in_the_first_step_passes_no_command(tmp_path: 
     """A keyframe's ctrl of 1e9: MuJoCo begins anew at once, commanded nothing, and stands."""
     name = "a keyframe's ctrl 1e9"
     asked = COMMANDS.keys() & {"push", "study", "python"}
-    row = every_command.row_of(name, EDITS[name], tmp_path, asked)
+    row = every_command.make_row(name, EDITS[name], tmp_path, asked)
     assert row.truth is Truth.FALLS
     assert not row.wrong
     assert not any(cell.passed or cell.refused for cell in row.cells.values())
@@ -132,7 +132,7 @@ def test_state_that_mujoco_resets_in_the_first_step_passes_no_command(tmp_path: 
 @pytest.mark.slow
 def test_knee_with_a_gain_of_the_wrong_sign_passes_in_no_command(tmp_path: Path) -> None:
     name = "slip: kp of one has the wrong sign"
-    row = every_command.row_of(name, EDITS[name], tmp_path, ("stand", "study"))
+    row = every_command.make_row(name, EDITS[name], tmp_path, ("stand", "study"))
     assert row.truth is Truth.FALLS
     assert not row.wrong
     assert not any(cell.passed or cell.refused for cell in row.cells.values())
@@ -142,4 +142,4 @@ def test_knee_with_a_gain_of_the_wrong_sign_passes_in_no_command(tmp_path: Path)
 def test_expected_outcome_of_an_unmodified_file_equals_bare_mujoco(
     name: str, tmp_path: Path
 ) -> None:
-    assert every_command.row_of(name, EDITS[name], tmp_path, ()).truth is SURELY[name]
+    assert every_command.make_row(name, EDITS[name], tmp_path, ()).truth is SURELY[name]

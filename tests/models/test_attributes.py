@@ -19,7 +19,7 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
-from tests.support.corpus import INERTIAL, joint, link, urdf
+from tests.support.corpus import INERTIAL, format_joint, format_link, format_urdf
 from tests.support.engines import to_pinocchio
 
 # No two alike: a swapped column is seen.
@@ -34,8 +34,10 @@ VALUES = {
     "spring": 0.7,
 }
 
-PLAIN = joint("j", "a", "b", '<axis xyz="0 1 0"/>')
-URDF = urdf(link("a", INERTIAL.replace('mass value="1"', 'mass value="2"')), link("b"), PLAIN)
+PLAIN = format_joint("j", "a", "b", '<axis xyz="0 1 0"/>')
+URDF = format_urdf(
+    format_link("a", INERTIAL.replace('mass value="1"', 'mass value="2"')), format_link("b"), PLAIN
+)
 
 MJCF = (
     '<mujoco><compiler angle="radian"/><worldbody><body name="a"><freejoint/>'

@@ -24,8 +24,8 @@ from pupper_analysis.robot.robot import report_efforts
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.verdict import Outcome
 from pupper_analysis.tools.stand.stance import study_stance
-from tests.support.conversions import compiled, converted, standing_urdf
-from tests.support.engines import changed
+from tests.support.conversions import compile_file, convert_file, write_standing_urdf
+from tests.support.engines import change_model
 from tests.support.legged import Pair, biped, quadruped, rewritten
 from tests.support.variants import load, stand_of
 
@@ -170,7 +170,7 @@ def test_steady_state_is_predicted_if_ctrlrange_clips_a_command(feedforward: boo
         model.dof_frictionloss[:] = 0
         model.geom_condim[:] = 3
 
-    robot = changed(plain, change)
+    robot = change_model(plain, change)
     pose = pa.steady_state(robot, stand, feedforward=feedforward)
     assert pose.failures == ()
     free = pa.steady_state(plain, stand, feedforward=feedforward)
@@ -225,11 +225,11 @@ def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_converted_hinge_has_no_limits_without_a_range(tmp_path: Path) -> None:
-    urdf = rewritten(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
-    mjcf, found = converted(urdf, "quad.xml")
+    urdf = rewritten(write_standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
+    mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert not any(left.code == "empty-range-left" for left in found.not_converted)
-    model = compiled(mjcf)
+    model = compile_file(mjcf)
     assert not model.jnt_limited[model.joint("FL_roll").id]
 
 

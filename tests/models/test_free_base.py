@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.spec_tree import join_free_base
-from tests.support.conversions import converted
+from tests.support.conversions import convert_file
 from tests.support.legged import Pair, quadruped, rewritten
 
 SLIDES = "".join(
@@ -42,7 +42,7 @@ def test_crosscheck_and_convert_read_six_joints_as_a_free_base(
     compared = pa.compare_models(pair.urdf, pair.mjcf)
     assert compared.only_mjcf == ()
     assert {difference.kind for difference in compared.differences} <= {"effort"}  # the motors'
-    _, found = converted(pair.mjcf, "back.urdf")
+    _, found = convert_file(pair.mjcf, "back.urdf")
     assert found.agree, found.failures
     assert "pelvis_tx" not in (tmp_path / "back.urdf").read_text()
 
@@ -87,7 +87,7 @@ def test_slide_is_not_locked_without_limits(tmp_path: Path) -> None:
         f"<body name='arm' pos='0 0 0.3'><joint name='lift' axis='0 1 0'/>{inertial}</body>"
         "</body></worldbody></mujoco>"
     )
-    _, found = converted(path, "cart.urdf")
+    _, found = convert_file(path, "cart.urdf")
     assert found.passed, found.failures
     assert sum("slides without limits" in str(text) for text in found.not_converted) == 2
     model = pin.buildModelFromUrdf(str(tmp_path / "cart.urdf"))

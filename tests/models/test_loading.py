@@ -20,7 +20,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import read_urdf
 from tests.support import corpus
-from tests.support.corpus import LIMIT, joint, link, mjcf, urdf
+from tests.support.corpus import LIMIT, format_joint, format_link, format_mjcf, format_urdf
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 EXPLICIT = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
@@ -66,7 +66,7 @@ def test_urdf_elements_have_line_numbers(tmp_path: Path) -> None:
         '<robot name="r">\n<!-- two\nlines -->\n<link name="a">\n<inertial>\n<mass value="1"/>\n'
         '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>\n'
         '<visual><geometry><sphere radius="1"/></geometry>\n<material name="m"/></visual></link>\n'
-        + urdf(link("b"), joint("j", "a", "b")).partition("\n")[2]
+        + format_urdf(format_link("b"), format_joint("j", "a", "b")).partition("\n")[2]
     )
     robot = read_urdf(path)
     assert str(robot.place("link", "a")) == "r.urdf:4"
@@ -82,7 +82,9 @@ def test_urdf_elements_have_line_numbers(tmp_path: Path) -> None:
 def test_pinocchio_reads_numbers_with_line_breaks(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     content = '<origin xyz="1\n\t2 3"/><limit effort=" 5 " velocity="1"/>'
-    path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", content)))
+    path.write_text(
+        format_urdf(format_link("a"), format_link("b"), format_joint("j", "a", "b", content))
+    )
     robot = read_urdf(path)
     model = pinocchio_from_urdf(robot.text, path, floating=True)
     assert model.jointPlacements[2].translation.tolist() == [1, 2, 3]
@@ -95,7 +97,7 @@ def test_harmless_oddities_are_read(tmp_path: Path) -> None:
     path.write_text(
         '\ufeff<?xml version="1.0" encoding="iso-8859-1"?><!-- <!DOCTYPE x> -->\n'
         '<robot name="r" xmlns="http://drake.mit.edu" xmlns:xacro="http://ros.org/wiki/xacro">'
-        f'{link("a")}<gazebo><limit effort="x"/></gazebo>'
+        f'{format_link("a")}<gazebo><limit effort="x"/></gazebo>'
         "</robot>"
     )
     robot = read_urdf(path)
@@ -111,14 +113,14 @@ def test_shapes_unknown_to_pinocchio_are_handled(
     colours = "".join(f"<material{name}/>" for name in (' name="x"', ' name="y"', ""))
     shape = '<geometry><capsule radius="1" length="2"/></geometry>'
     path = tmp_path / "r.urdf"
-    parts = link("a", f"<visual>{colours}{shape}</visual>"), link("b")
-    path.write_text(urdf(*parts, joint("j", "a", "b", LIMIT)))
+    parts = format_link("a", f"<visual>{colours}{shape}</visual>"), format_link("b")
+    path.write_text(format_urdf(*parts, format_joint("j", "a", "b", LIMIT)))
     robot = read_urdf(path)
     assert (robot.notes, robot.text) == ((), path.read_text())
     assert pinocchio_from_urdf(robot.text, path, floating=False).nv == 1
     assert capfd.readouterr() == ("", "")  # it complains of each on standard error
     # Shapes are not as harmless: which of two is meant cannot be told.
-    path.write_text(urdf(link("a", f"<visual>{shape}{shape}</visual>")))
+    path.write_text(format_urdf(format_link("a", f"<visual>{shape}{shape}</visual>")))
     assert "<geometry> more than once" in refused(lambda: read_urdf(path))
 
 
@@ -131,7 +133,7 @@ def test_meshes_are_found_in_the_searched_folders(
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path}/nowhere{os.pathsep}{tmp_path}/ros")
     path = tmp_path / "ws/robot/urdf/r.urdf"
     path.parent.mkdir()
-    path.write_text(urdf(link("a")))
+    path.write_text(format_urdf(format_link("a")))
     robot = read_urdf(path, packages={"mine": tmp_path / "else"})
     found = {
         "../meshes/a.stl": "ws/robot/meshes/a.stl",
@@ -162,8 +164,8 @@ def test_git_lfs_pointer_as_a_model_is_reported(name: str, tmp_path: Path) -> No
 def test_pipe_in_place_of_a_mesh_does_not_block(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "k.stl")
     shape = '<visual><geometry><mesh filename="k.stl"/></geometry></visual>'
-    (tmp_path / "r.urdf").write_text(urdf(link("a", shape)))
-    (tmp_path / "r.xml").write_text(mjcf(MESH.replace("obj", "stl"), WITH_MESH))
+    (tmp_path / "r.urdf").write_text(format_urdf(format_link("a", shape)))
+    (tmp_path / "r.xml").write_text(format_mjcf(MESH.replace("obj", "stl"), WITH_MESH))
     for name in ("r.urdf", "r.xml"):
         found = pa.audit_model(tmp_path / name).findings
         assert any("there is no file 'k.stl'" in one.message for one in found)
@@ -175,7 +177,7 @@ def test_pipe_in_place_of_a_mesh_does_not_block(tmp_path: Path) -> None:
 def test_mjcf_elements_have_line_numbers(tmp_path: Path) -> None:
     path = write(
         tmp_path,
-        m=mjcf(
+        m=format_mjcf(
             '<default><default class="leg"/></default>',
             '<worldbody><body name="trunk">',
             "<freejoint/>",
@@ -219,17 +221,17 @@ def test_cyclic_includes_are_refused(tmp_path: Path) -> None:
         "e.xml:1: it has a DOCTYPE": {"e": '<!DOCTYPE x [<!ENTITY a "b">]>\n<mujocoinclude/>'},
     }
     for said, files in cases.items():
-        path = write(tmp_path, m=mjcf(f'<include file="{next(iter(files))}.xml"/>'), **files)
+        path = write(tmp_path, m=format_mjcf(f'<include file="{next(iter(files))}.xml"/>'), **files)
         assert said in refused(partial(read_mjcf, path))
 
 
 def test_attached_models_are_loaded(tmp_path: Path) -> None:
-    child = mjcf(
+    child = format_mjcf(
         '<compiler meshdir="meshes"/>',
         MESH,
         WITH_MESH,
     )
-    parent = mjcf(
+    parent = format_mjcf(
         '<asset><model name="c" file="sub/c.xml"/></asset>',
         '<worldbody><frame><attach model="c" body="b" prefix="x-"/></frame></worldbody>',
     )
@@ -244,19 +246,19 @@ def test_attached_models_are_loaded(tmp_path: Path) -> None:
     # Each attaches the next twice: 2^20 bodies.
     attach = '<frame><attach model="c" body="b" prefix="{}"/></frame>'
     both = attach.format("x") + attach.format("y")
-    double = mjcf(
+    double = format_mjcf(
         '<asset><model name="c" file="a{}.xml"/></asset>',
         f'<worldbody><body name="b">{both}</body></worldbody>',
     )
     files = {f"a{i}": double.format(i + 1) for i in range(20)}
-    path = write(tmp_path, **files, a20=mjcf('<worldbody><body name="b"/></worldbody>'))
+    path = write(tmp_path, **files, a20=format_mjcf('<worldbody><body name="b"/></worldbody>'))
     assert "more than 10000 elements" in refused(lambda: read_mjcf(path))
     # Each names the next twice: 2^20 files to read.
-    double = mjcf(
+    double = format_mjcf(
         '<asset><model name="c" file="d{0}.xml"/><model name="d" file="d{0}.xml"/></asset>'
     )
     files = {f"d{i}": double.format(i + 1) for i in range(20)}
-    path = write(tmp_path, **files, d20=mjcf())
+    path = write(tmp_path, **files, d20=format_mjcf())
     assert "more than 1000 includes" in refused(lambda: read_mjcf(path))
 
 
@@ -274,7 +276,7 @@ def test_mesh_folders_equal_those_of_mujoco(
     compiler: str, file: str, there: str, tmp_path: Path
 ) -> None:
     asset = f'<asset><mesh name="k" file="{file.format(tmp_path)}"/></asset>'
-    path = write(tmp_path, m=mjcf(f"<compiler {compiler}/>", asset, WITH_MESH))
+    path = write(tmp_path, m=format_mjcf(f"<compiler {compiler}/>", asset, WITH_MESH))
     missing = read_mjcf(path)
     assert missing.model.ngeom == 0
     assert missing.notes[0].values["files"] == (file.format(tmp_path),)
@@ -293,7 +295,9 @@ def test_flat_meshes_become_shells_if_massless(tmp_path: Path) -> None:
     seen = '<geom type="mesh" mesh="{}" contype="0" conaffinity="0"/>'
     assets = "".join(f'<mesh name="{name}" {PLATE}/>' for name in ("a plate", "other"))
     bodies = f"<body>{EXPLICIT}{seen.format('a plate')}{seen.format('other')}</body>"
-    path = write(tmp_path, m=mjcf(f"<asset>{assets}</asset>", f"<worldbody>{bodies}</worldbody>"))
+    path = write(
+        tmp_path, m=format_mjcf(f"<asset>{assets}</asset>", f"<worldbody>{bodies}</worldbody>")
+    )
     with pytest.raises(ValueError, match="mesh volume is too small"):
         mujoco.MjSpec.from_file(str(path)).compile()
     file = read_mjcf(path)
@@ -327,7 +331,7 @@ def test_missing_mesh_is_refused_if_it_defines_mass(
 ) -> None:
     path = write(
         tmp_path,
-        m=mjcf(
+        m=format_mjcf(
             f"<compiler {compiler}/>" + MESH,
             '<default><default class="visual"><geom density="0"/></default></default>',
             f'<worldbody><body name="trunk">{inertial}',
@@ -353,7 +357,7 @@ def test_elements_with_missing_files_are_omitted(tmp_path: Path) -> None:
         '<sensor><framepos objtype="geom" objname="s"/></sensor>',
         '<custom><tuple name="u"><element objtype="geom" objname="g"/></tuple></custom>',
     ]
-    model = read_mjcf(write(tmp_path, m=mjcf(*lines)))
+    model = read_mjcf(write(tmp_path, m=format_mjcf(*lines)))
     compiled = model.model
     counts = {
         kind: getattr(compiled, f"n{kind}")
@@ -363,7 +367,7 @@ def test_elements_with_missing_files_are_omitted(tmp_path: Path) -> None:
     assert counts == {kind: left.get(kind, 0) for kind in counts}
     said = " ".join(map(str, model.notes))
     assert all(file in said for file in ("(k.obj)", "(t.png, up.png)"))
-    path = write(tmp_path, m=mjcf(*lines, '<contact><pair geom1="g" geom2="s"/></contact>'))
+    path = write(tmp_path, m=format_mjcf(*lines, '<contact><pair geom1="g" geom2="s"/></contact>'))
     assert "m.xml:10: MuJoCo cannot compile it: " in refused(lambda: read_mjcf(path))
 
 
@@ -393,7 +397,9 @@ def test_reference_to_a_missing_element_is_refused_at_its_line(
 ) -> None:
     """A copy of the spec lacks the element, and compiles."""
     drawn = '<geom type="mesh" mesh="k" mass="0"/>' if missing_mesh else ""
-    text = mjcf(MESH if missing_mesh else "", f"{BODY}{drawn}</body></worldbody>", DANGLING[kind])
+    text = format_mjcf(
+        MESH if missing_mesh else "", f"{BODY}{drawn}</body></worldbody>", DANGLING[kind]
+    )
     path = write(tmp_path, m=text)
     message = refused(lambda: read_mjcf(path))
     assert message.startswith(f"{path}:4: MuJoCo cannot compile it: ")

@@ -10,8 +10,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.tools.stand.stance import study_stance
+from tests.support.conversions import compile_file, convert_file, write_standing_urdf
 from tests.support.legged import biped, quadruped
-from tests.tools.convert.test_model import compiled, converted, standing_urdf
 
 
 def edited(path: Path, *changes: tuple[str, str]) -> Path:
@@ -78,11 +78,11 @@ def test_the_range_of_the_mjcf_counts_if_the_urdf_states_none(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_converted_hinge_is_unlimited_if_the_urdf_states_no_range(tmp_path: Path) -> None:
-    urdf = edited(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
-    mjcf, found = converted(urdf, "quad.xml")
+    urdf = edited(write_standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
+    mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert not any(left.code == "empty-range-left" for left in found.not_converted)
-    model = compiled(mjcf)
+    model = compile_file(mjcf)
     assert not model.jnt_limited[model.joint("FL_roll").id]
 
 

@@ -16,7 +16,7 @@ from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.floor import find_floor, level_ground
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.branches import _remove_turns
-from tests.support.engines import changed, mujoco_at
+from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
 from tests.support.variants import BASES, load, stand_of
@@ -107,7 +107,7 @@ def test_feet_with_one_matching_contact_mask_touch_the_step(
     there = build_on_ground(rebuild_robot(robot, mjcf=spec), step, stand.foot_targets)
     sunk = stand.qpos.copy()
     sunk[2] -= 2e-3
-    data = mujoco_at(there, sunk)
+    data = evaluate_mujoco(there, sunk)
     name, touched = there.mj_model.geom, []
     for pair in data.contact.geom:
         ours = next(int(geom) for geom in pair if int(geom) in there.foot_geoms)
@@ -150,7 +150,9 @@ def test_scenery_is_named_by_its_geom_or_body() -> None:
 def test_joints_that_miss_their_prediction_by_milliradians_do_not_verify_it() -> None:
     """Servos so soft that half a percent of torque is some mrad: torques and forces agree."""
     robot = load("v3")
-    heavier = changed(robot, lambda model: np.multiply(model.body_mass, 1.006, model.body_mass))
+    heavier = change_model(
+        robot, lambda model: np.multiply(model.body_mass, 1.006, model.body_mass)
+    )
     found = pa.verify_stand(heavier, stand_of("v3"), kp=2.0, kd=0.1)
     assert found.torque_error < 0.01
     assert found.force_error < 0.01

@@ -119,7 +119,7 @@ def test_verdict_states_a_gravity_other_than_the_earths(
 
 @pytest.mark.slow
 def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
-    _, mjcf = features.files(tmp_path, features.FEATURES["frictionloss -1"])
+    _, mjcf = features.write_files(tmp_path, features.FEATURES["frictionloss -1"])
     said = format_verdict(verdict_of(pa.load_robot(mjcf)))
     assert "dry friction is negative, and counts as none, at FL_knee, FR_knee, RL_knee" in said
 

@@ -16,7 +16,7 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.prepare import drives
 from pupper_analysis.prepare.feet import report_sideways_limbs
 from pupper_analysis.robot.robot import Robot
-from tests.support.conversions import standing_urdf
+from tests.support.conversions import write_standing_urdf
 from tests.support.legged import Pair, biped, from_the_ground, fused, quadruped, rewritten
 
 
@@ -197,7 +197,7 @@ def test_tilted_base_frame_gives_a_note(tmp_path: Path) -> None:
 def test_urdf_with_a_lying_base_is_refused_with_a_remedy(
     turn: str, axis: str, back: tuple[int, int], tmp_path: Path
 ) -> None:
-    path = standing_urdf(tmp_path)
+    path = write_standing_urdf(tmp_path)
     rpy = " ".join(str(0.5 * math.pi * turn.count(letter)) for letter in "xyz")
     lying = (
         '<link name="lying"/><joint name="down" type="fixed"><parent link="lying"/>'

@@ -17,8 +17,8 @@ from pupper_analysis.models.transmission import Drive
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict
 from tests.support import features
-from tests.support.every_command import truth_of, verdict_cell
-from tests.support.features import LEGS, Edit, put, section
+from tests.support.every_command import make_verdict_cell, simulate_truth
+from tests.support.features import LEGS, Edit, make_replacement, make_section_edit
 from tests.support.repository import ROOT
 from tests.support.slips import standing
 
@@ -37,7 +37,7 @@ sink, joints without position control."""
 
 
 def servos(words: str) -> Edit:
-    return put('kp="150" kv="5"', words)
+    return make_replacement('kp="150" kv="5"', words)
 
 
 def general(gain: float = 1.0, bias: float = 0.0, kind: str = "fixed", *, only: str = "") -> Edit:
@@ -50,30 +50,32 @@ def general(gain: float = 1.0, bias: float = 0.0, kind: str = "fixed", *, only: 
 
 def option(words: str, inside: str = "") -> Edit:
     usual = '<option integrator="implicitfast"'
-    return put(f"{usual}/>", f"{usual} {words}>{inside}</option>")
+    return make_replacement(f"{usual}/>", f"{usual} {words}>{inside}</option>")
 
 
 def floor(words: str) -> Edit:
-    return put('type="plane"', f'type="plane" priority="9" {words}')
+    return make_replacement('type="plane"', f'type="plane" priority="9" {words}')
 
 
 def feet(words: str, count: int = -1) -> Edit:
-    return put('size="0.02"', f'size="0.02" {words}', count)
+    return make_replacement('size="0.02"', f'size="0.02" {words}', count)
 
 
 def joints(which: str, words: str) -> Edit:
-    return put(f'_{which}" axis', f'_{which}" {words} axis')
+    return make_replacement(f'_{which}" axis', f'_{which}" {words} axis')
 
 
 def block(words: str) -> Edit:
     """A box of 3 cm where it lifts what stands on the left in front."""
     shape = '<geom type="box" size="0.6 0.6 0.015"/>'
-    return put("<worldbody>", f'<worldbody><body pos="0.6 0.6 0" {words}>{shape}</body>')
+    return make_replacement(
+        "<worldbody>", f'<worldbody><body pos="0.6 0.6 0" {words}>{shape}</body>'
+    )
 
 
 def tendon(words: str, *names: str) -> Edit:
     parts = "".join(f'<joint joint="{name}" coef="1"/>' for name in names)
-    return section(f"<tendon><fixed {words}>{parts}</fixed></tendon>")
+    return make_section_edit(f"<tendon><fixed {words}>{parts}</fixed></tendon>")
 
 
 def both(*edits: Edit) -> Edit:
@@ -138,14 +140,22 @@ PLANTS: dict[str, tuple[Edit, str]] = {
     "a delay": (servos('kp="150" kv="5" delay="0.1" nsample="101"'), "servos-are-late"),
     "a step of 10 ms": (option('timestep="0.01"'), "timestep-too-long"),
     "PGS, 3 iterations": (option('solver="PGS" iterations="3"'), "solver-too-rough"),
-    "a weld of a foot": (section('<equality><weld body1="FL_calf"/></equality>'), "weld-holds-it"),
+    "a weld of a foot": (
+        make_section_edit('<equality><weld body1="FL_calf"/></equality>'),
+        "weld-holds-it",
+    ),
     "one velocity servo": (
-        put('<position joint="FL_knee" kp="150" kv="5"/>', '<velocity joint="FL_knee" kv="1"/>'),
+        make_replacement(
+            '<position joint="FL_knee" kp="150" kv="5"/>', '<velocity joint="FL_knee" kv="1"/>'
+        ),
         "own-run, servos-for-actuators",
     ),
-    "a base without weight": (put('name="trunk"', 'gravcomp="1" name="trunk"'), "files-differ"),
+    "a base without weight": (
+        make_replacement('name="trunk"', 'gravcomp="1" name="trunk"'),
+        "files-differ",
+    ),
     "a range that cuts the pose": (
-        put('range="-2.6 -0.4"', 'range="-2.6 -1.5"', 1),
+        make_replacement('range="-2.6 -0.4"', 'range="-2.6 -1.5"', 1),
         "range-stops",
     ),
     "a margin of contacts": (feet('margin="0.02"'), "files-differ"),
@@ -154,21 +164,21 @@ PLANTS: dict[str, tuple[Edit, str]] = {
     "soft contacts": (floor('solref="0.3 1"'), "contacts-give-way"),
     "a thruster": (
         both(
-            put("<freejoint/>", '<freejoint/><site name="nozzle"/>'),
-            put("</actuator>", f"{JET}</actuator>"),
-            put('-1.2"/>', '-1.2 0"/>'),
+            make_replacement("<freejoint/>", '<freejoint/><site name="nozzle"/>'),
+            make_replacement("</actuator>", f"{JET}</actuator>"),
+            make_replacement('-1.2"/>', '-1.2 0"/>'),
         ),
         "motors-elsewhere-push",
     ),
     "a fluid": (option('density="1000" viscosity="1"'), "fluid-drags"),
     "wind": (option('density="1.2" wind="30 0 0"'), "fluid-drags"),
     "damping below zero": (
-        put(" axis=", ' damping="-0.5" axis='),
+        make_replacement(" axis=", ' damping="-0.5" axis='),
         "joints-damped-negatively, rests-on-made-up",
     ),
     "gravity aside": (option('gravity="4 0 -9"'), "gravity-aside, files-differ"),
     "a foot that does not touch": (feet('contype="0" conaffinity="0"', 1), "limb-without-foot"),
-    "a command elsewhere": (put('ctrl="0 0.6 -1.2', 'ctrl="0 0.6 -0.6', 1), ELSEWHERE),
+    "a command elsewhere": (make_replacement('ctrl="0 0.6 -1.2', 'ctrl="0 0.6 -0.6', 1), ELSEWHERE),
 }
 """{what else: (how it is planted, what may be told of it)}."""
 
@@ -237,7 +247,7 @@ def right(
 def planted(folder: Path, plant: str) -> tuple[Path, Path]:
     """Returns the URDF and the MJCF of a quadruped in which something is planted."""
     if plant in ODD:
-        return features.files(folder, features.FEATURES[plant])
+        return features.write_files(folder, features.FEATURES[plant])
     pair = standing(folder)
     pair.mjcf.write_text(PLANTS[plant][0](pair.mjcf.read_text()))
     return pair.urdf, pair.mjcf
@@ -274,15 +284,16 @@ def test_planted_fault_is_named_as_the_cause(tmp_path: Path, plant: str) -> None
     assert found or stands(mjcf)
     if plant in ODD:
         (tmp_path / "plain").mkdir()
-        truth = truth_of(mjcf, standing(tmp_path / "plain").mjcf)
-        assert not [wrong for verdict in verdicts if (wrong := verdict_cell(verdict).wrong(truth))]
+        truth = simulate_truth(mjcf, standing(tmp_path / "plain").mjcf)
+        cells = map(make_verdict_cell, verdicts)
+        assert not [wrong for cell in cells if (wrong := cell.find_objection(truth))]
 
 
 @pytest.mark.slow
 def test_horizontal_gravity_is_named_as_a_cause(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
     shared = tmp_path / "mjcf/pupper_v3_shared.xml"
-    shared.write_text(put("0 0 -9.81", "4 0 -9")(shared.read_text()))
+    shared.write_text(make_replacement("0 0 -9.81", "4 0 -9")(shared.read_text()))
     verdict = judged(ROOT / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml")
     assert not verdict.passed
     assert "gravity-aside" in causes(verdict), format_verdict(verdict)

@@ -20,7 +20,7 @@ from pupper_analysis.robot.robot import PublishedFile
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
-from tests.support.every_command import Truth, truth_of
+from tests.support.every_command import Truth, simulate_truth
 from tests.support.legged import edited_by, rewritten
 from tests.support.slips import SLIPS, standing
 
@@ -38,7 +38,7 @@ def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
 @pytest.mark.slow
 def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
     pair = standing(tmp_path)
-    assert truth_of(pair.mjcf, pair.mjcf) is Truth.STANDS
+    assert simulate_truth(pair.mjcf, pair.mjcf) is Truth.STANDS
     robot = pa.load_robot(*pair)
     verdict = study_stance(robot, pa.StandTask()).verdict
     own, published = verdict.keyframe_run, verdict.published
@@ -160,7 +160,7 @@ def test_affine_actuator_with_zero_bias_is_not_a_torque_motor(tmp_path: Path) ->
 )
 def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, said: str) -> None:
     pair = slipped(tmp_path, name)
-    assert truth_of(pair.mjcf, pair.mjcf) in (Truth.FALLS, Truth.ELSEWHERE)
+    assert simulate_truth(pair.mjcf, pair.mjcf) in (Truth.FALLS, Truth.ELSEWHERE)
     verdict = verdict_of(pair)
     assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
     assert not verdict.passed

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import pupper_analysis as pa
 from pupper_analysis.pupper import derive as urdf
 from tests.support.bodies import BODIES, Body, assert_same_bodies, mujoco_bodies, pinocchio_bodies
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.variants import load
 
 leg_scales = st.floats(0.3, 3.0)
@@ -43,7 +43,7 @@ def test_urdf_and_mjcf_agree_at_any_scale(
 ) -> None:
     robot = pa.load_variant(pa.pupper.VariantSpec(base, leg_scale, torso_mass_scale))
     assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-9)
-    config, mj = pa.Configuration(robot, robot.neutral()), mujoco_at(robot, robot.neutral())
+    config, mj = pa.Configuration(robot, robot.neutral()), evaluate_mujoco(robot, robot.neutral())
     for foot, frame in robot.contact_frames.items():
         np.testing.assert_allclose(config.foot_positions()[foot], mj.site(frame).xpos, atol=1e-12)
 
@@ -164,7 +164,7 @@ def test_scaled_skeleton_links_have_the_inertia_of_solid_capsules(
 
 def mujoco_extent(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
     """The bounds (2, 3) in the world of the meshes of each body."""
-    model, data = robot.mj_model, mujoco_at(robot, qpos)
+    model, data = robot.mj_model, evaluate_mujoco(robot, qpos)
     extents = {}
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH.value):
         mesh = int(model.geom_dataid[geom])

@@ -9,7 +9,7 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.repository import ROOT
 from tests.support.states import numbers
 from tests.support.variants import BASES, load
@@ -42,7 +42,7 @@ def test_feet_and_com_of_v3_at_zero_angles() -> None:
     robot = load("v3")
     assert robot.contact_points == tuple(feet)
     config = pa.Configuration(robot, robot.neutral())
-    mj = mujoco_at(robot, robot.neutral())
+    mj = evaluate_mujoco(robot, robot.neutral())
     for foot, place in feet.items():
         np.testing.assert_allclose(config.foot_positions()[foot], place, atol=1e-9)
         np.testing.assert_allclose(mj.site(robot.contact_frames[foot]).xpos, place, atol=1e-9)
@@ -75,7 +75,7 @@ def test_sensors_by_name(
     rotation = Rotation.from_rotvec(turn)
     quat = rotation.as_quat(scalar_first=True)
     qpos = np.concatenate([place, quat, np.zeros(12)])
-    mj = mujoco_at(robot, qpos, np.concatenate([qvel, np.zeros(12)]))
+    mj = evaluate_mujoco(robot, qpos, np.concatenate([qvel, np.zeros(12)]))
     omega = rotation.apply(qvel[3:])
     lever = rotation.apply(arm)
     for name, expected in {

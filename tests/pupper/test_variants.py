@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.pupper.variants import find_model_folder
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.variants import NAMES
 
 
@@ -28,7 +28,7 @@ def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
     assert robot.total_mass == pytest.approx(total, rel=1e-12)
     np.testing.assert_allclose(config.center_of_mass(), com, atol=1e-12)
     np.testing.assert_allclose(
-        mujoco_at(robot, robot.neutral()).body("base_link").subtree_com, com, atol=1e-12
+        evaluate_mujoco(robot, robot.neutral()).body("base_link").subtree_com, com, atol=1e-12
     )
     np.testing.assert_allclose(
         config.foot_positions()["FL"], [0.075, 0.0835, -0.19 * s], atol=1e-12
@@ -48,7 +48,7 @@ def test_v3_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
     foot = np.array([0.06881, -0.1015, -0.11156]) - hip
     expected = hip + foot * [s, 1, s]  # the leg is in a plane of constant y, 0.018 m outside
     np.testing.assert_allclose(config.foot_positions()["FR"], expected, atol=1e-9)
-    site = mujoco_at(robot, robot.neutral()).site("leg_front_r_3_foot_site")
+    site = evaluate_mujoco(robot, robot.neutral()).site("leg_front_r_3_foot_site")
     np.testing.assert_allclose(site.xpos, expected, atol=1e-9)
 
 

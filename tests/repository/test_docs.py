@@ -113,7 +113,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sites")
     pages = script("docs/pages.py")
     for language in ("en", "zh"):
-        pages.write(folder / language, language)
+        pages.write_pages(folder / language, language)
     return folder
 
 

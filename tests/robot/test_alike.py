@@ -10,17 +10,17 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.simulation.verdict import VerdictCode
-from tests.support.conversions import standing_urdf
+from tests.support.conversions import write_standing_urdf
 from tests.support.legged import edited_by
 
 
 def slipped(folder: Path, old: str, new: str) -> Path:
     """The quadruped with something changed in its last leg alone."""
-    return edited_by(standing_urdf(folder), lambda text: new.join(text.rsplit(old, 1)))
+    return edited_by(write_standing_urdf(folder), lambda text: new.join(text.rsplit(old, 1)))
 
 
 def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
-    assert report_limbs_without_feet(pa.load_robot(standing_urdf(tmp_path))) == ()
+    assert report_limbs_without_feet(pa.load_robot(write_standing_urdf(tmp_path))) == ()
 
 
 @pytest.mark.slow
@@ -37,7 +37,7 @@ def test_leg_with_a_misplaced_calf_is_reported_and_the_verdict_fails(tmp_path: P
     converted = pa.convert_model(path, tmp_path / "slipped.xml")
     assert message.code in {one.code for one in converted.failures}
     assert not converted.passed
-    assert pa.convert_model(standing_urdf(tmp_path), tmp_path / "sound.xml").passed
+    assert pa.convert_model(write_standing_urdf(tmp_path), tmp_path / "sound.xml").passed
 
 
 def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
@@ -47,6 +47,6 @@ def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
 
 
 def test_named_feet_are_used_without_a_report(tmp_path: Path) -> None:
-    robot = pa.load_robot(standing_urdf(tmp_path), feet=["FL_calf", "FR_calf", "RL_calf"])
+    robot = pa.load_robot(write_standing_urdf(tmp_path), feet=["FL_calf", "FR_calf", "RL_calf"])
     assert len(robot.feet) == 3
     assert report_limbs_without_feet(robot) == ()

@@ -8,7 +8,7 @@ import pytest
 
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.compliance import GroundLaw
-from tests.support.engines import changed, mujoco_at
+from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.variants import load, stand_of
 
 
@@ -30,9 +30,9 @@ def short(model: mujoco.MjModel) -> None:
 def test_law_is_mujocos(name: str, change: object) -> None:
     robot = load(name)
     if change == "pyramidal":
-        robot = changed(robot, cone(mujoco.mjtCone.mjCONE_PYRAMIDAL))
+        robot = change_model(robot, cone(mujoco.mjtCone.mjCONE_PYRAMIDAL))
     elif callable(change):
-        robot = changed(robot, change)
+        robot = change_model(robot, change)
     ground = contact.ground_geom(robot.mj_model)
     assert ground is not None
     robot = replace(
@@ -44,7 +44,7 @@ def test_law_is_mujocos(name: str, change: object) -> None:
     for drop in (1e-4, 2e-3, 5e-3, 9e-3):
         qpos = stand_of(name).qpos.copy()
         qpos[2] -= drop
-        data = mujoco_at(robot, qpos)
+        data = evaluate_mujoco(robot, qpos)
         touches = [
             touch for touch in data.contact if set(touch.geom) <= {ground, *robot.foot_geoms}
         ]

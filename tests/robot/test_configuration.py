@@ -9,7 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from tests.support.engines import addresses, free_mechanism, mujoco_at, rate_along
+from tests.support.engines import (
+    addresses,
+    differentiate_along,
+    evaluate_mujoco,
+    make_free_mechanism,
+)
 from tests.support.states import positions, random_state, velocities
 from tests.support.variants import NAMES, load
 
@@ -29,7 +34,7 @@ def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
 @given(data=st.data())
 def test_frame_poses_equal_mujoco(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos = data.draw(positions(any_robot))
-    config, mj = pa.Configuration(any_robot, qpos), mujoco_at(any_robot, qpos)
+    config, mj = pa.Configuration(any_robot, qpos), evaluate_mujoco(any_robot, qpos)
     model = any_robot.mj_model
     for body in range(1, model.nbody):
         name = model.body(body).name
@@ -48,7 +53,7 @@ def test_frame_poses_equal_mujoco(any_robot: pa.Robot, data: st.DataObject) -> N
 @given(data=st.data())
 def test_joint_axes_and_anchors_equal_mujoco(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos = data.draw(positions(any_robot))
-    config, mj = pa.Configuration(any_robot, qpos), mujoco_at(any_robot, qpos)
+    config, mj = pa.Configuration(any_robot, qpos), evaluate_mujoco(any_robot, qpos)
     for name in any_robot.joint_names:
         joint = mj.joint(name)
         np.testing.assert_allclose(config.joint_axis(name), joint.xaxis, atol=1e-12)
@@ -70,7 +75,7 @@ def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> 
     config = pa.Configuration(any_robot, qpos)
 
     def rate(function: Callable[[pa.Configuration], np.ndarray]) -> np.ndarray:
-        return rate_along(
+        return differentiate_along(
             any_robot, lambda at: function(pa.Configuration(any_robot, at)), qpos, qvel
         )
 
@@ -106,7 +111,7 @@ def test_contact_jacobian_follows_the_material_point(
             moved = pa.Configuration(any_robot, at)
             return moved.frame_position(frame) + moved.frame_rotation(frame) @ mark
 
-        velocity = rate_along(any_robot, material, qpos, qvel)
+        velocity = differentiate_along(any_robot, material, qpos, qvel)
         np.testing.assert_allclose(jacobian @ qvel, velocity, atol=1e-7)
 
 
@@ -119,7 +124,7 @@ def test_mass_matrix_is_mujocos_and_positive_definite(
     any_robot: pa.Robot, data: st.DataObject
 ) -> None:
     qpos = data.draw(positions(any_robot))
-    model, mj = any_robot.mj_model, mujoco_at(any_robot, qpos)
+    model, mj = any_robot.mj_model, evaluate_mujoco(any_robot, qpos)
     theirs = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, mj, theirs)
     _, v = addresses(any_robot)
@@ -135,15 +140,15 @@ def test_bias_forces_are_mujocos(any_robot: pa.Robot, data: st.DataObject) -> No
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
     _, v = addresses(any_robot)
     config = pa.Configuration(any_robot, qpos, qvel)
-    close(config.bias_forces(), mujoco_at(any_robot, qpos, qvel).qfrc_bias[v], 1e-11)
-    close(config.gravity(), mujoco_at(any_robot, qpos).qfrc_bias[v], 1e-11)
+    close(config.bias_forces(), evaluate_mujoco(any_robot, qpos, qvel).qfrc_bias[v], 1e-11)
+    close(config.gravity(), evaluate_mujoco(any_robot, qpos).qfrc_bias[v], 1e-11)
 
 
 def test_forward_dynamics_is_mujocos(robot: pa.Robot) -> None:
     qpos, qvel = random_state(robot)
     force = np.random.default_rng(1).uniform(-1, 1, robot.nv)
-    model = free_mechanism(robot)
-    mj = mujoco_at(robot, qpos, qvel, model)
+    model = make_free_mechanism(robot)
+    mj = evaluate_mujoco(robot, qpos, qvel, model)
     _, v = addresses(robot)
     mj.qfrc_applied[v] = force
     mujoco.mj_forward(model, mj)
@@ -157,7 +162,7 @@ def test_forward_dynamics_is_mujocos(robot: pa.Robot) -> None:
 def test_imu_equals_the_sensors_of_mujoco(data: st.DataObject) -> None:
     robot = load(data.draw(st.sampled_from(NAMES)))
     qpos, qvel = data.draw(positions(robot)), data.draw(velocities(robot))
-    mj = mujoco_at(robot, qpos, qvel)
+    mj = evaluate_mujoco(robot, qpos, qvel)
     _, v = addresses(robot)
     gyro, acceleration = pa.Configuration(robot, qpos, qvel).imu(mj.qacc[v])
     np.testing.assert_allclose(gyro, mj.sensor("body_gyro").data, atol=1e-11)

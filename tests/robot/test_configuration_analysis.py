@@ -19,9 +19,9 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from tests.support import random_legged
 from tests.support.engines import (
     addresses,
-    free_mechanism,
-    mujoco_at,
-    rate_along,
+    differentiate_along,
+    evaluate_mujoco,
+    make_free_mechanism,
     velocity_map,
 )
 from tests.support.states import random_state
@@ -109,7 +109,7 @@ def test_frame_jacobians_equal_those_of_both_engines(odd_robot: pa.Robot) -> Non
     _, columns = addresses(robot)
     for config, _, offset in states(robot):
         data, _, mapping, _ = raw(config)
-        mj = mujoco_at(robot, config.qpos)
+        mj = evaluate_mujoco(robot, config.qpos)
         for name, body in shared:
             frame = robot.pin_model.getFrameId(name, pin.FrameType.BODY)
             for reference, constant in REFERENCES.items():
@@ -136,7 +136,7 @@ def test_jacobian_time_variations_equal_those_of_both_engines(odd_robot: pa.Robo
     _, columns = addresses(robot)
     for config, _, offset in states(robot):
         data, _, mapping, rate = raw(config)
-        mj = mujoco_at(robot, config.qpos, config.qvel)
+        mj = evaluate_mujoco(robot, config.qpos, config.qvel)
         for name, body in shared:
             frame = robot.pin_model.getFrameId(name, pin.FrameType.BODY)
             for reference, constant in REFERENCES.items():
@@ -166,7 +166,7 @@ def test_local_time_variation_of_a_point_is_a_derivative(odd_robot: pa.Robot) ->
         return moved.frame_jacobian(name, lever, reference="local")
 
     mine = config.frame_jacobian_time_variation(name, offset, reference="local")
-    assert_equal(mine, rate_along(robot, local, qpos, qvel), 1e-7)
+    assert_equal(mine, differentiate_along(robot, local, qpos, qvel), 1e-7)
 
 
 def test_centroidal_map_equals_those_of_both_engines(odd_robot: pa.Robot) -> None:
@@ -174,7 +174,7 @@ def test_centroidal_map_equals_those_of_both_engines(odd_robot: pa.Robot) -> Non
     robot, model = odd_robot, odd_robot.mj_model
     _, columns = addresses(robot)
     for config, _, _ in states(robot):
-        mine, mj = config.centroidal_map(), mujoco_at(robot, config.qpos)
+        mine, mj = config.centroidal_map(), evaluate_mujoco(robot, config.qpos)
         linear, angular = np.zeros((2, 3, model.nv))
         mujoco.mj_jacSubtreeCom(model, mj, linear, 0)
         mujoco.mj_angmomMat(model, mj, angular, 0)
@@ -206,7 +206,7 @@ def test_centroidal_map_time_variation_is_a_derivative_with_pinocchios_bias(
             def momentum(at: np.ndarray) -> np.ndarray:
                 return pa.Configuration(robot, at).centroidal_map()
 
-            assert_equal(mine, rate_along(robot, momentum, config.qpos, qvel), 1e-6)
+            assert_equal(mine, differentiate_along(robot, momentum, config.qpos, qvel), 1e-6)
 
 
 def test_time_variation_of_the_centroidal_map_does_not_depend_on_earlier_calls() -> None:
@@ -222,11 +222,11 @@ def test_time_variation_of_the_centroidal_map_does_not_depend_on_earlier_calls()
 def test_momentum_of_a_falling_robot_changes_by_its_weight_only() -> None:
     """MuJoCo's acceleration without motors and contacts: A qacc + dA/dt qvel = (m g, 0)."""
     robot = load("v3")
-    model = free_mechanism(robot)
+    model = make_free_mechanism(robot)
     model.dof_armature[:] = 0.0
     _, columns = addresses(robot)
     for config, qvel, _ in states(robot):
-        mj = mujoco_at(robot, config.qpos, qvel, model)
+        mj = evaluate_mujoco(robot, config.qpos, qvel, model)
         rate = config.centroidal_map() @ mj.qacc[columns]
         rate += config.centroidal_map_time_variation() @ qvel
         expected = [*(robot.total_mass * robot.gravity), 0, 0, 0]
@@ -242,7 +242,7 @@ def test_regressor_times_parameters_is_the_inverse_dynamics_of_both_engines(
     for config, qvel, _ in states(robot):
         qacc = np.random.default_rng(len(qvel)).uniform(-5, 5, robot.nv)
         torques = config.joint_torque_regressor(qacc) @ config.dynamic_parameters()
-        mj = mujoco_at(robot, config.qpos, qvel)
+        mj = evaluate_mujoco(robot, config.qpos, qvel)
         mj.qacc[columns] = qacc
         theirs = np.zeros(model.nv)
         mujoco.mj_rne(model, mj, 1, theirs)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.robot import contact
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 
 positive = st.floats(0.001, 2.0)
 geoms = st.fixed_dictionaries(
@@ -74,7 +74,7 @@ def test_a_frictionless_contact_has_no_friction() -> None:
 
 
 def test_feet_on_the_ground_are_mujocos_contacts(robot: pa.Robot, stand: pa.Stand) -> None:
-    mj = mujoco_at(robot, stand.qpos - np.eye(robot.nq)[2] * 1e-3)
+    mj = evaluate_mujoco(robot, stand.qpos - np.eye(robot.nq)[2] * 1e-3)
     assert mj.ncon == 4
     for index in range(4):
         theirs = mj.contact

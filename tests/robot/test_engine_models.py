@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.states import random_state
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
@@ -110,7 +110,7 @@ def test_state_returns_after_conversion_to_pinocchio_and_back(robot: pa.Robot) -
 def test_link_velocities_agree_after_conversion(robot: pa.Robot) -> None:
     """MuJoCo's ``mj_objectVelocity`` and Pinocchio's ``getFrameVelocity`` of each moving body."""
     for qpos, qvel in states(robot):
-        data = mujoco_at(robot, qpos, qvel)
+        data = evaluate_mujoco(robot, qpos, qvel)
         q, v = robot.to_pinocchio(qpos, qvel)
         pin_data = robot.pin_data()
         pin.forwardKinematics(robot.pin_model, pin_data, q, v)
@@ -136,7 +136,7 @@ def test_inverse_dynamics_agree_after_conversion(robot: pa.Robot) -> None:
     index = robot.mj_convention.qvel_index
     for seed, (qpos, qvel) in enumerate(states(robot)):
         qacc = np.random.default_rng(seed).uniform(-3, 3, robot.nv)
-        data = mujoco_at(robot, qpos, qvel)
+        data = evaluate_mujoco(robot, qpos, qvel)
         mass = np.zeros((robot.mj_model.nv, robot.mj_model.nv))
         mujoco.mj_fullM(robot.mj_model, data, mass)
         forces = mass[np.ix_(index, index)] @ qacc + data.qfrc_bias[index]
@@ -157,7 +157,7 @@ def test_jacobians_agree_after_conversion(robot: pa.Robot) -> None:
     name = robot.mj_model.body(body).name
     frame = robot.pin_model.getFrameId(name, pin.FrameType.BODY)
     for qpos, _ in states(robot):
-        data = mujoco_at(robot, qpos)
+        data = evaluate_mujoco(robot, qpos)
         linear, angular = np.zeros((2, 3, robot.mj_model.nv))
         mujoco.mj_jacBody(robot.mj_model, data, linear, angular, body)
         expected = np.vstack([linear, angular])[:, robot.mj_convention.qvel_index]
@@ -177,7 +177,7 @@ def test_mass_matrix_agrees_by_velocity_map(robot: pa.Robot) -> None:
     index = robot.mj_convention.qvel_index
     for qpos, _ in states(robot):
         mass = np.zeros((robot.mj_model.nv, robot.mj_model.nv))
-        mujoco.mj_fullM(robot.mj_model, mujoco_at(robot, qpos), mass)
+        mujoco.mj_fullM(robot.mj_model, evaluate_mujoco(robot, qpos), mass)
         upper = pin.crba(robot.pin_model, robot.pin_data(), robot.to_pinocchio(qpos))
         pin_mass = np.triu(upper) + np.triu(upper, 1).T
         velocity_map = robot.velocity_map(qpos)
@@ -240,7 +240,7 @@ def test_collision_distances_agree_with_mujoco(robot: pa.Robot) -> None:
     assert geometry.ngeoms == len(shapes)
     geometry_data = geometry.createData()
     for qpos, _ in list(states(robot))[:3]:
-        data = mujoco_at(robot, qpos)
+        data = evaluate_mujoco(robot, qpos)
         q = robot.to_pinocchio(qpos)
         pin.computeDistances(robot.pin_model, robot.pin_data(), geometry, geometry_data, q)
         for pair, result in zip(
@@ -264,7 +264,7 @@ def test_collision_pairs_are_those_that_mujoco_checks() -> None:
     for seed in range(60):
         qpos, _ = random_state(robot, seed)
         qpos[2] += 5.0
-        data = mujoco_at(robot, qpos)
+        data = evaluate_mujoco(robot, qpos)
         found |= {frozenset(contact.geom.tolist()) for contact in data.contact}
     assert found
     assert found <= pairs

@@ -10,7 +10,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.states import random_state
 from tests.support.variants import load
 
@@ -68,7 +68,7 @@ def test_contact_softness_under_a_payload_equals_that_of_mujoco() -> None:
     light, heavy = (float(one.mj_model.body_invweight0[foot, 0]) for one in (robot, loaded))
     assert heavy < light
     _, stand = solve_loaded_stand(robot, pa.StandTask(), 5.0, (0.0, 0.0, 0.0))
-    data = mujoco_at(loaded, stand.qpos)
+    data = evaluate_mujoco(loaded, stand.qpos)
     total = np.zeros(3)
     for number in range(data.ncon):
         wrench = np.zeros(6)

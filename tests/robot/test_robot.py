@@ -11,7 +11,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.terrain import build_on_ground
 from tests.support.arm import arm
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import load
 
@@ -104,7 +104,7 @@ def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
     on_step = build_on_ground(robot, stand.task.ground, stand.foot_targets)
     qpos = stand.qpos.copy()
     qpos[2] -= 0.003
-    data = mujoco_at(on_step, qpos)
+    data = evaluate_mujoco(on_step, qpos)
     touched = {
         on_step.foot_geoms[int(sole)]: on_step.mj_model.geom(int(other)).name
         for pair in data.contact.geom
@@ -116,7 +116,7 @@ def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
     assert touched == {"FR": floor, "FL": floor, "RR": "step_RR", "RL": floor}
     qpos[2] -= 0.12  # other parts still touch the floor
     bodies = contact.bodies_on_ground(
-        on_step.mj_model, mujoco_at(on_step, qpos), on_step.foot_geoms
+        on_step.mj_model, evaluate_mujoco(on_step, qpos), on_step.foot_geoms
     )
     assert "base_link" in bodies
 

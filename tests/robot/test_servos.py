@@ -17,7 +17,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.servos import model_with_servos, with_options
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
-from tests.support.engines import changed, mujoco_at
+from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.legged import Pair, quadruped, rewritten
 from tests.support.variants import load, stand_of
 
@@ -216,7 +216,7 @@ def geared(name: str, *, force: float | None = None) -> pa.Robot:
             model.actuator_forcelimited[:] = 1
             model.actuator_forcerange[:] = -force, force
 
-    return changed(robot, change)
+    return change_model(robot, change)
 
 
 @pytest.mark.parametrize("gains", [{}, {"kp": 7.0, "kd": 0.3}])
@@ -232,7 +232,7 @@ def test_servo_torque_at_the_joint_equals_mujocos_actuator_force(gains: dict[str
     random = np.random.default_rng(2)
     rates, wanted, torque = (random.uniform(-size, size, 12) for size in (0.5, 0.1, 0.05))
     qpos = stand_of(name).qpos
-    data = mujoco_at(robot, qpos, np.r_[np.zeros(6), rates], drive.model)
+    data = evaluate_mujoco(robot, qpos, np.r_[np.zeros(6), rates], drive.model)
     model = drive.model
     model.actuator_forcelimited[:] = 0
     model.actuator_ctrllimited[:] = 0
@@ -249,7 +249,7 @@ def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:
     at the same torque."""
     robot = geared("v3", force=0.9)
     drive, stand = model_with_servos(robot, kp=50.0, kd=0.0), stand_of("v3")
-    data = mujoco_at(robot, stand.qpos, model=drive.model)
+    data = evaluate_mujoco(robot, stand.qpos, model=drive.model)
     drive.model.actuator_ctrllimited[:] = 0
     for sign in (1, -1):
         data.ctrl[:] = drive.command(robot, stand.qpos[7:] + sign * 1.0)

@@ -10,7 +10,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
-from tests.support.engines import load_by_mujoco, mujoco_at
+from tests.support.engines import evaluate_mujoco, load_by_mujoco
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
 
@@ -55,7 +55,7 @@ def test_payload_is_equal_in_both_models(name: str) -> None:
     check = pa.cross_check(loaded)
     assert check.passed, check.worst
     qpos, qvel = random_state(loaded, 1)
-    data = mujoco_at(loaded, qpos, qvel)
+    data = evaluate_mujoco(loaded, qpos, qvel)
     config = pa.Configuration(loaded, qpos, qvel)
     index = loaded.mj_convention.qvel_index
     np.testing.assert_allclose(config.bias_forces(), data.qfrc_bias[index], atol=1e-9)

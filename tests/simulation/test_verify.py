@@ -14,7 +14,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATOR_TYPES, model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
-from tests.support.engines import changed
+from tests.support.engines import change_model
 from tests.support.legged import edited_by
 from tests.support.slips import standing
 from tests.support.variants import load, stand_of
@@ -370,7 +370,7 @@ def test_divergence_is_reported_without_a_log_file(
         model.actuator_gainprm[:, 0] *= 1e9
         model.actuator_biasprm[:, 1] *= 1e9
 
-    robot = changed(load("original"), stiff)
+    robot = change_model(load("original"), stiff)
     stand = pa.solve_stand(robot)
     if act == "verify":
         assert pa.verify_stand(robot, stand).failures[0].code == "simulation-diverged"

@@ -16,7 +16,7 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.stance.branches import (
     find_branches,
 )
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.variants import load
 
 QPOS = {
@@ -37,7 +37,7 @@ def goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndar
 
 
 def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
-    data = mujoco_at(robot, qpos)
+    data = evaluate_mujoco(robot, qpos)
     mujoco.mj_kinematics(robot.mj_model, data)
     return {
         foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ place

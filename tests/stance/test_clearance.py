@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.clearance import ClearanceShapes
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
 
@@ -36,7 +36,7 @@ def distance(model: mujoco.MjModel, data: mujoco.MjData, one: int, two: int) -> 
 
 def ground_distances(robot: pa.Robot, qpos: np.ndarray) -> Iterator[float]:
     """MuJoCo's distances between all that is not a foot, and floor and steps."""
-    model, data = robot.mj_model, mujoco_at(robot, qpos)
+    model, data = robot.mj_model, evaluate_mujoco(robot, qpos)
     for body in range(1, model.nbody):
         for part in shapes_of(robot, body):
             if part in robot.foot_geoms:
@@ -90,7 +90,7 @@ def test_distance_of_the_closest_links_equals_mujoco(name: str) -> None:
     """Reference: distances between geoms in MuJoCo; of penetrating shapes only the sign."""
     robot, shapes = load(name), ClearanceShapes(load(name))
     model, seen = robot.mj_model, 0
-    home = mujoco_at(robot, robot.home)
+    home = evaluate_mujoco(robot, robot.home)
 
     def pairs(data: mujoco.MjData) -> dict[tuple[int, int], float]:
         found = {}
@@ -110,7 +110,9 @@ def test_distance_of_the_closest_links_equals_mujoco(name: str) -> None:
         qpos, _ = random_state(robot, seed)
         found = shapes.closest_links(qpos)
         assert found is not None
-        gaps = {p: gap for p, gap in pairs(mujoco_at(robot, qpos)).items() if p not in neighbours}
+        gaps = {
+            p: gap for p, gap in pairs(evaluate_mujoco(robot, qpos)).items() if p not in neighbours
+        }
         if min(gaps.values()) > 0:
             seen += 1
             assert found.distance == pytest.approx(min(gaps.values()), abs=1e-5)

@@ -13,7 +13,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.clearance import ClearanceShapes
-from tests.support.engines import changed, mujoco_at
+from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.legged import Pair, quadruped
 
 FAR = 50.0  # m
@@ -74,7 +74,7 @@ def touching(model: mujoco.MjModel) -> Iterator[int]:
 
 def above_ground(robot: pa.Robot, qpos: np.ndarray) -> float:
     """MuJoCo's least distance between the ground and what is no foot (m)."""
-    model, data = robot.mj_model, mujoco_at(robot, qpos)
+    model, data = robot.mj_model, evaluate_mujoco(robot, qpos)
     floor = int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value)[0])
     geoms = set(touching(model)) - set(robot.foot_geoms)
     return min(mujoco.mj_geomDistance(model, data, floor, geom, FAR, None) for geom in geoms)
@@ -102,7 +102,7 @@ def test_lowest_part_above_steps_equals_mujocos_distance(robot: pa.Robot) -> Non
     still = np.flatnonzero(model.geom_bodyid == 0)
     for seed in range(20):
         qpos = drawn(robot, seed)
-        data = mujoco_at(there, qpos)
+        data = evaluate_mujoco(there, qpos)
         geoms = set(touching(model)) - set(there.foot_geoms)
         expected = min(
             mujoco.mj_geomDistance(model, data, int(fixed), geom, FAR, None)
@@ -124,7 +124,7 @@ def test_link_distances_equal_those_of_mujoco_hulls(robot: pa.Robot) -> None:
     neighbours, seen = neighbouring(robot), 0
     for seed in range(15):
         qpos = drawn(robot, seed)
-        data = mujoco_at(robot, qpos)
+        data = evaluate_mujoco(robot, qpos)
         expected = min(
             mujoco.mj_geomDistance(model, data, one, two, FAR, None)
             for one, two in itertools.combinations(touching(model), 2)
@@ -146,7 +146,7 @@ def pair_of(model: mujoco.MjModel, one: int, two: int) -> frozenset[int]:
 
 def neighbouring(robot: pa.Robot) -> set[frozenset[int]]:
     """Pairs of bodies that are one, parent and child, or overlap at home."""
-    model, data = robot.mj_model, mujoco_at(robot, robot.home)
+    model, data = robot.mj_model, evaluate_mujoco(robot, robot.home)
     found = set()
     for one, two in itertools.combinations(touching(model), 2):
         pair = pair_of(model, one, two)
@@ -205,4 +205,4 @@ def test_distance_to_a_signed_distance_field_is_refused(robot: pa.Robot) -> None
         model.geom_type[next(touching(model))] = mujoco.mjtGeom.mjGEOM_SDF
 
     with pytest.raises(pa.ModelError, match="is a sdf, for which no distance can be computed"):
-        pa.solve_stand(changed(robot, as_field))
+        pa.solve_stand(change_model(robot, as_field))

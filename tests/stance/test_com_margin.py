@@ -8,13 +8,13 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.variants import load
 
 
 def margin_of(robot: pa.Robot, stand: pa.Stand) -> float:
     """By MuJoCo's com of the MJCF and SciPy's convex hull: sides are (a, b, c), negative inside."""
-    com = mujoco_at(robot, stand.qpos).body(robot.mj_base).subtree_com
+    com = evaluate_mujoco(robot, stand.qpos).body(robot.mj_base).subtree_com
     sides = ConvexHull([point[:2] for point in stand.contact_points.values()]).equations
     return -float((sides @ [*com[:2], 1.0]).max())
 

@@ -19,7 +19,7 @@ from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance import search as search_module
 from pupper_analysis.stance.stand import stand_statics
 from tests.support import random_legged
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.variants import NAMES, load
 
 TASKS = {
@@ -180,7 +180,7 @@ def test_contact_with_a_step_has_the_parameters_of_the_floor(priority: int) -> N
     there = build_on_ground(robot, stand.task.ground, stand.foot_targets)
     qpos = stand.qpos.copy()
     qpos[2] -= 5e-4
-    data, touched = mujoco_at(there, qpos), set()
+    data, touched = evaluate_mujoco(there, qpos), set()
     for contact in data.contact:
         foot = next(there.foot_geoms[geom] for geom in contact.geom if geom in there.foot_geoms)
         other = next(geom for geom in contact.geom if geom not in there.foot_geoms)

@@ -10,15 +10,15 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.variants import NAMES, load, stand_of
 
 
 def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
     """By MuJoCo's kinematics of the MJCF, and by Pinocchio's of the URDF."""
     rotation = Rotation.from_euler("ZYX", [task.yaw, task.pitch, task.roll]).as_matrix()
-    mj, config = mujoco_at(robot, stand.qpos), pa.Configuration(robot, stand.qpos)
-    start = mujoco_at(robot, robot.neutral())
+    mj, config = evaluate_mujoco(robot, stand.qpos), pa.Configuration(robot, stand.qpos)
+    start = evaluate_mujoco(robot, robot.neutral())
     base = mj.body(robot.mj_base)
     np.testing.assert_allclose(base.xmat.reshape(3, 3), rotation, atol=1e-9)
     assert base.xpos[2] == pytest.approx(task.height, abs=1e-9)

@@ -20,7 +20,7 @@ from pupper_analysis.stance import (
 )
 from pupper_analysis.stance.posture_tasks import PostureTask
 from tests.support import arm as by_hand
-from tests.support.engines import changed
+from tests.support.engines import change_model
 from tests.support.variants import load, stand_of
 
 ARM_ORDER = ("a_turn", "shoulder", "elbow", "b_slide")
@@ -37,10 +37,10 @@ def test_arm_reaches_points_that_its_closed_form_confirms() -> None:
     robot, random = by_hand.arm(), np.random.default_rng(0)
     low, high = np.array([by_hand.RANGES[name] for name in ARM_ORDER]).T
     for _ in range(10):
-        goal = by_hand.tip(*(random.uniform(low, high)))
+        goal = by_hand.tip_position(*(random.uniform(low, high)))
         posture = pa.solve_posture(robot, [PositionTask("tip", goal)])
         angles = arm_angles(posture.qpos)
-        np.testing.assert_allclose(by_hand.tip(*angles), goal, atol=1e-6)
+        np.testing.assert_allclose(by_hand.tip_position(*angles), goal, atol=1e-6)
         assert (angles >= low - 1e-9).all()
         assert (angles <= high + 1e-9).all()
         assert posture.mujoco_residuals.max() < 1e-6
@@ -49,13 +49,13 @@ def test_arm_reaches_points_that_its_closed_form_confirms() -> None:
 def test_preferred_joints_select_the_nearest_posture_of_a_redundant_arm() -> None:
     """Three coordinates of four joints; SciPy minimises the distance on the closed form."""
     robot = by_hand.arm()
-    goal = by_hand.tip(0.4, -0.9, 1.3, 0.1)
+    goal = by_hand.tip_position(0.4, -0.9, 1.3, 0.1)
     preferred = {"a_turn": 0.0, "shoulder": -0.7, "elbow": 1.0, "b_slide": 0.05}
     middle = np.array([preferred[name] for name in ARM_ORDER])
     best = optimize.minimize(
         lambda angles: ((angles - middle) ** 2).sum(),
         middle,
-        constraints={"type": "eq", "fun": lambda angles: by_hand.tip(*angles) - goal},
+        constraints={"type": "eq", "fun": lambda angles: by_hand.tip_position(*angles) - goal},
         bounds=[by_hand.RANGES[name] for name in ARM_ORDER],
         options={"ftol": 1e-14},
     )
@@ -237,7 +237,7 @@ def test_residuals_of_mujoco_show_that_the_mjcf_differs() -> None:
         model.body_pos[model.jnt_bodyid[model.joint(robot.joint_names[1]).id]] += 0.01
 
     posture = pa.solve_posture(
-        changed(robot, displace), [PositionTask("base_link", qpos[:3])], start=qpos
+        change_model(robot, displace), [PositionTask("base_link", qpos[:3])], start=qpos
     )
     assert posture.residuals.max() < 1e-9
     assert posture.mujoco_residuals.max() > 1e-5

@@ -16,7 +16,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.statics.cone_program import Balance
 from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.support_polygon import com_margin
-from tests.support.engines import addresses, mujoco_at, with_efforts
+from tests.support.engines import addresses, evaluate_mujoco, with_efforts
 from tests.support.states import numbers
 from tests.support.variants import NAMES, load, stand_of
 
@@ -83,7 +83,7 @@ def mujoco_joint_torques(
     model = robot.description.mjcf.copy().compile()
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
     model.dof_frictionloss[:] = 0.0
-    data = mujoco_at(robot, config.qpos, model=model)
+    data = evaluate_mujoco(robot, config.qpos, model=model)
     data.qacc[:] = 0.0
     mujoco.mj_inverse(model, data)
     needed = data.qfrc_inverse.copy()

@@ -11,7 +11,7 @@ from scipy import optimize, spatial
 
 import pupper_analysis as pa
 from pupper_analysis.statics.polytope import find_vertices
-from tests.support.engines import addresses, mujoco_at, with_efforts
+from tests.support.engines import addresses, evaluate_mujoco, with_efforts
 from tests.support.legged import biped
 from tests.support.states import random_state
 from tests.support.variants import load, stand_of
@@ -20,7 +20,7 @@ from tests.support.variants import load, stand_of
 def mujoco_torques(config: pa.Configuration, foot: str, force: np.ndarray) -> dict[str, float]:
     """Motor torques (N m) under gravity and an external force on the lowest point of a foot."""
     robot, model = config.robot, config.robot.mj_model
-    data = mujoco_at(robot, config.qpos)
+    data = evaluate_mujoco(robot, config.qpos)
     body, _ = robot.contact_places[foot]
     rows = np.zeros((3, model.nv))
     mujoco.mj_jac(model, data, rows, None, config.contact_points()[foot], body)

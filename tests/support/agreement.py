@@ -1,4 +1,4 @@
-"""Whether commands agree: what one of them prints is typed into the others."""
+"""Agreement of commands: values that a command prints are typed into other commands."""
 
 from __future__ import annotations
 
@@ -21,37 +21,39 @@ from tests.support.commands import Answer, answer
 from tests.support.html_page import Page
 
 INSIDE, OUTSIDE = 0.97, 1.03
-"""Parts of a limit that is printed: what holds, and what does not. Limits that a simulation finds
-are found to two percent."""
+"""Fractions of a printed limit at which a robot must hold, and must not hold. Limits from
+simulations have a tolerance of 2 %."""
 
-EDGE = 0.01
-"""Part of the base's range by which an end is passed."""
+RANGE_EXCESS = 0.01
+"""Fraction of the base workspace by which a bound is passed."""
 
-TURNS = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
-"""Up to which turns the base's range is searched (rad), as ``workspace`` says."""
+MAX_TURNS = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
+"""Largest angles [rad] in which the command ``workspace`` searches."""
 
-SAME = 1e-9
-"""rad, m, N m: numbers of one computation. (Processes order sums alike.)"""
+ROUNDING_TOLERANCE = 1e-9
+"""Largest difference [rad, m, N m] between results of the same computation; processes sum in the
+same order."""
 
 SLOPE = "6deg"
-"""Of the ground on which a payload is asked for once more."""
+"""Slope of the ground on which the payload is computed once more."""
 
 OBJECTIVES = ("utilisation", "margin", "payload")
-"""Objectives of ``best``. The search for the largest payload takes half a minute, so it is compared
-for one robot."""
+"""Objectives of ``best``. The search for the largest payload takes half a minute, so it is
+compared for one robot only."""
 
 PAYLOAD_PLACE, PAYLOAD_POINT = "0,0,5cm", (0.0, 0.0, 0.05)
+"""Position of the payload as typed, and in metres."""
 
 
 @dataclass
 class Agreement:
-    """What commands answer of one robot.
+    """Results of commands for a robot.
 
     Attributes:
-        name: The robot.
-        codes: {command: its verdict's code, or how it ended}.
-        payload: The mass that ``payload`` states (kg); not a number if it states none.
-        disagreements: What two of them answer differently.
+        name: Name of the robot.
+        codes: {command: code of its verdict, or exit status}.
+        payload: Mass that ``payload`` prints [kg]; NaN if there is none.
+        disagreements: Descriptions of results that contradict each other.
     """
 
     name: str
@@ -61,7 +63,7 @@ class Agreement:
 
 
 class Commands:
-    """Runs commands on one robot, each with its JSON."""
+    """Runner of commands on a robot, each with JSON output."""
 
     def __init__(self, folder: Path, robot: Sequence[str]) -> None:
         self.folder, self.robot = folder, tuple(robot)
@@ -78,19 +80,21 @@ class Commands:
         return done, json.loads(file.read_text()) if file.is_file() else {}
 
 
-def of_robot(name: str, folder: Path, *files: str, everywhere: bool = False) -> Agreement:
-    """Types what commands print of a robot into other commands.
+def compare_commands(name: str, folder: Path, *files: str, everywhere: bool = False) -> Agreement:
+    """Run commands on a robot, type their results into other commands, and return the
+    contradictions.
 
     Args:
-        name: The robot.
-        folder: For what is written.
-        files: Its files.
-        everywhere: Also on a slope, pushed with a load, and the stance of the largest payload.
+        name: Name of the robot.
+        folder: Folder for written files.
+        files: Files of the robot, or the name of a variant.
+        everywhere: Whether to test a slope, pushes with payload, and the stance of the largest
+            payload, too.
     """
     found, run = Agreement(name), Commands(folder, files)
     page = folder / "page.html"
     stood, stance = run("stand", "--report", str(page))
-    found.codes["stand"] = _code(stood, stance)
+    found.codes["stand"] = _result_code(stood, stance)
     if stance:
         _compare_page(found, Page(page.read_text()), stance)
         _compare_interface(found, stance, files)
@@ -114,12 +118,13 @@ def of_robot(name: str, folder: Path, *files: str, everywhere: bool = False) -> 
     return found
 
 
-def _code(done: Answer, content: dict[str, Any]) -> str:
+def _result_code(done: Answer, content: dict[str, Any]) -> str:
+    """Return the code of a verdict, or the exit status."""
     return str(content["verdict"]["code"]) if "verdict" in content else f"exit {done.returncode}"
 
 
 def _compare_page(found: Agreement, page: Page, stance: dict[str, Any]) -> None:
-    """What the page shows is what the JSON has, to the digits that are shown."""
+    """Compare the report page with the JSON, to the displayed digits."""
     word = "FAILS" if not stance["verdict"]["passed"] else "HOLDS"
     if word not in page.shown():
         found.disagreements.append(f"page: no word {word}")
@@ -127,11 +132,11 @@ def _compare_page(found: Agreement, page: Page, stance: dict[str, Any]) -> None:
     whole = {row["quantity"]: row["value"] for row in tables["Stance"]}
     near = stance["stand"]["ground_clearance"]
     asked = [
-        ("torque", _column(tables["Motor torques"], "torque"), statics["joint_torques"]),
-        ("simulated", _column(tables["Motor torques"], "simulated"), run["joint_torques"]),
+        ("torque", _column_cells(tables["Motor torques"], "torque"), statics["joint_torques"]),
+        ("simulated", _column_cells(tables["Motor torques"], "simulated"), run["joint_torques"]),
         (
             "position",
-            _column(tables["Motor torques"], "position"),
+            _column_cells(tables["Motor torques"], "position"),
             np.degrees(stance["joint_positions"]).tolist(),
         ),
         ("height", [whole["height of the base"]], [1e3 * stance["stand"]["task"]["height"]]),
@@ -142,38 +147,41 @@ def _compare_page(found: Agreement, page: Page, stance: dict[str, Any]) -> None:
     title = next(title for title in tables if title.startswith("Contact forces on the feet"))
     forces = {row["foot"]: row for row in tables[title]}
     for foot, load in statics["foot_loads"].items():
-        asked.append((f"force of {foot}", _column([forces[foot]], "force z"), [load["force"][2]]))
+        asked.append(
+            (f"force of {foot}", _column_cells([forces[foot]], "force z"), [load["force"][2]])
+        )
     for what, shown, meant in asked:
-        if len(shown) != len(meant) or not all(map(_is_shown, shown, meant)):
+        if len(shown) != len(meant) or not all(map(_agrees_in_digits, shown, meant)):
             found.disagreements.append(f"page: {what} {shown}, JSON {meant}")
 
 
-def _column(rows: list[dict[str, str]], name: str) -> list[str]:
-    """Return a column's cells, whatever its unit."""
+def _column_cells(rows: list[dict[str, str]], name: str) -> list[str]:
+    """Return the cells of a column with any unit."""
     return [cell for row in rows for head, cell in row.items() if head.startswith(f"{name} (")]
 
 
-def _is_shown(shown: str, meant: float) -> bool:
-    """Return True if a number is the one that is meant, in the digits that are shown."""
+def _agrees_in_digits(shown: str, meant: float) -> bool:
+    """Return True if a displayed number agrees with a value in the displayed digits."""
     digits = len(shown.partition(".")[2])
     return abs(float(shown) - meant) <= 0.501 * 10.0**-digits
 
 
-def _by_format(files: Sequence[str]) -> dict[str, str]:
-    """Return a robot's files by their format."""
+def _sort_by_format(files: Sequence[str]) -> dict[str, str]:
+    """Return {"urdf" or "mjcf": file} of a robot's files."""
     return {"mjcf" if file.endswith(".xml") else "urdf": file for file in files}
 
 
-def _load(files: Sequence[str]) -> pa.Robot:
-    """Load the robot of a variant's name, or of files."""
+def _load_robot(files: Sequence[str]) -> pa.Robot:
+    """Load a variant by name, or a robot from files."""
     if files[0] in pa.VARIANTS:
         return pa.load_variant(files[0])
-    named = _by_format(files)
+    named = _sort_by_format(files)
     return pa.load_robot(urdf=named.get("urdf"), mjcf=named.get("mjcf"))
 
 
 def _compare_interface(found: Agreement, stance: dict[str, Any], files: Sequence[str]) -> None:
-    mine = study_stance(_load(files), pa.StandTask())
+    """Compare ``study_stance`` in Python with the JSON of ``stand``."""
+    mine = study_stance(_load_robot(files), pa.StandTask())
     found.codes["python"] = mine.verdict.code
     if mine.verdict.code != stance["verdict"]["code"]:
         found.disagreements.append(f"study_stance: {mine.verdict.code}")
@@ -182,12 +190,12 @@ def _compare_interface(found: Agreement, stance: dict[str, Any], files: Sequence
         ("torques", mine.statics.joint_torques, stance["statics"]["joint_torques"]),
     ):
         off = float(np.abs(np.asarray(one) - np.asarray(other)).max(initial=0.0))
-        if not off <= SAME:
+        if not off <= ROUNDING_TOLERANCE:
             found.disagreements.append(f"study_stance: {what} off by {off:.1e}")
 
 
 def _compare_analysis(found: Agreement, run: Commands, stance: dict[str, Any]) -> None:
-    """A variant's analysis has the numbers and the verdict of its stance."""
+    """Compare numbers and verdict of ``analyze`` with those of ``stand``, for a variant."""
     if run.robot[0] not in pa.VARIANTS:
         return
     _, content = run("analyze", "--no-figures")
@@ -199,12 +207,12 @@ def _compare_analysis(found: Agreement, run: Commands, stance: dict[str, Any]) -
         ("torques", analysed["statics"]["joint_torques"], stance["statics"]["joint_torques"]),
         ("sag", analysed["sagging"]["base_height"], stance["sagging"]["base_height"]),
     ):
-        if not np.allclose(one, other, rtol=0, atol=SAME):
+        if not np.allclose(one, other, rtol=0, atol=ROUNDING_TOLERANCE):
             found.disagreements.append(f"analyze: another {what} than stand")
 
 
 def _compare_push(found: Agreement, run: Commands, stance: dict[str, Any], *asked: str) -> None:
-    """The stand that is pushed is the stand that is told, by the same verdict."""
+    """Compare stand and verdict of ``push`` with those of ``stand``."""
     done, content = run("push", "--directions", "3", "--resolution", "1", *asked)
     name = " ".join(("push", *asked[::2]))
     if done.returncode == 2:
@@ -219,12 +227,12 @@ def _compare_push(found: Agreement, run: Commands, stance: dict[str, Any], *aske
     if one["verdict"]["passed"] and not stance["verdict"]["passed"]:
         found.disagreements.append(f"{name}: {one['verdict']['code']}")
     off = float(np.abs(np.array(one["stand"]["qpos"]) - np.array(stance["stand"]["qpos"])).max())
-    if not off <= SAME:
+    if not off <= ROUNDING_TOLERANCE:
         found.disagreements.append(f"{name}: stand off by {off:.1e}")
 
 
 def _compare_path(found: Agreement, run: Commands, stood: Answer, stance: dict[str, Any]) -> None:
-    """A path from a stand to itself holds no better than the stand."""
+    """Check that a path from a stand to itself passes only if the stand passes."""
     height = float(stance["stand"]["qpos"][2]) if stance else math.nan
     asked = ("--height", f"{0.98 * height:.4f}") if 0 < height < math.inf else ()
     done, _ = run("path", "--seconds", "3", *asked)
@@ -234,7 +242,9 @@ def _compare_path(found: Agreement, run: Commands, stood: Answer, stance: dict[s
 
 
 def _compare_payload(found: Agreement, run: Commands, stood: Answer, *ground: str) -> None:
-    """What is said to be carried on a ground is carried by ``stand``; 3 % more is not."""
+    """Check that ``stand`` holds with 97 % of the payload that ``payload`` prints, and fails with
+    103 %.
+    """
     told = " ".join(ground)
     done, content = run("payload", "--payload-at", PAYLOAD_PLACE, *ground)
     found.codes[f"payload {told}".strip()] = f"exit {done.returncode}"
@@ -254,14 +264,14 @@ def _compare_payload(found: Agreement, run: Commands, stood: Answer, *ground: st
     for part in (INSIDE, OUTSIDE):
         asked = ("--payload", f"{part * mass:.9g}", "--payload-at", place, *ground)
         loaded, answered = run("stand", *asked)
-        code = _code(loaded, answered)
+        code = _result_code(loaded, answered)
         found.codes[f"stand {told}, {part} of it"] = code
         if (loaded.returncode == 0) is not (part < 1):
             found.disagreements.append(f"stand {told} with {part} of {mass:.4g} kg: {code}")
 
 
 def _compare_loaded_push(found: Agreement, run: Commands) -> None:
-    """What is pushed with a load is what stands with it."""
+    """Compare stand and verdict of ``push`` with those of ``stand``, with 97 % of the payload."""
     if not math.isnan(found.payload):
         load = "--payload", f"{INSIDE * found.payload:.9g}", "--payload-at", PAYLOAD_PLACE
         _, stance = run("stand", *load)
@@ -272,8 +282,8 @@ def _compare_loaded_push(found: Agreement, run: Commands) -> None:
 def _compare_study(
     found: Agreement, stance: dict[str, Any], files: Sequence[str], folder: Path
 ) -> None:
-    """A study of the nominal stand alone measures what ``stand`` and ``payload`` say of it."""
-    source = files[0] if files[0] in pa.VARIANTS else _by_format(files)
+    """Compare a study of the nominal stand with the results of ``stand`` and ``payload``."""
+    source = files[0] if files[0] in pa.VARIANTS else _sort_by_format(files)
     asked = ["verified"] if math.isnan(found.payload) else ["verified", "payload_limit"]
     study = pa.Study(
         source, {"yaw": [stance["stand"]["task"]["yaw"]]}, asked, payload_point=PAYLOAD_POINT
@@ -283,12 +293,14 @@ def _compare_study(
     if bool(row["verified"]) is not stance["verdict"]["passed"]:
         found.disagreements.append(f"study: verified {row['verified']}")
     mass = row.get("payload_limit", found.payload)
-    if not math.isnan(found.payload) and not math.isclose(mass, found.payload, rel_tol=SAME):
+    if not math.isnan(found.payload) and not math.isclose(
+        mass, found.payload, rel_tol=ROUNDING_TOLERANCE
+    ):
         found.disagreements.append(f"study: payload {mass:.6g} kg for {found.payload:.6g}")
 
 
 def _compare_best(found: Agreement, run: Commands, objectives: Sequence[str]) -> None:
-    """Compare the stance of ``best`` with the answers of ``stand`` and ``payload`` for it."""
+    """Compare the stance of ``best`` with the results of ``stand`` and ``payload`` for it."""
     for objective in objectives:
         at = ("--payload-at", PAYLOAD_PLACE) if objective == "payload" else ()
         done, content = run("best", *at, robot=(objective, *run.robot))
@@ -296,20 +308,20 @@ def _compare_best(found: Agreement, run: Commands, objectives: Sequence[str]) ->
         if not content:
             continue
         best, message = content["best"], content["stance"]
-        typed = _typed(best["stand"]["task"])
+        typed = _format_task_options(best["stand"]["task"])
         if objective == "payload":
             loaded, answered = run("payload", *at, *typed)
             found.codes["payload of the best"] = f"exit {loaded.returncode}"
             if loaded.returncode != done.returncode:
                 found.disagreements.append(f"best payload: payload exits {loaded.returncode}")
             mass = answered.get("mass", math.nan)
-            if not math.isclose(mass, best["payload"]["mass"], rel_tol=SAME):
+            if not math.isclose(mass, best["payload"]["mass"], rel_tol=ROUNDING_TOLERANCE):
                 found.disagreements.append(
                     f"best payload: {best['payload']['mass']:.6g} kg, payload {mass:.6g} kg"
                 )
             continue
         stood, stance = run("stand", *typed)
-        code = _code(stood, stance)
+        code = _result_code(stood, stance)
         if code != message["verdict"]["code"]:
             found.disagreements.append(
                 f"best {objective}: {message['verdict']['code']}, stand {code}"
@@ -321,12 +333,12 @@ def _compare_best(found: Agreement, run: Commands, objectives: Sequence[str]) ->
             ("torques", message["statics"]["joint_torques"], stance["statics"]["joint_torques"]),
         ):
             off = float(np.abs(np.asarray(one) - np.asarray(other)).max(initial=0.0))
-            if not off <= SAME:
+            if not off <= ROUNDING_TOLERANCE:
                 found.disagreements.append(f"best {objective}: {what} off by {off:.1e} in stand")
 
 
-def _typed(task: dict[str, Any]) -> list[str]:
-    """Return a task's pose and feet as options."""
+def _format_task_options(task: dict[str, Any]) -> list[str]:
+    """Return the pose and the feet of a task as command-line options."""
     options = [f"--{name}={task[name]!r}" for name in ("height", "roll", "pitch", "yaw")]
     if task["offset"] is not None:
         options.append("--offset={!r},{!r}".format(*task["offset"]))
@@ -335,26 +347,30 @@ def _typed(task: dict[str, Any]) -> list[str]:
 
 
 def _compare_workspace(found: Agreement, run: Commands) -> None:
-    """Compare the ends of the workspace with the reach of stands just inside and just outside.
+    """Compare the bounds of ``workspace`` with stands just inside and just outside.
 
-    The command ``stand`` is asked for the ends of the height, ``solve_stand`` for those of the
-    angles: it is what ``stand`` solves, without the simulations that follow.
+    The bounds of the height are typed into ``stand``; those of the angles are passed to
+    ``solve_stand``, which ``stand`` calls, to save the simulations.
     """
     done, content = run("workspace")
     found.codes["workspace"] = f"exit {done.returncode}"
     if not content:
         found.disagreements.append(f"workspace: {done.stderr.strip()[-120:]}")
         return
-    start, ends, robot = content["start"]["task"], content["intervals"], _load(run.robot)
+    start, ends, robot = content["start"]["task"], content["intervals"], _load_robot(run.robot)
     for name in ("height", "roll", "pitch", "yaw"):
         for end, sign in (("low", -1), ("high", 1)):
             value, size = ends[name][end], abs(ends[name]["high"] - ends[name]["low"])
-            for part in (-EDGE, EDGE):
+            for part in (-RANGE_EXCESS, RANGE_EXCESS):
                 there = value + part * sign * size
-                if abs(there) >= TURNS.get(name, math.inf) or (name == "height" and there <= 0):
+                if abs(there) >= MAX_TURNS.get(name, math.inf) or (name == "height" and there <= 0):
                     continue  # it is searched no further
                 if name == "height":
-                    asked = [one for one in _typed(start) if not one.startswith("--height=")]
+                    asked = [
+                        one
+                        for one in _format_task_options(start)
+                        if not one.startswith("--height=")
+                    ]
                     stood, _ = run("stand", f"--height={there!r}", *asked)
                     reached = "out of reach" not in stood.stderr
                 else:
@@ -367,7 +383,7 @@ def _compare_workspace(found: Agreement, run: Commands) -> None:
 
 
 def _is_in_reach(robot: pa.Robot, task: dict[str, Any]) -> bool:
-    """Return whether a stand with the pose and the feet of a task's JSON is solved."""
+    """Return True if `solve_stand` solves a task given as JSON."""
     offsets = {foot: tuple(place) for foot, place in task["foot_offsets"].items()}
     pose = {name: task[name] for name in ("height", "roll", "pitch", "yaw")}
     offset = None if task["offset"] is None else tuple(task["offset"])
@@ -381,7 +397,7 @@ def _is_in_reach(robot: pa.Robot, task: dict[str, Any]) -> bool:
 def _compare_conversion(
     found: Agreement, run: Commands, stood: Answer, stance: dict[str, Any]
 ) -> None:
-    """The file that is written stands as the one of which it was made."""
+    """Compare the stand of a converted file with that of its source."""
     made = run.folder / "converted.xml"
     done, _ = run("convert", "-o", str(made), "--force")
     found.codes["convert"] = f"exit {done.returncode}"
@@ -393,10 +409,10 @@ def _compare_conversion(
     for slope in ("0deg", "8deg"):
         before = (stood, stance) if slope == "0deg" else run("stand", "--slope", slope)
         after = run("stand", "--slope", slope, robot=(str(made),))
-        found.codes[f"converted, {slope}"] = _code(*after)
+        found.codes[f"converted, {slope}"] = _result_code(*after)
         if before[0].returncode != after[0].returncode:
             found.disagreements.append(
-                f"converted, slope {slope}: {_code(*before)}, then {_code(*after)}"
+                f"converted, slope {slope}: {_result_code(*before)}, then {_result_code(*after)}"
             )
         elif before[1] and after[1] and before[0].returncode == 0:
             one = sorted(np.abs(before[1]["statics"]["joint_torques"]))
@@ -407,9 +423,9 @@ def _compare_conversion(
 
 
 def _compare_hold(found: Agreement, run: Commands) -> None:
-    """What an arm is said to hold at its tool it holds, as its trial says; 3 % more it does not."""
+    """Check that ``hold`` holds 97 % of its printed payload, as its trial says, and not 103 %."""
     done, content = run("hold")
-    found.codes["hold"] = _code(done, content)
+    found.codes["hold"] = _result_code(done, content)
     payload = content.get("payload", {})
     # JSON has no infinity: what nothing limits is null there.
     bounds = [payload.get(name, math.nan) for name in ("mass", "servos")]
@@ -419,7 +435,7 @@ def _compare_hold(found: Agreement, run: Commands) -> None:
     found.payload = most
     for part in (INSIDE, OUTSIDE):
         loaded, answered = run("hold", "--payload", f"{part * most:.9g}")
-        code = _code(loaded, answered)
+        code = _result_code(loaded, answered)
         found.codes[f"hold, {part} of it"] = code
         holds = part < 1 and (content["payload_trial"] or {"passed": True})["passed"]
         if (loaded.returncode == 0) is not holds:
@@ -427,12 +443,12 @@ def _compare_hold(found: Agreement, run: Commands) -> None:
 
 
 def _compare_held(found: Agreement, run: Commands, made: Path) -> None:
-    """An arm's file that is written is held as the one of which it was made."""
+    """Compare the posture and torques of a converted arm with those of its source."""
     before, stated = run("hold")
     after, written = run("hold", robot=(str(made),))
-    found.codes["converted, held"] = _code(after, written)
+    found.codes["converted, held"] = _result_code(after, written)
     if before.returncode != after.returncode:
-        codes = _code(before, stated), _code(after, written)
+        codes = _result_code(before, stated), _result_code(after, written)
         found.disagreements.append("converted: hold {}, then {}".format(*codes))
     if not stated or not written:
         return
@@ -444,10 +460,12 @@ def _compare_held(found: Agreement, run: Commands, made: Path) -> None:
             found.disagreements.append(f"converted: hold has another {what}")
 
 
-def random_robots(first: int, count: int, folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Draw robots: two thirds as a pair, a third as a URDF alone.
+def write_random_robots(
+    first: int, count: int, folder: Path
+) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield names and files of random robots: two thirds are pairs, a third a URDF alone.
 
-    Drawn URDFs have no shapes, and so no feet: one that is alone is made of the MJCF.
+    Random URDFs have no shapes, and so no feet; a URDF alone is converted from the MJCF.
     """
     for seed in range(first, first + count):
         place = folder / f"random-{seed}"

@@ -1,7 +1,7 @@
-"""An arm whose every number is known in closed form: a turntable, two elbows and a slide.
+"""Arm with numbers in closed form: a turntable, two elbows and a slide.
 
-The upper arm turns about y: at an angle a it points along (cos a, 0, -sin a). The MJCF's actuators
-stand in another order than the joints do in the tree or by name.
+The upper arm turns about y: at an angle a it points along (cos a, 0, -sin a). The order of the
+MJCF's actuators differs from the order of the joints in the tree, and from that of their names.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.robot import Robot
 
 G = 9.81
+"""Gravitational acceleration [m/s^2]."""
+
 UPPER, FORE, SLIDE = 0.4, 0.3, 0.1  # m: of the links, and of the slide at zero
 MASSES = {"turn": 3.0, "upper": 2.0, "fore": 1.0, "hand": 0.5}  # kg
 CENTRES = {"upper": 0.15, "fore": 0.2}  # m, of the links' coms from their joints
@@ -29,9 +31,11 @@ RANGES = {
 }
 STIFFNESS = {"a_turn": 50.0, "shoulder": 800.0, "elbow": 300.0, "b_slide": 900.0}
 ORDER = ("elbow", "b_slide", "shoulder", "a_turn")
+"""Joints in the order of the actuators."""
 
 
 def _inertial(mass: float, x: float) -> str:
+    """Return the ``<inertial>`` of a link, with the CoM at ``x`` [m]."""
     return (
         f'<inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>'
         '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -39,6 +43,7 @@ def _inertial(mass: float, x: float) -> str:
 
 
 def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str) -> str:
+    """Return the ``<joint>`` of a URDF."""
     low, high = RANGES[name]
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
@@ -61,6 +66,7 @@ URDF = f"""<robot name="arm"><link name="base"/>
 
 
 def _body(name: str, joint: str, mass: float, x: float, inner: str = "") -> str:
+    """Return the ``<body>`` of an MJCF, with a joint and further content."""
     low, high = RANGES[joint]
     kind = "slide" if joint == "b_slide" else "hinge"
     axis = {"a_turn": "0 0 1", "b_slide": "1 0 0"}.get(joint, "0 1 0")
@@ -97,8 +103,8 @@ def load_arm(folder: Path, urdf: str = URDF, mjcf: str = MJCF) -> Robot:
     return load_robot(urdf=files[0], mjcf=files[1])
 
 
-def torques(turn: float, shoulder: float, elbow: float, slide: float) -> dict[str, float]:
-    """What holds it, by hand: the derivatives of its potential energy."""
+def holding_torques(turn: float, shoulder: float, elbow: float, slide: float) -> dict[str, float]:
+    """Return the joint torques [N m, N] that hold the arm: derivatives of its potential energy."""
     del turn  # about the vertical
     ahead = shoulder + elbow
     fore = MASSES["fore"] * CENTRES["fore"] + MASSES["hand"] * (FORE + slide)
@@ -111,8 +117,8 @@ def torques(turn: float, shoulder: float, elbow: float, slide: float) -> dict[st
     }
 
 
-def tip(turn: float, shoulder: float, elbow: float, slide: float) -> NDArray[np.float64]:
-    """Where its tip is (m)."""
+def tip_position(turn: float, shoulder: float, elbow: float, slide: float) -> NDArray[np.float64]:
+    """Return the position (3,) [m] of the tip in the base frame."""
     ahead, reach = shoulder + elbow, FORE + slide + SLIDE
     out = UPPER * np.cos(shoulder) + reach * np.cos(ahead)
     up = -UPPER * np.sin(shoulder) - reach * np.sin(ahead)

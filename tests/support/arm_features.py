@@ -1,4 +1,4 @@
-"""Features of MJCF, and slips, each put into the file of an arm whose servos hold it."""
+"""Features of MJCF, and mistakes, each written into the file of an arm whose servos hold it."""
 
 from __future__ import annotations
 
@@ -6,24 +6,25 @@ import re
 from pathlib import Path
 
 from tests.support import arm
-from tests.support.features import Edit, option, put, section
+from tests.support.features import Edit, make_option_edit, make_replacement, make_section_edit
 
 KEYFRAME = '<keyframe><key name="home" qpos="0 -0.75 1.3 0.1" ctrl="1.3 0.1 -0.75 0"/></keyframe>'
-"""The middle of its joints' ranges, and its servos told that."""
+"""Keyframe at the middle of the joint ranges, with the same commands."""
 
 SERVO = '<position joint="shoulder" kp="800.0" kv="20"/>'
+"""Servo of the shoulder in the MJCF."""
 
 
 def joints(attributes: str) -> Edit:
-    return put('damping="2"', attributes)
+    return make_replacement('damping="2"', attributes)
 
 
 def servos(attributes: str) -> Edit:
-    return put('kv="20"', f'kv="20" {attributes}')
+    return make_replacement('kv="20"', f'kv="20" {attributes}')
 
 
 def shoulder(actuator: str) -> Edit:
-    return put(SERVO, actuator, 1)
+    return make_replacement(SERVO, actuator, 1)
 
 
 def law(gain: float = 800, bias: float = 0, damping: float = -20, words: str = "") -> Edit:
@@ -34,7 +35,7 @@ def law(gain: float = 800, bias: float = 0, damping: float = -20, words: str = "
 
 
 def commanded(ctrl: str) -> Edit:
-    return put('ctrl="1.3 0.1 -0.75 0"', f'ctrl="{ctrl}"')
+    return make_replacement('ctrl="1.3 0.1 -0.75 0"', f'ctrl="{ctrl}"')
 
 
 def _inertials_of_geoms(text: str) -> str:
@@ -61,43 +62,43 @@ FEATURES: dict[str, Edit] = {
     "joint actuatorfrcrange": joints('damping="2" actuatorfrcrange="-1 1"'),
     "joint actuatorgravcomp": joints('damping="2" actuatorgravcomp="true"'),
     "joint ref": joints('damping="2" ref="0.2"'),
-    "joint range elsewhere": put('range="-2.0 0.5"', 'range="-2.0 -1.2"'),
+    "joint range elsewhere": make_replacement('range="-2.0 0.5"', 'range="-2.0 -1.2"'),
     # ---- bodies
-    "gravcomp": put('<body name="upper"', '<body name="upper" gravcomp="1"'),
-    "a heavier link": put('mass="2.0"', 'mass="6.0"'),
+    "gravcomp": make_replacement('<body name="upper"', '<body name="upper" gravcomp="1"'),
+    "a heavier link": make_replacement('mass="2.0"', 'mass="6.0"'),
     "inertials of geoms": _inertials_of_geoms,
-    "a free base": put(
+    "a free base": make_replacement(
         '<body name="base">',
         '<body name="base"><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>',
     ),
-    "a loose joint": put(
+    "a loose joint": make_replacement(
         '<site name="tip"',
         '<body name="flap"><joint axis="0 1 0"/><inertial pos="0.1 0 0" mass="0.3" '
         'diaginertia="1e-3 1e-3 1e-3"/></body><site name="tip"',
     ),
-    "a ball beside it": put(
+    "a ball beside it": make_replacement(
         '<body name="base">',
         '<body name="ball" pos="3 0 2"><freejoint/><geom size="0.1"/></body><body name="base">',
     ),
     # ---- equality, tendons
-    "a weld of the hand": section('<equality><weld body1="hand"/></equality>'),
-    "joints coupled": section(
+    "a weld of the hand": make_section_edit('<equality><weld body1="hand"/></equality>'),
+    "joints coupled": make_section_edit(
         '<equality><joint joint1="shoulder" joint2="elbow" polycoef="-2.05 1 0 0 0"/></equality>'
     ),
-    "a tendon's spring": section(
+    "a tendon's spring": make_section_edit(
         '<tendon><fixed stiffness="300" springlength="0"><joint joint="shoulder" coef="1"/>'
         "</fixed></tendon>"
     ),
     # ---- options
-    "a time step of 20 ms": put('timestep="0.002"', 'timestep="0.02"'),
-    "RK4": put('integrator="implicitfast"', 'integrator="RK4"'),
-    "gravity upwards": put('timestep="0.002"', 'timestep="0.002" gravity="0 0 9.81"'),
-    "gravity sideways": put('timestep="0.002"', 'timestep="0.002" gravity="9.81 0 0"'),
-    "no gravity": option("", '<flag gravity="disable"/>'),
-    "no actuation": option("", '<flag actuation="disable"/>'),
-    "water": option('density="1000" viscosity="1"'),
-    "wind": option('density="1.2" wind="50 0 0"'),
-    "servos in a disabled group": lambda text: option('actuatorgroupdisable="1"')(
+    "a time step of 20 ms": make_replacement('timestep="0.002"', 'timestep="0.02"'),
+    "RK4": make_replacement('integrator="implicitfast"', 'integrator="RK4"'),
+    "gravity upwards": make_replacement('timestep="0.002"', 'timestep="0.002" gravity="0 0 9.81"'),
+    "gravity sideways": make_replacement('timestep="0.002"', 'timestep="0.002" gravity="9.81 0 0"'),
+    "no gravity": make_option_edit("", '<flag gravity="disable"/>'),
+    "no actuation": make_option_edit("", '<flag actuation="disable"/>'),
+    "water": make_option_edit('density="1000" viscosity="1"'),
+    "wind": make_option_edit('density="1.2" wind="50 0 0"'),
+    "servos in a disabled group": lambda text: make_option_edit('actuatorgroupdisable="1"')(
         servos('group="1"')(text)
     ),
     # ---- servos
@@ -116,8 +117,8 @@ FEATURES: dict[str, Edit] = {
     "one damper": shoulder('<damper joint="shoulder" kv="20" ctrlrange="0 1"/>'),
     "one intvelocity": shoulder('<intvelocity joint="shoulder" kp="800" actrange="-3 3"/>'),
     "one dcmotor": shoulder('<dcmotor joint="shoulder" motorconst="0.05" resistance="1"/>'),
-    "a motor besides": put("</actuator>", '<motor joint="shoulder"/></actuator>'),
-    "two servos at a joint": put("</actuator>", f"{SERVO}</actuator>"),
+    "a motor besides": make_replacement("</actuator>", '<motor joint="shoulder"/></actuator>'),
+    "two servos at a joint": make_replacement("</actuator>", f"{SERVO}</actuator>"),
     "motors": _motors,
     "forcerange 5": servos('forcerange="-5 5"'),
     "forcerange of one side": servos('forcerange="0 30"'),
@@ -126,15 +127,15 @@ FEATURES: dict[str, Edit] = {
     "timeconst 1e5": servos('timeconst="1e5"'),
     "delay": servos('delay="0.1" nsample="60"'),
     "a thruster": lambda text: commanded("1.3 0.1 -0.75 0 0")(
-        put(
+        make_replacement(
             "</actuator>",
             '<general site="tip" gear="0 0 1 0 0 0" biastype="affine" gainprm="0" '
             'biasprm="40 0 0"/></actuator>',
         )(text)
     ),
     # ---- keyframes
-    "no keyframe": put(KEYFRAME, ""),
-    "a keyframe without ctrl": put(' ctrl="1.3 0.1 -0.75 0"', ""),
+    "no keyframe": make_replacement(KEYFRAME, ""),
+    "a keyframe without ctrl": make_replacement(' ctrl="1.3 0.1 -0.75 0"', ""),
     "a keyframe's ctrl of zeros": commanded("0 0 0 0"),
     "a keyframe's ctrl of another pose": commanded("1.3 0.1 -1.75 0"),
     "a keyframe's ctrl 1e9": commanded("1.3 0.1 1e9 0"),

@@ -1,4 +1,4 @@
-"""The bodies of a robot, as each engine has them."""
+"""Bodies of a robot in each engine."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ import numpy as np
 import pinocchio as pin
 
 import pupper_analysis as pa
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 
 
 class Body(NamedTuple):
-    """A moving body: mass [kg], com [m] and inertia about it [kg m^2], and the frame's pose.
+    """Moving body, expressed in the axes of the base at zero angles, with positions from the base.
 
-    All are in the axes of the base at zero angles, positions from the base.
+    Attributes:
+        mass: Mass [kg].
+        com: Centre of mass (3,) [m].
+        inertia: Inertia (3, 3) about the CoM [kg m^2].
+        position: Origin of the body's frame (3,) [m].
+        rotation: Rotation (3, 3) of the body's frame.
     """
 
     mass: float
@@ -25,7 +30,7 @@ class Body(NamedTuple):
 
 
 def pinocchio_bodies(robot: pa.Robot) -> dict[str, Body]:
-    """What moves with each joint (and with the base, "base"), by Pinocchio from the URDF."""
+    """Return {joint, or "base": moved body} by Pinocchio from the URDF."""
     model = robot.pin_model
     config = pa.Configuration(robot, robot.neutral())
     bodies = {}
@@ -48,9 +53,9 @@ def pinocchio_bodies(robot: pa.Robot) -> dict[str, Body]:
 
 
 def mujoco_bodies(robot: pa.Robot) -> dict[str, Body]:
-    """The same by MuJoCo from the MJCF."""
+    """Return {joint, or "base": moved body} by MuJoCo from the MJCF."""
     model = robot.mj_model
-    data = mujoco_at(robot, robot.neutral())
+    data = evaluate_mujoco(robot, robot.neutral())
     bodies = {}
     for index in range(1, model.nbody):
         joint = model.joint(int(model.body_jntadr[index]))
@@ -67,10 +72,11 @@ def mujoco_bodies(robot: pa.Robot) -> dict[str, Body]:
 
 
 BODIES = {"urdf": pinocchio_bodies, "mjcf": mujoco_bodies}
+"""{format: function that returns the bodies}."""
 
 
 def assert_same_bodies(one: dict[str, Body], two: dict[str, Body], tolerance: float) -> None:
-    """Compare all there is, relative to the size of each quantity."""
+    """Check that two robots have equal bodies, relative to the size of each quantity."""
     assert one.keys() == two.keys()
     for name, body in one.items():
         for field, value in body._asdict().items():

@@ -1,4 +1,4 @@
-"""Commands, run in this process."""
+"""Run commands in this process."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from pupper_analysis import cli
 
 
 def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    """Run ``pupper-analysis`` in this process, to save the time of its start.
+    """Run ``pupper-analysis`` in this process, which saves the start-up time.
 
     Returns:
-        Exit status, standard output and standard error, with what C++ prints.
+        Exit status, standard output and standard error, including the output of C++ libraries.
     """
     with pytest.raises(SystemExit) as leaving:
         cli.run(cli.group, list(arguments))
@@ -28,7 +28,7 @@ def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int
 def check_refusal(
     capfd: pytest.CaptureFixture[str], folder: Path, arguments: Sequence[str], message: str
 ) -> None:
-    """Check that bad input is one line, exit status 2, and no file where it is typed."""
+    """Check that a command with bad input prints one line, exits with 2, and writes no file."""
     here = folder / "empty"
     here.mkdir(exist_ok=True)
     with contextlib.chdir(here):
@@ -42,7 +42,7 @@ def check_refusal(
 
 
 class Answer(NamedTuple):
-    """What a command came to; `run_command` is for what C++ prints too."""
+    """Exit status and output of a command, without the output of C++ libraries."""
 
     returncode: int
     stdout: str
@@ -50,7 +50,7 @@ class Answer(NamedTuple):
 
 
 def answer(*arguments: str, folder: Path | None = None) -> Answer:
-    """Run a command in this process, in a folder."""
+    """Run a command in this process, in a folder, and return its exit status and output."""
     out, err = io.StringIO(), io.StringIO()
     with (
         contextlib.chdir(folder or "."),

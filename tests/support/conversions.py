@@ -1,4 +1,4 @@
-"""A URDF that stands, what a conversion makes of one, and whether both are the same robot."""
+"""A URDF of a robot that stands, its conversion, and a comparison of both."""
 
 from __future__ import annotations
 
@@ -16,38 +16,39 @@ from tests.support.legged import quadruped as legged
 LEGS = ("FL", "FR", "RL", "RR")
 
 
-def standing_urdf(folder: Path) -> Path:
-    """A URDF of a quadruped with spheres for feet, and a box for a trunk."""
+def write_standing_urdf(folder: Path) -> Path:
+    """Write the URDF of a quadruped with spheres as feet and a box as trunk; return its path."""
     text = legged(folder).urdf.read_text()
-    ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    ball = format_shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
     for name in LEGS:
         start = text.index(f'<link name="{name}_calf">')
         end = text.index("</link>", start)
         text = text[:end] + ball + text[end:]
-    box = shape_of("collision", '<box size="0.4 0.2 0.08"/>', "0 0 0")
+    box = format_shape("collision", '<box size="0.4 0.2 0.08"/>', "0 0 0")
     path = folder / "quad.urdf"
     path.write_text(text.replace("</link>", f"{box}</link>", 1))
     return path
 
 
-def shape_of(kind: str, geometry: str, xyz: str, rpy: str = "0 0 0") -> str:
-    """A shape of a link, as URDFs have it."""
+def format_shape(kind: str, geometry: str, xyz: str, rpy: str = "0 0 0") -> str:
+    """Return a ``<visual>`` or ``<collision>`` of a URDF."""
     origin = f'<origin xyz="{xyz}" rpy="{rpy}"/>'
     return f"<{kind}>{origin}<geometry>{geometry}</geometry></{kind}>"
 
 
-def compiled(path: Path) -> mujoco.MjModel:
-    """What MuJoCo makes of a file, in silence."""
+def compile_file(path: Path) -> mujoco.MjModel:
+    """Return the model that MuJoCo compiles from a file."""
     with silence_mujoco():
         return mujoco.MjModel.from_xml_path(str(path))
 
 
-def same_dynamics(urdf: Path, mjcf: Path) -> float:
-    """The greatest deviation of bias forces and mass matrices, each engine reading its own file.
+def compare_dynamics(urdf: Path, mjcf: Path) -> float:
+    """Return the largest relative difference of bias forces and mass matrices of two files.
 
-    Independent of the package: joints are matched by name, the base is held.
+    Each engine reads its own file, and joints are matched by name, with the base fixed: independent
+    of the package.
     """
-    reference, model = pin.buildModelFromUrdf(str(urdf)), compiled(mjcf)
+    reference, model = pin.buildModelFromUrdf(str(urdf)), compile_file(mjcf)
     free = model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value
     ours = list(reference.names)[1:]
     dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in ours]
@@ -82,14 +83,14 @@ def same_dynamics(urdf: Path, mjcf: Path) -> float:
     return worst
 
 
-def converted(source: Path, name: str, **options: object) -> tuple[Path, pa.convert.Conversion]:
-    """A file of the other format, next to its source, and what converting it said."""
+def convert_file(source: Path, name: str, **options: object) -> tuple[Path, pa.convert.Conversion]:
+    """Convert a file to a file in the same folder; return its path and the conversion."""
     output = source.parent / name
     return output, pa.convert_model(source, output, **options)  # type: ignore[arg-type]
 
 
-def from_keyframe(model: mujoco.MjModel) -> tuple[mujoco.MjData, np.ndarray]:
-    """The state after 3 s from the keyframe on, in MuJoCo alone, and the start's qpos."""
+def simulate_from_keyframe(model: mujoco.MjModel) -> tuple[mujoco.MjData, np.ndarray]:
+    """Return MuJoCo's data 3 s after the keyframe ``home``, and qpos of the keyframe."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     start = data.qpos.copy()

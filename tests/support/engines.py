@@ -1,7 +1,4 @@
-"""MuJoCo's own view of a robot: its data at a public state, and models that are changed.
-
-And Pinocchio's of a tree of parameters.
-"""
+"""Evaluations and modified models of a robot by MuJoCo, and Pinocchio models of parameter trees."""
 
 from __future__ import annotations
 
@@ -21,7 +18,12 @@ from pupper_analysis.robot.coordinates import PinocchioConvention
 
 
 def with_efforts(robot: pa.Robot, efforts: float | Sequence[float] | np.ndarray) -> pa.Robot:
-    """The robot with these effort limits (nu,), or one for all, in both of its models (N m)."""
+    """Return the robot with other effort limits in both models.
+
+    Args:
+        robot: Robot.
+        efforts: Limits (nu,) [N m], or one for all joints.
+    """
     urdf, mjcf = robot.pin_model.copy(), copy.copy(robot.mj_model)
     limits = np.array(urdf.effortLimit)
     limits[robot.pin_convention.v_index] = efforts
@@ -39,15 +41,15 @@ def with_efforts(robot: pa.Robot, efforts: float | Sequence[float] | np.ndarray)
     return replace(robot, pin_model=urdf, mj_model=mjcf, description=description)
 
 
-def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
-    """The robot with another MuJoCo model."""
+def change_model(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
+    """Return the robot with a changed copy of its MuJoCo model."""
     model = copy.copy(robot.mj_model)
     change(model)
     return replace(robot, mj_model=model)
 
 
 def addresses(robot: pa.Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Where the public qpos and qvel are in MuJoCo's, found by the joints' names."""
+    """Return the indices of the public qpos and qvel in MuJoCo's vectors, by joint names."""
     model = robot.mj_model
     base_q = list(range(7)) if robot.floating else []
     base_v = list(range(6)) if robot.floating else []
@@ -57,13 +59,13 @@ def addresses(robot: pa.Robot) -> tuple[np.ndarray, np.ndarray]:
     return np.array(q), np.array(v)
 
 
-def mujoco_at(
+def evaluate_mujoco(
     robot: pa.Robot,
     qpos: np.ndarray,
     qvel: np.ndarray | None = None,
     model: mujoco.MjModel | None = None,
 ) -> mujoco.MjData:
-    """MuJoCo's data of the MJCF at a public state, computed."""
+    """Return MuJoCo's data of the MJCF at a public state, after ``mj_forward``."""
     model = model or robot.mj_model
     data = mujoco.MjData(model)
     q, v = addresses(robot)
@@ -74,13 +76,13 @@ def mujoco_at(
 
 
 def load_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
-    """``Configuration.static_load`` of the other engine, from the other file."""
-    data = mujoco_at(robot, qpos)
+    """Return the generalised forces (nv,) of ``Configuration.load``, by MuJoCo from the MJCF."""
+    data = evaluate_mujoco(robot, qpos)
     return (data.qfrc_bias - data.qfrc_passive)[addresses(robot)[1]]
 
 
 def integrate(robot: pa.Robot, qpos: np.ndarray, qvel: np.ndarray, dt: float) -> np.ndarray:
-    """The qpos after dt at constant qvel, by MuJoCo."""
+    """Return qpos after a time ``dt`` [s] at a constant velocity qvel, by MuJoCo."""
     q, v = addresses(robot)
     moved, rate = np.empty(robot.mj_model.nq), np.empty(robot.mj_model.nv)
     moved[q], rate[v] = qpos, qvel
@@ -88,20 +90,20 @@ def integrate(robot: pa.Robot, qpos: np.ndarray, qvel: np.ndarray, dt: float) ->
     return moved[q]
 
 
-def rate_along(
+def differentiate_along(
     robot: pa.Robot,
     function: Callable[[np.ndarray], np.ndarray],
     qpos: np.ndarray,
     qvel: np.ndarray,
     dt: float = 1e-5,
 ) -> np.ndarray:
-    """The time derivative of function(qpos) at velocity qvel, by a central difference."""
+    """Return the time derivative of function(qpos) at a velocity qvel, by a central difference."""
     ahead, behind = (integrate(robot, qpos, qvel, sign * dt) for sign in (1, -1))
     return (np.asarray(function(ahead)) - np.asarray(function(behind))) / (2 * dt)
 
 
-def free_mechanism(robot: pa.Robot, timestep: float = 1e-3) -> mujoco.MjModel:
-    """The robot's MuJoCo model without contacts, limits, motors, damping and friction; RK4."""
+def make_free_mechanism(robot: pa.Robot, timestep: float = 1e-3) -> mujoco.MjModel:
+    """Return MuJoCo's model without contacts, limits, motors, damping and friction; RK4."""
     model = robot.description.mjcf.copy().compile()
     off = mujoco.mjtDisableBit
     for bit in (off.mjDSBL_CONTACT, off.mjDSBL_LIMIT, off.mjDSBL_ACTUATION):
@@ -114,7 +116,7 @@ def free_mechanism(robot: pa.Robot, timestep: float = 1e-3) -> mujoco.MjModel:
 
 
 def velocity_map(convention: PinocchioConvention, qpos: np.ndarray) -> np.ndarray:
-    """T (nv, nv), dense, with v_pin = T qvel: R^T, 1 and a permutation."""
+    """Return the matrix T (nv, nv) with v_pin = T qvel: R^T, identity and a permutation."""
     n = convention.base_nv
     matrix = np.zeros((convention.nv, convention.nv))
     matrix[convention.v_index, n + np.arange(len(convention.v_index))] = 1.0
@@ -127,7 +129,7 @@ def velocity_map(convention: PinocchioConvention, qpos: np.ndarray) -> np.ndarra
 def velocity_map_rate(
     convention: PinocchioConvention, qpos: np.ndarray, qvel: np.ndarray
 ) -> np.ndarray:
-    """dT/dt qvel (nv,): the base frame turns under a constant world velocity."""
+    """Return dT/dt qvel (nv,): the base frame rotates at a constant world velocity."""
     rate = np.zeros(convention.nv)
     if convention.floating:
         rate[:3] = -np.cross(qvel[3:6], rotation_from_quaternion(qpos[3:7]).T @ qvel[:3])
@@ -135,7 +137,7 @@ def velocity_map_rate(
 
 
 def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
-    """Build a Pinocchio model of the parameters; frames are of type BODY."""
+    """Return the Pinocchio model of a parameter tree; frames have the type BODY."""
     model = pin.Model()
     model.gravity = pin.Motion(parameters.gravity, np.zeros(3))
     index, still = {parameters.base: 0}, pin.SE3.Identity()

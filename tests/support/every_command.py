@@ -1,7 +1,7 @@
-"""Whether a command says more of a file than bare MuJoCo does: features and slips, by commands.
+"""Compare the reports of all commands about a file with MuJoCo's simulation of the file.
 
-Files are edits of a quadruped's that stands, and of an arm's that is held. The truth is MuJoCo's
-alone: the file as it is, as ``mj_resetDataKeyframe`` leaves it, nudged, for five seconds.
+Files are edits of a quadruped that stands, and of an arm that servos hold. The reference is MuJoCo
+alone: the file from its keyframe, after a nudge, for five seconds.
 """
 
 from __future__ import annotations
@@ -26,34 +26,42 @@ from tests.support import arm, arm_features, features, legged, slips
 from tests.support.commands import answer
 
 SECONDS = 5.0
+"""Simulated time [s]."""
+
 NUDGE = 1e-3
-"""m/s, rad/s"""
+"""Standard deviation of the initial velocity [m/s, rad/s]."""
 
 LOST, LEANS = 0.3, 0.5
-"""Of the height, of the com; rad: what has lost or leans more has fallen."""
+"""Loss of CoM height, relative to the height, and tilt [rad] above which a robot has fallen."""
 
-SHAKES = 0.05
-"""m/s, rad/s in the last half second: ten times what feet creep or roll by."""
+MAX_REST_SPEED = 0.05
+"""Speed [m/s, rad/s] in the last tenth of the simulation above which a robot shakes: ten times the
+creep of feet."""
 
 DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
+"""MuJoCo's warnings of a diverged simulation."""
 
 ABOVE, LOAD, SLOPE = (0.0, 0.0, 0.05), 0.3, math.radians(3)
-"""Where the stance that a file states has a mass (m, kg), and on which slope it is (rad)."""
+"""Position [m] and mass [kg] of a payload, and slope of the ground [rad], of a stance file."""
 
-OWN = "unmodified MJCF"
-"""With which the line of the own run begins."""
+OWN_RUN_TEXT = "unmodified MJCF"
+"""Text at the start of the line about the simulation of the unmodified file."""
 
-ADDED = "servos that were added"
+ADDED_SERVOS_TEXT = "servos that were added"
+"""Text of the note about added servos."""
 
-NOTES = ("note:", "warning:")
+NOTE_PREFIXES = ("note:", "warning:")
+"""Prefixes of lines that are notes."""
 
 
 class Truth(StrEnum):
-    """What becomes of a file; of what is limp or told nothing, nobody says that it should stand."""
+    """Result of MuJoCo's simulation of a file. No report must state that a robot without servos or
+    commands stands.
+    """
 
     STANDS = "stands"
     FALLS = "falls"
@@ -65,14 +73,16 @@ class Truth(StrEnum):
 
 
 @silence_mujoco()
-def truth_of(path: Path, plain: Path, *, slope: float = 0.0, load: float = 0.0) -> Truth:
-    """Simulate a file; one that has no keyframe from the plain file's, by the joints' names.
+def simulate_truth(path: Path, plain: Path, *, slope: float = 0.0, load: float = 0.0) -> Truth:
+    """Simulate a file, and return the result.
+
+    A file without keyframe starts from the keyframe of the unmodified file, by joint names.
 
     Args:
         path: The file.
-        plain: The file of which it is an edit.
-        slope: By which gravity is turned, so that the ground rises towards x (rad).
-        load: Of a mass that is welded to the base ``ABOVE`` (kg).
+        plain: The unmodified file.
+        slope: Slope of the ground [rad], rising towards x; gravity is rotated instead.
+        load: Mass [kg] that is fixed to the base at ``ABOVE``.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -95,7 +105,7 @@ def truth_of(path: Path, plain: Path, *, slope: float = 0.0, load: float = 0.0) 
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     else:
-        _as_in(mujoco.MjModel.from_xml_path(str(plain)), model, data)
+        _copy_keyframe(mujoco.MjModel.from_xml_path(str(plain)), model, data)
     data.qvel[:] += NUDGE * np.random.default_rng(43).standard_normal(model.nv)
     mujoco.mj_forward(model, data)
     body, fastest = model.body("trunk").id, 0.0
@@ -115,11 +125,11 @@ def truth_of(path: Path, plain: Path, *, slope: float = 0.0, load: float = 0.0) 
     if fell:
         message = Truth.FALLS if stated else Truth.UNTOLD
         return message if driven.any() else Truth.LIMP
-    return Truth.SHAKES if fastest > SHAKES else Truth.STANDS
+    return Truth.SHAKES if fastest > MAX_REST_SPEED else Truth.STANDS
 
 
-def _as_in(plain: mujoco.MjModel, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Put a file where the keyframe of the plain one is, its servos told its angles."""
+def _copy_keyframe(plain: mujoco.MjModel, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Set the state of a file, with commands, to the keyframe of the unmodified file."""
     data.qpos[:7] = plain.key_qpos[0, :7]
     for joint in range(model.njnt):
         if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
@@ -132,7 +142,7 @@ def _as_in(plain: mujoco.MjModel, model: mujoco.MjModel, data: mujoco.MjData) ->
 
 @dataclass(frozen=True)
 class Cell:
-    """What a command came to: whether it lets pass, and whether it tells of the own run."""
+    """Report of a command: whether it passes, and mentions the run of the unmodified file."""
 
     passed: bool
     refused: bool
@@ -142,8 +152,8 @@ class Cell:
     own_falls: bool | None = None
     truth: Truth | None = None  # of what else it is about than the row
 
-    def wrong(self, truth: Truth) -> str:
-        """Return what is better than the truth; empty if nothing is."""
+    def find_objection(self, truth: Truth) -> str:
+        """Return the reason why the report is better than the simulation; "" if it is not."""
         truth = self.truth or truth
         if self.refused:
             return ""
@@ -158,7 +168,7 @@ class Cell:
 
 @dataclass
 class Row:
-    """A file, what becomes of it, and what commands say."""
+    """File with the result of its simulation, and the reports of commands."""
 
     name: str
     truth: Truth
@@ -166,34 +176,41 @@ class Row:
 
     @property
     def wrong(self) -> dict[str, str]:
-        """What is better than the truth: {command: how}."""
-        found = {name: cell.wrong(self.truth) for name, cell in self.cells.items()}
+        """{command: reason} of the reports that are better than the simulation."""
+        found = {name: cell.find_objection(self.truth) for name, cell in self.cells.items()}
         return {name: how for name, how in found.items() if how}
 
 
 Ask = Callable[[Path, Path, Path], Cell]
 
 
-def _command(name: str, *options: str, before: tuple[str, ...] = (), alone: bool = False) -> Ask:
-    """Run a command of both files, or of the MJCF alone."""
+def _make_command(
+    name: str, *options: str, before: tuple[str, ...] = (), alone: bool = False
+) -> Ask:
+    """Return a function that runs a command on both files, or on the MJCF alone."""
 
     def ask(urdf: Path, mjcf: Path, folder: Path) -> Cell:
         files = (str(mjcf),) if alone else (str(urdf), str(mjcf))
-        return _cell(*answer(name, *before, *files, *options, "-v", folder=folder))
+        return _make_cell(*answer(name, *before, *files, *options, "-v", folder=folder))
 
     return ask
 
 
-def _cell(status: int, out: str, err: str) -> Cell:
+def _make_cell(status: int, out: str, err: str) -> Cell:
+    """Return the report in the output of a command."""
     assert status in (0, 1, 2), err  # 3 is a bug, whatever else
     message = " ".join((out + err).split())
-    lines = [line for line in out.splitlines() if line.split() and not line.startswith(NOTES)]
+    lines = [
+        line for line in out.splitlines() if line.split() and not line.startswith(NOTE_PREFIXES)
+    ]
     word = lines[0].split()[0] if lines else err.strip()[-80:]
-    return Cell(status == 0, status == 2, OWN in message, ADDED in message, word)
+    return Cell(
+        status == 0, status == 2, OWN_RUN_TEXT in message, ADDED_SERVOS_TEXT in message, word
+    )
 
 
-def _study(urdf: Path, mjcf: Path, _: Path) -> Cell:
-    """A design of a study, in this process: it passes where it is said to stand."""
+def _run_study(urdf: Path, mjcf: Path, _: Path) -> Cell:
+    """Return the report of a study with one design; it passes if the design stands."""
     from pupper_analysis.tools.study.design import DesignBuilder
     from pupper_analysis.tools.study.outcome import list_stand_assumptions
 
@@ -205,28 +222,28 @@ def _study(urdf: Path, mjcf: Path, _: Path) -> Cell:
         return Cell(False, False, True, False, type(error).__name__)
     except PupperAnalysisError as error:
         return Cell(False, True, False, False, type(error).__name__)
-    return _cell(0, f"{stood} {' '.join(map(str, list_stand_assumptions(study.base)))}", "")
+    return _make_cell(0, f"{stood} {' '.join(map(str, list_stand_assumptions(study.base)))}", "")
 
 
-def _python(urdf: Path, mjcf: Path, _: Path) -> Cell:
-    """What Python's callers have: ``judge_stand``."""
+def _run_python(urdf: Path, mjcf: Path, _: Path) -> Cell:
+    """Return the report of ``judge_stand`` in Python."""
     try:
         robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
         verdict = judge_stand(robot, pa.solve_stand(robot))
     except PupperAnalysisError as error:
         return Cell(False, True, False, False, type(error).__name__)
-    return verdict_cell(verdict)
+    return make_verdict_cell(verdict)
 
 
-def verdict_cell(verdict: Verdict) -> Cell:
-    """Return the cell of a verdict of ``judge_stand``."""
+def make_verdict_cell(verdict: Verdict) -> Cell:
+    """Return the report in a verdict of ``judge_stand``."""
     own, added = verdict.keyframe_run, verdict.servos.made != ()
     falls = None if own is None else own.falls
     return Cell(verdict.passed, False, own is not None, added, verdict.code.name, falls)
 
 
-def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
-    """The simulation that the page of ``live`` shows."""
+def _run_live(urdf: Path, mjcf: Path, _: Path) -> Cell:
+    """Return the report of the simulation on the page of ``live``."""
     from pupper_analysis.tools.live import model as live
     from pupper_analysis.tools.live.documents import simulation_document
     from pupper_analysis.tools.live.render import Translator, render_panel
@@ -240,77 +257,85 @@ def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
     except PupperAnalysisError as error:
         return Cell(False, True, False, False, type(error).__name__)
     page = render_panel(simulation_document(stance), Translator())
-    return replace(_cell(not stance.verdict.passed, page, ""), word=stance.verdict.code.name)
+    return replace(_make_cell(not stance.verdict.passed, page, ""), word=stance.verdict.code.name)
 
 
-def _convert(_: Path, mjcf: Path, folder: Path) -> Cell:
-    """The URDF that is made of the MJCF, beside it: both are no better than the MJCF alone."""
+def _run_convert(_: Path, mjcf: Path, folder: Path) -> Cell:
+    """Return the report about the MJCF and the URDF converted from it."""
     made = folder / "made.urdf"
     done = answer("convert", str(mjcf), "-o", str(made), folder=folder)
     if not made.is_file():
-        return _cell(*done)
-    cell = _cell(*answer("stand", str(made), str(mjcf), "-v", folder=folder))
+        return _make_cell(*done)
+    cell = _make_cell(*answer("stand", str(made), str(mjcf), "-v", folder=folder))
     return replace(cell, word=f"{done.stdout.split()[0]}, {cell.word}")
 
 
-def _written(_: Path, mjcf: Path, folder: Path) -> Cell:
-    """The MJCF that is made of that URDF: what is said of it is no better than what it does."""
+def _run_round_trip(_: Path, mjcf: Path, folder: Path) -> Cell:
+    """Return the report about the MJCF converted back, compared with its own simulation."""
     between, made = folder / "made.urdf", folder / "made.xml"
     answer("convert", str(mjcf), "-o", str(between), folder=folder)
     if not between.is_file():
         return Cell(False, True, False, False, "no URDF")
     done = answer("convert", str(between), "-o", str(made), folder=folder)
-    cell = _cell(*done)
+    cell = _make_cell(*done)
     if not made.is_file():
         return cell
-    stood = _cell(*answer("stand", str(made), "-v", folder=folder))
+    stood = _make_cell(*answer("stand", str(made), "-v", folder=folder))
     return replace(
         stood,
         passed=cell.passed or stood.passed,
         word=f"{cell.word}, {stood.word}",
-        truth=truth_of(made, folder.parent / "plain" / mjcf.name),
+        truth=simulate_truth(made, folder.parent / "plain" / mjcf.name),
     )
 
 
-def _stance(urdf: Path, mjcf: Path, folder: Path) -> Cell:
-    """A stance that a file states: on a slope, with a payload, as ``live`` saves it."""
+def _run_stance_file(urdf: Path, mjcf: Path, folder: Path) -> Cell:
+    """Return the report about a stance file with slope and payload, as ``live`` saves it."""
     (folder / "stance.toml").write_text(
         f'slope = "{math.degrees(SLOPE)}deg"\npayload = {LOAD}\n'
         f'payload_at = "{",".join(map(str, ABOVE))}"\n'
     )
-    cell = _command("stand", "--stance", "stance.toml")(urdf, mjcf, folder)
-    alone = truth_of(mjcf, folder.parent / "plain" / mjcf.name)
-    there = truth_of(mjcf, folder.parent / "plain" / mjcf.name, slope=SLOPE, load=LOAD)
+    cell = _make_command("stand", "--stance", "stance.toml")(urdf, mjcf, folder)
+    alone = simulate_truth(mjcf, folder.parent / "plain" / mjcf.name)
+    there = simulate_truth(mjcf, folder.parent / "plain" / mjcf.name, slope=SLOPE, load=LOAD)
     return replace(cell, truth=alone if there is Truth.STANDS else there)
 
 
-ASKED: dict[str, Ask] = {
-    "stand": _command("stand"),
-    "payload": _command("payload", "--payload-at", "0,0,5cm"),
-    "push": _command("push", "--directions", "3", "--resolution", "2"),
-    "path": _command("path", "--seconds", "3", "--height", "0.34"),
-    "best": _command("best", before=("margin",)),
-    "analyze": _command("analyze", "--no-figures", alone=True),
-    "study": _study,
-    "python": _python,
-    "live": _live,
+REPORTS: dict[str, Ask] = {
+    "stand": _make_command("stand"),
+    "payload": _make_command("payload", "--payload-at", "0,0,5cm"),
+    "push": _make_command("push", "--directions", "3", "--resolution", "2"),
+    "path": _make_command("path", "--seconds", "3", "--height", "0.34"),
+    "best": _make_command("best", before=("margin",)),
+    "analyze": _make_command("analyze", "--no-figures", alone=True),
+    "study": _run_study,
+    "python": _run_python,
+    "live": _run_live,
 }
+"""{name: function that returns the report about a quadruped}."""
 
-COMMANDS = {name: ask for name, ask in ASKED.items() if name in (*cli.COMMAND_NAMES, "python")}
+COMMANDS = {name: ask for name, ask in REPORTS.items() if name in (*cli.COMMAND_NAMES, "python")}
+"""{command: function}, of commands and of Python."""
 
-FILES: dict[str, Ask] = {"convert": _convert, "written": _written, "stance": _stance}
-"""Those of files that are made, or that state a stance."""
+FILES: dict[str, Ask] = {
+    "convert": _run_convert,
+    "written": _run_round_trip,
+    "stance": _run_stance_file,
+}
+"""{name: function}, of converted files and stance files."""
 
 STANDING = COMMANDS | FILES
+"""{name: function}, of all reports about a quadruped."""
 
-HELD: dict[str, Ask] = {"hold": _command("hold")}
-"""Those that are asked of arms."""
+HELD: dict[str, Ask] = {"hold": _make_command("hold")}
+"""{command: function that returns the report about an arm}."""
 
 
-def truth_of_arm(path: Path) -> Truth:
-    """Simulate an arm's file from its keyframe; a joint that ends far from there has left it.
+def simulate_arm_truth(path: Path) -> Truth:
+    """Simulate an arm's file from its keyframe, and return the result.
 
-    It is commanded elsewhere if it stays when its servos are commanded the angles there instead.
+    The result is ELSEWHERE if the arm leaves the keyframe, but stays when its servos are commanded
+    to the angles of the keyframe.
     """
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
@@ -318,23 +343,27 @@ def truth_of_arm(path: Path) -> Truth:
         return Truth.REFUSED
     if not (model.actuator_biasprm[:, 1] < 0).any():
         return Truth.LIMP
-    off, speed, lost = _arm_run(model, angles=False)
+    off, speed, lost = _simulate_arm(model, angles=False)
     if lost:
         return Truth.FALLS
     if off <= LEANS:
-        return Truth.SHAKES if speed > SHAKES else Truth.STANDS
-    if _arm_run(model, angles=True)[0] > LEANS:
+        return Truth.SHAKES if speed > MAX_REST_SPEED else Truth.STANDS
+    if _simulate_arm(model, angles=True)[0] > LEANS:
         return Truth.FALLS
     stated = re.search(r"<key\b[^>]*\bctrl=", path.read_text())
     return Truth.ELSEWHERE if stated else Truth.UNTOLD
 
 
-def _arm_run(model: mujoco.MjModel, *, angles: bool) -> tuple[float, float, bool]:
-    """Return how far the joints of the arm are off in the end, how fast, and whether it is lost.
+def _simulate_arm(model: mujoco.MjModel, *, angles: bool) -> tuple[float, float, bool]:
+    """Simulate an arm.
 
     Args:
-        model: What MuJoCo makes of its file.
-        angles: Whether the servos are commanded where it begins.
+        model: Compiled model of the file.
+        angles: Whether the servos are commanded to the initial angles.
+
+    Returns:
+        Largest final displacement of a joint [rad, m], largest final speed [rad/s, m/s], and
+        whether the simulation diverged.
     """
     data = mujoco.MjData(model)
     if model.nkey:
@@ -351,39 +380,40 @@ def _arm_run(model: mujoco.MjModel, *, angles: bool) -> tuple[float, float, bool
     return off, float(np.abs(data.qvel).max()), lost
 
 
-def edits() -> Iterator[tuple[str, Callable[[Path], legged.Pair]]]:
-    """Yield what is tried: its name, and what writes its files into a folder."""
+def list_edits() -> Iterator[tuple[str, Callable[[Path], legged.Pair]]]:
+    """Yield (name, function that writes the edited files to a folder) of all edits."""
     for name, edit in features.FEATURES.items():
-        yield name, lambda folder, edit=edit: legged.Pair(*features.files(folder, edit))
+        yield name, lambda folder, edit=edit: legged.Pair(*features.write_files(folder, edit))
     for name, slip in slips.SLIPS.items():
-        yield f"slip: {name}", lambda folder, slip=slip: _slipped(folder, slip)
+        yield f"slip: {name}", lambda folder, slip=slip: _write_mistake(folder, slip)
 
 
-def _slipped(folder: Path, slip: slips.Slip) -> legged.Pair:
+def _write_mistake(folder: Path, slip: slips.Slip) -> legged.Pair:
+    """Write a quadruped with a mistake."""
     pair = slips.standing(folder)
     pair.mjcf.write_text(slip(pair.mjcf.read_text(), np.random.default_rng(0)))
     return pair
 
 
-def row_of_arm(name: str, folder: Path) -> Row:
-    """Asks what is asked of arms of a feature's file."""
+def make_arm_row(name: str, folder: Path) -> Row:
+    """Run the commands for arms on a file with a feature."""
     urdf, mjcf = arm_features.files(folder, arm_features.FEATURES[name])
-    row = Row(name, truth_of_arm(mjcf))
+    row = Row(name, simulate_arm_truth(mjcf))
     row.cells = {command: ask(urdf, mjcf, folder) for command, ask in HELD.items()}
     return row
 
 
-def row_of(
+def make_row(
     name: str,
     write: Callable[[Path], legged.Pair],
     folder: Path,
     commands: Iterable[str] = COMMANDS,
 ) -> Row:
-    """Asks commands of an edit's file, each in a folder of its own."""
+    """Run commands on an edited file, each in its own folder."""
     (folder / "plain").mkdir()
     plain = slips.standing(folder / "plain")
     pair = write(folder)
-    row = Row(name, truth_of(pair.mjcf, plain.mjcf))
+    row = Row(name, simulate_truth(pair.mjcf, plain.mjcf))
     for command in commands:
         place = folder / command
         place.mkdir()

@@ -11,7 +11,7 @@ from pupper_analysis.base import files
 
 
 def leave_hidden_file(folder: Path, *, alive: bool = False) -> Path:
-    """Make the hidden file of a process that was killed while it wrote, or of this process."""
+    """Write a hidden temporary file of a killed process, or of this process if ``alive``."""
     token = files.hidden_token()
     if not alive:
         with subprocess.Popen([sys.executable, "-c", ""]) as dead:

@@ -1,4 +1,4 @@
-"""Reads a report as a browser would: its elements, its tables, and whether it is well-formed."""
+"""Reader of a report: elements, tables, and whether the HTML is well-formed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from html.parser import HTMLParser
 from lxml import etree
 from lxml import html as lxml_html
 
-VOID = frozenset(("meta", "link", "input", "br", "img", "hr"))
-"""Elements without an end."""
+VOID_TAGS = frozenset(("meta", "link", "input", "br", "img", "hr"))
+"""Elements without an end tag."""
 
 
-class Strict(HTMLParser):
-    """Refuses what browsers would silently mend."""
+class StrictParser(HTMLParser):
+    """HTML parser that raises an error where browsers would silently repair."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)
@@ -25,7 +25,7 @@ class Strict(HTMLParser):
         names = [name for name, _ in attrs]
         assert len(names) == len(set(names)), (tag, names)
         self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
+        if tag not in VOID_TAGS:
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -43,20 +43,20 @@ class Strict(HTMLParser):
 
 @dataclass
 class Page:
-    """A report that has been read.
+    """Report that has been parsed.
 
     Attributes:
-        text: The file's text.
-        strict: What a strict reader saw.
-        root: The tree.
+        text: Text of the file.
+        strict: Result of the strict parser.
+        root: Tree of the elements.
     """
 
     text: str
-    strict: Strict = field(init=False)
+    strict: StrictParser = field(init=False)
     root: etree._Element = field(init=False)
 
     def __post_init__(self) -> None:
-        self.strict = Strict()
+        self.strict = StrictParser()
         self.strict.feed(self.text)
         self.strict.close()
         assert self.strict.open == []
@@ -77,7 +77,7 @@ class Page:
         return found
 
     def shown(self) -> str:
-        """Return all that is shown in English, scripts left out."""
+        """Return the displayed English text, without scripts."""
         return shown(self.root.find("body"))
 
 

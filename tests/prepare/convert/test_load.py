@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.pupper.variants import find_model_folder
-from tests.support.corpus import INERTIAL, LIMIT, joint, link, urdf
+from tests.support.corpus import INERTIAL, LIMIT, format_joint, format_link, format_urdf
 from tests.support.legged import quadruped, rewritten
 from tests.support.robots import Part, mjcf_text
 
@@ -187,8 +187,10 @@ def test_tendon_servo_is_commanded_to_its_current_length(tmp_path: Path) -> None
 
 def _chain(first: str) -> str:
     """Two hinges in a row; what the first link weighs is given."""
-    joints = joint("one", "base", "a", AXIS), joint("two", "a", "b", AXIS)
-    return urdf(link("base", ""), link("a", first), link("b", ""), *joints)
+    joints = format_joint("one", "base", "a", AXIS), format_joint("two", "a", "b", AXIS)
+    return format_urdf(
+        format_link("base", ""), format_link("a", first), format_link("b", ""), *joints
+    )
 
 
 AXIS = f'<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{LIMIT}'

@@ -17,7 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.meshes import UnreadableError, convert_to_obj
 from pupper_analysis.tools.convert import Conversion
-from tests.support.conversions import compiled, shape_of
+from tests.support.conversions import compile_file, format_shape
 from tests.support.robots import arm, urdf_text
 
 BOX = trimesh.creation.box((0.1, 0.2, 0.3))
@@ -113,13 +113,14 @@ def test_archives_and_oversized_meshes_are_left_out(tmp_path: Path) -> None:
     the valid mesh is converted."""
     expected = hostile(tmp_path)
     shapes = "".join(
-        shape_of("visual", f'<mesh filename="{name}"/>', "0 0 0") for name in (*expected, "box.obj")
+        format_shape("visual", f'<mesh filename="{name}"/>', "0 0 0")
+        for name in (*expected, "box.obj")
     )
     found = with_shapes(tmp_path, shapes)
     for name, why in expected.items():
         (said,) = [text for text in map(str, found.not_converted) if name in text]
         assert why in said
-    assert compiled(tmp_path / "arm.xml").nmesh == 1  # box.obj
+    assert compile_file(tmp_path / "arm.xml").nmesh == 1  # box.obj
 
 
 def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +183,7 @@ def test_conversion_fails_if_a_collision_mesh_is_left_out(tmp_path: Path) -> Non
         content = whole[:80] + struct.pack("<I", claimed) + whole[84:]
         file = f"{claimed}.stl"  # MuJoCo keeps what it has read of a name in this second
         (tmp_path / file).write_bytes(content)
-        shape = shape_of("collision", f'<mesh filename="{file}"/>', "0 0 0")
+        shape = format_shape("collision", f'<mesh filename="{file}"/>', "0 0 0")
         found = with_shapes(tmp_path, shape)
         assert found.agree
         assert found.passed == passes
@@ -196,11 +197,11 @@ def test_flat_visual_mesh_is_converted_as_a_shell(tmp_path: Path) -> None:
         [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]]
     )
     plate.export(tmp_path / "plate.stl")
-    shape = shape_of("visual", '<mesh filename="plate.stl"/>', "0 0 0")
+    shape = format_shape("visual", '<mesh filename="plate.stl"/>', "0 0 0")
     found = with_shapes(tmp_path, shape)
     assert found.passed
     assert not [text for text in map(str, found.not_converted) if "mesh" in text]
-    assert compiled(tmp_path / "arm.xml").nmesh == 1
+    assert compile_file(tmp_path / "arm.xml").nmesh == 1
 
 
 def published(folder: Path) -> Path:
@@ -208,7 +209,7 @@ def published(folder: Path) -> Path:
     for place in ("robot/urdf", "robot/meshes"):
         (folder / place).mkdir(parents=True)
     BOX.export(folder / "robot/meshes/box.stl")
-    shape = shape_of("visual", '<mesh filename="../meshes/box.stl"/>', "0 0 0")
+    shape = format_shape("visual", '<mesh filename="../meshes/box.stl"/>', "0 0 0")
     path = folder / "robot/urdf/arm.urdf"
     path.write_text(urdf_text(arm(), ()).replace("</link>", f"{shape}</link>", 1))
     return path
@@ -219,7 +220,7 @@ def test_mesh_is_found_after_the_common_folder_is_moved(tmp_path: Path) -> None:
     (tmp_path / "robot/mjcf").mkdir()
     pa.convert_model(urdf, tmp_path / "robot/mjcf/arm.xml")
     (tmp_path / "robot").rename(tmp_path / "elsewhere")
-    assert compiled(tmp_path / "elsewhere/mjcf/arm.xml").nmesh == 1
+    assert compile_file(tmp_path / "elsewhere/mjcf/arm.xml").nmesh == 1
 
 
 def test_linked_mesh_is_found_after_its_folder_is_moved(tmp_path: Path) -> None:
@@ -230,7 +231,7 @@ def test_linked_mesh_is_found_after_its_folder_is_moved(tmp_path: Path) -> None:
     (tmp_path / "robot/meshes/box.stl").symlink_to(tmp_path / "store/1f3a.stl")
     pa.convert_model(urdf, tmp_path / "robot/urdf/arm.xml")
     (tmp_path / "robot").rename(tmp_path / "elsewhere")
-    assert compiled(tmp_path / "elsewhere/urdf/arm.xml").nmesh == 1
+    assert compile_file(tmp_path / "elsewhere/urdf/arm.xml").nmesh == 1
 
 
 def test_copied_mesh_is_found_after_the_new_folder_is_moved(tmp_path: Path) -> None:
@@ -241,14 +242,14 @@ def test_copied_mesh_is_found_after_the_new_folder_is_moved(tmp_path: Path) -> N
     assert found.written == tuple(str(tmp_path / "new" / name) for name in written)
     (tmp_path / "robot").rename(tmp_path / "gone")
     (tmp_path / "new").rename(tmp_path / "elsewhere")
-    assert compiled(tmp_path / "elsewhere/arm.xml").nmesh == 1
+    assert compile_file(tmp_path / "elsewhere/arm.xml").nmesh == 1
 
 
 def test_missing_collision_mesh_is_a_failure_and_a_missing_visual_mesh_is_not(
     tmp_path: Path,
 ) -> None:
     for kind, codes in (("visual", []), ("collision", ["collision-meshes-lost"])):
-        found = with_shapes(tmp_path, shape_of(kind, '<mesh filename="gone.stl"/>', "0 0 0"))
+        found = with_shapes(tmp_path, format_shape(kind, '<mesh filename="gone.stl"/>', "0 0 0"))
         assert [message.code for message in found.failures] == codes
 
 

@@ -11,18 +11,24 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from tests.support.conversions import compiled, converted, from_keyframe, shape_of, standing_urdf
+from tests.support.conversions import (
+    compile_file,
+    convert_file,
+    format_shape,
+    simulate_from_keyframe,
+    write_standing_urdf,
+)
 from tests.support.legged import rewritten
 
 
 def _changed(folder: Path, *changes: tuple[str, str]) -> Path:
-    return rewritten(standing_urdf(folder), *changes)
+    return rewritten(write_standing_urdf(folder), *changes)
 
 
 def _drift(mjcf: Path, but: str = "") -> float:
     """How far joints but one (rad) and base (m) go in 3 s from the keyframe, in MuJoCo alone."""
-    model = compiled(mjcf)
-    data, start = from_keyframe(model)
+    model = compile_file(mjcf)
+    data, start = simulate_from_keyframe(model)
     gone = np.abs(data.qpos - start)
     gone[:2] = 0
     if but:
@@ -65,11 +71,11 @@ def test_meshes_with_equal_names_stay_distinct(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir()
         trimesh.creation.box((size, 0.02, 0.02)).export(tmp_path / folder / "part.dae")
     shapes = "".join(
-        shape_of("visual", f'<mesh filename="{folder}/part.dae"/>', "0 0 0") for folder in "ab"
+        format_shape("visual", f'<mesh filename="{folder}/part.dae"/>', "0 0 0") for folder in "ab"
     )
-    path = rewritten(standing_urdf(tmp_path), ("</link>", f"{shapes}</link>"), count=1)
-    mjcf, _ = converted(path, "quad.xml")
-    model = compiled(mjcf)
+    path = rewritten(write_standing_urdf(tmp_path), ("</link>", f"{shapes}</link>"), count=1)
+    mjcf, _ = convert_file(path, "quad.xml")
+    model = compile_file(mjcf)
     lengths = []
     for mesh in range(model.nmesh):
         start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
@@ -107,7 +113,7 @@ def test_keyframe_of_a_robot_with_a_mimic_joint_holds_in_mujoco(
     """Reference: drift in MuJoCo. By virtual work, the servo of the leading joint bears the load of
     the following joint as well."""
     urdf = _with_arm(tmp_path, f'<mimic joint="arm1" multiplier="{factor}"/>')
-    mjcf, found = converted(urdf, "quad.xml")
+    mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert _drift(mjcf, but="arm2") < 1e-5  # MuJoCo's couplings are soft: it sags by 3 mrad
 
@@ -115,10 +121,10 @@ def test_keyframe_of_a_robot_with_a_mimic_joint_holds_in_mujoco(
 @pytest.mark.slow
 @pytest.mark.parametrize("leader", ["nowhere", "arm2"])
 def test_mimic_of_an_unknown_joint_is_left_out_with_a_note(leader: str, tmp_path: Path) -> None:
-    mjcf, found = converted(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
+    mjcf, found = convert_file(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
     assert any(f"joint 'arm2' mimics '{leader}'" in text for text in map(str, found.not_converted))
     assert not found.agree
-    assert compiled(mjcf).nu == 14
+    assert compile_file(mjcf).nu == 14
     assert _drift(mjcf) < 1e-4
 
 
@@ -152,7 +158,7 @@ def test_elements_around_the_robot_are_reported(tmp_path: Path) -> None:
         geoms='<site name="s"/>',
         after='<actuator><motor site="s"/></actuator>',
     )
-    _, found = converted(source, "two.urdf")
+    _, found = convert_file(source, "two.urdf")
     assert {
         "bodies that the robot does not carry: 'table', 'goal'",
         "geoms of the world and of such bodies: 2",
@@ -166,12 +172,12 @@ def test_active_joint_coupling_becomes_a_mimic(tmp_path: Path) -> None:
     line = '<joint joint1="j2" joint2="j1" polycoef="0.3 2 0 0 0" {}/>'
     inactive = 'active="false"'
     off = _mjcf(tmp_path, after=f"<equality>{line.format(inactive)}</equality>")
-    urdf, found = converted(off, "off.urdf")
+    urdf, found = convert_file(off, "off.urdf")
     assert found.agree
     assert "<mimic" not in urdf.read_text()
     assert "equality constraint 1 (joint)" in map(str, found.not_converted)
     twice = _mjcf(tmp_path, after=f"<equality>{2 * line.format('')}</equality>")
-    urdf, found = converted(twice, "twice.urdf")
+    urdf, found = convert_file(twice, "twice.urdf")
     assert urdf.read_text().count("<mimic") == 1
     assert "equality constraint 2 (joint)" in map(str, found.not_converted)
 
@@ -185,8 +191,8 @@ def test_scaled_mesh_keeps_its_position(tmp_path: Path) -> None:
         before='<asset><mesh name="m" file="part.stl" scale="1 -2 3"/></asset>',
         geoms='<geom type="mesh" mesh="m" pos="0.1 0.2 0.3" euler="10 20 30"/>',
     )
-    urdf, _ = converted(source, "two.urdf")
-    model = compiled(source)
+    urdf, _ = convert_file(source, "two.urdf")
+    model = compile_file(source)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     theirs = model.mesh_vert @ data.geom_xmat[0].reshape(3, 3).T + data.geom_xpos[0]
@@ -202,7 +208,7 @@ def test_scaled_mesh_keeps_its_position(tmp_path: Path) -> None:
     apart = np.linalg.norm(theirs[:, None] - mine[None], axis=2)
     assert max(apart.min(0).max(), apart.min(1).max()) < 1e-6  # m
     source.write_text(source.read_text().replace("scale=", 'refpos="0.1 0.2 0.3" scale='))
-    _, found = converted(source, "three.urdf")
+    _, found = convert_file(source, "three.urdf")
     assert "mesh-moved" in {one.code for one in found.not_converted}
 
 
@@ -219,7 +225,7 @@ def test_unconverted_mesh_of_an_attached_model_is_named(tmp_path: Path) -> None:
         before='<asset><model name="h" file="sub/hand.xml"/></asset>',
         geoms='<attach model="h" body="hand" prefix="left_"/>',
     )
-    _, found = converted(source, "two.urdf")
+    _, found = convert_file(source, "two.urdf")
     assert found.agree
     assert "mesh 'left_hand': its file 'hand.stl' is not in the MJCF's folder for meshes" in (
         map(str, found.not_converted)
@@ -230,8 +236,8 @@ def test_unconverted_mesh_of_an_attached_model_is_named(tmp_path: Path) -> None:
 def test_shapes_of_size_zero_are_left_out_with_a_note(tmp_path: Path) -> None:
     """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
     marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
-    output, result = converted(_changed(tmp_path, ("</link>", marker)), "marked.xml")
-    compiled(output)
+    output, result = convert_file(_changed(tmp_path, ("</link>", marker)), "marked.xml")
+    compile_file(output)
     said = " ".join(map(str, (*result.notes, *result.not_converted)))
     assert "size 0 0 0 was left out" in said
 
@@ -240,22 +246,22 @@ def test_shapes_of_size_zero_are_left_out_with_a_note(tmp_path: Path) -> None:
 def test_shapes_of_massless_links_touch_at_the_height_of_the_foot(tmp_path: Path) -> None:
     """Toe links without mass, with a sphere of radius 0 (as in Drake's Atlas), which the conversion
     must keep; otherwise the feet sink by 20 mm (Kuavo)."""
-    ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    ball = format_shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
     point = '<sphere radius="0.0"/>'
     toes = "".join(
-        f'<link name="{leg}_toe">{shape_of("collision", point, "0.01 0 -0.02")}</link>'
+        f'<link name="{leg}_toe">{format_shape("collision", point, "0.01 0 -0.02")}</link>'
         f'<joint name="{leg}_on" type="fixed"><parent link="{leg}_calf"/><child link="{leg}_toe"/>'
         '<origin xyz="0 0 -0.2" rpy="0 1.5707963267948966 0"/></joint>'
         for leg in ("FL", "FR", "RL", "RR")
     )
     urdf = _changed(tmp_path, (ball, ""), ("</robot>", f"{toes}</robot>"))
-    mjcf, found = converted(urdf, "quad.xml")
+    mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert any("links without mass" in str(note) and "FL_toe" in str(note) for note in found.notes)
     assert "spheres of radius 0, points that touch, have a radius of 1 mm" in map(
         str, found.not_converted
     )
-    model = compiled(mjcf)
+    model = compile_file(mjcf)
     calf = model.body("FL_calf").id
     point = model.geom("FL_toe_collision")
     assert model.geom_bodyid[point.id] == calf
@@ -273,15 +279,15 @@ def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
         '<child link="trunk"/><origin xyz="0 0 0.9"/></joint></robot>'
     )
     urdf = _changed(tmp_path, ("</robot>", floating))
-    mjcf, found = converted(urdf, "quad.xml")
+    mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
-    assert compiled(mjcf).body("trunk").parentid == 0
+    assert compile_file(mjcf).body("trunk").parentid == 0
 
 
 @pytest.mark.slow
 def test_feet_are_found_if_legs_are_horizontal_at_zero_angles(tmp_path: Path) -> None:
     """At zero angles the legs end at the height of the base, one slightly lower than the others."""
-    urdf = standing_urdf(tmp_path)
+    urdf = write_standing_urdf(tmp_path)
     text = urdf.read_text()
     for leg, turn, out in (("F", -1.57, 0.05), ("R", 1.57, 0.05)):
         for side, sign in (("L", 1), ("R", -1)):
@@ -293,7 +299,7 @@ def test_feet_are_found_if_legs_are_horizontal_at_zero_angles(tmp_path: Path) ->
             text = text[:at] + new + text[at + len(old) :]
     text = text.replace('lower="-1.5" upper="2.5"', 'lower="-2.6" upper="2.6"')
     urdf.write_text(text.replace('lower="-2.6" upper="-0.4"', 'lower="-2.6" upper="2.6"'))
-    _, found = converted(urdf, "quad.xml")
+    _, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     note = next(str(note) for note in found.notes if note.code == "feet-found")
     assert note.count("_calf_collision") == 4

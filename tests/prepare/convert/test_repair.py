@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.repair import find_nearest_moments, is_valid_inertia
-from tests.support.conversions import compiled, converted, same_dynamics
+from tests.support.conversions import compare_dynamics, compile_file, convert_file
 from tests.support.robots import Part, Parts, arm, changed, urdf_text
 
 CAMERA = (8.7e-6, 6.7e-4, 1.37e-3, 0.0, 0.0, 0.0)  # of ANYmal C's depth cameras
@@ -47,12 +47,12 @@ def test_repair_finds_the_mass_across_fixed_links(tmp_path: Path) -> None:
     urdf = written(tmp_path, changed(parts, "rod", kind="continuous", lower=None, upper=None))
     for link in ("frame", "mount", "rod"):
         without_mass(urdf, link)
-    mjcf, found = converted(urdf, "arm.xml")
+    mjcf, found = convert_file(urdf, "arm.xml")
     assert found.passed, found.failures
     assert found.repairs == ()
-    model = compiled(mjcf)
+    model = compile_file(mjcf)
     assert model.body("heavy").mass[0] == pytest.approx(6.16)
-    assert same_dynamics(urdf, mjcf) < 1e-9
+    assert compare_dynamics(urdf, mjcf) < 1e-9
 
 
 def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path)
     urdf = written(tmp_path, changed(arm(), "boom", inertia=stated))
     with pytest.raises(pa.ModelError, match=r"'boom'.*which no body has.*--repair-inertia"):
         pa.convert_model(urdf, tmp_path / "arm.xml")
-    mjcf, found = converted(urdf, "arm.xml", repair_inertia=True)
+    mjcf, found = convert_file(urdf, "arm.xml", repair_inertia=True)
     assert found.passed, found.failures
     (repair,) = found.repairs
     assert (repair.link, repair.body) == ("boom", "lift")
@@ -71,7 +71,7 @@ def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path)
     assert new[0] + new[1] == pytest.approx(new[2], rel=2e-6)
     missing = moments[2] - moments[0] - moments[1]
     np.testing.assert_allclose(new - moments, np.array([1, 1, -1]) * missing / 3, rtol=1e-4)
-    model, body = compiled(mjcf), compiled(mjcf).body("boom")
+    model, body = compile_file(mjcf), compile_file(mjcf).body("boom")
     np.testing.assert_allclose(np.sort(body.inertia), new, rtol=1e-9)
     np.testing.assert_allclose(body.ipos, (0.2, 0.0, 0.0))
     assert {d.element for d in found.comparison.differences} == {"lift"}

@@ -14,7 +14,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.additions import Floor, Servo, StartKeyframe
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
-from tests.support.conversions import standing_urdf
+from tests.support.conversions import write_standing_urdf
 from tests.support.legged import quadruped as legged
 from tests.support.legged import rewritten
 
@@ -32,7 +32,7 @@ MOTOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "ctrllimited", "gea
 def drawn(folder: Path, seed: int) -> Path:
     """A quadruped of random masses and feet, every second one's feet round meshes."""
     random = np.random.default_rng(seed)
-    text = standing_urdf(folder).read_text()
+    text = write_standing_urdf(folder).read_text()
 
     def heavier(found: re.Match[str]) -> str:
         return f'mass value="{float(found[1]) * random.uniform(0.8, 1.25):.4f}"'
@@ -140,7 +140,7 @@ def test_freed_robot_is_written_with_the_servos_of_its_stand(
     servos for the hanging robot are too weak to stand on."""
     tie = '<joint name="tie" type="fixed"><parent link="world"/><child link="trunk"/></joint>'
     tied = ("</robot>", f'<link name="world"/>{tie}</robot>')
-    free, written, output = both(rewritten(standing_urdf(tmp_path), tied), tmp_path)
+    free, written, output = both(rewritten(write_standing_urdf(tmp_path), tied), tmp_path)
     assert written.nkey == 0
     assert not (written.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
     for name in MOTOR:

@@ -10,7 +10,7 @@ import pytest
 
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
-from tests.support.corpus import INERTIAL, link
+from tests.support.corpus import INERTIAL, format_link
 from tests.support.robots import (
     Part,
     Parts,
@@ -66,7 +66,7 @@ def test_massless_root_link_is_left_out_with_a_note(tmp_path: Path, kind: str) -
 def test_a_root_link_with_mass_is_part_of_the_robot(tmp_path: Path) -> None:
     """Its mass is folded into the base, and so is a difference."""
     heavy = INERTIAL.replace('="1"', '="1e-3"').replace('value="1e-3"', 'value="0.5"')
-    text = with_root("fixed").replace('<link name="world"/>', link("world", heavy))
+    text = with_root("fixed").replace('<link name="world"/>', format_link("world", heavy))
     comparison = compare_texts(tmp_path, text, MJCF)
     assert found(comparison)[0] == ("mass", "world")
     assert comparison.differences[0].urdf == pytest.approx(6.5)

@@ -21,7 +21,7 @@ from pupper_analysis.stance.sag.steady_state import (
     minimum_stiffness,
     steady_state,
 )
-from tests.support.engines import changed, mujoco_at
+from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.variants import NAMES, SKELETON_NAMES, load, stand_of
 
 SETTLING = tuple(name for name in NAMES if name != "v3-long-leg")
@@ -46,7 +46,7 @@ def test_forces_of_a_steady_state_balance_in_mujoco(name: str, feet: Feet) -> No
     """Reference: MuJoCo's bias forces, Jacobians and penetrations at the predicted positions."""
     robot, stand = load(name), stand_of(name)
     pose = steady_state(robot, stand, feet=feet)
-    data = mujoco_at(robot, pose.qpos)
+    data = evaluate_mujoco(robot, pose.qpos)
     rest = data.qfrc_bias[robot.mj_convention.qvel_index].copy()
     torques = model_with_servos(robot).kp * (stand.qpos[7:] - pose.qpos[7:])
     np.testing.assert_allclose(pose.joint_torques, torques, rtol=0, atol=1e-12)
@@ -75,7 +75,7 @@ def test_joints_of_a_robot_with_a_fixed_base_sag_until_the_servos_hold_its_weigh
     pose = steady_state(robot, stand)
     sag = stand.qpos - pose.qpos
     torques = model_with_servos(robot).kp * sag
-    bias = mujoco_at(robot, pose.qpos).qfrc_bias[robot.mj_convention.qvel_index]
+    bias = evaluate_mujoco(robot, pose.qpos).qfrc_bias[robot.mj_convention.qvel_index]
     assert np.abs(sag).max() > 1e-3
     np.testing.assert_allclose(torques, bias, rtol=0, atol=1e-9)
     np.testing.assert_allclose(pose.joint_torques, torques, rtol=0, atol=1e-12)
@@ -284,7 +284,7 @@ def test_steady_state_fails_if_creep_ends_the_equilibrium() -> None:
         def grip(model: mujoco.MjModel, noslip: int = noslip) -> None:
             model.opt.noslip_iterations = noslip
 
-        still = changed(robot, grip)
+        still = change_model(robot, grip)
         drive = model_with_servos(still, 2.38, 0.1)
         data = mujoco.MjData(drive.model)
         robot.mj_convention.set_state(data, pose.qpos)
@@ -310,7 +310,7 @@ def test_simulation_collapses_below_the_minimum_stiffness(
     kp = minimum_stiffness(robot, stand, feet=feet, tolerance=0.05)
     above, below = (
         pa.verify_stand(
-            changed(robot, ground), stand, feedforward=False, kp=share * kp, kd=kd,
+            change_model(robot, ground), stand, feedforward=False, kp=share * kp, kd=kd,
             integrator="implicitfast", duration=8.0,
         )
         for share in (1.05, 0.9)

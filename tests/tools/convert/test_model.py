@@ -15,7 +15,13 @@ import trimesh
 import pupper_analysis as pa
 from tests.support import features
 from tests.support.commands import answer
-from tests.support.conversions import compiled, converted, same_dynamics, shape_of, standing_urdf
+from tests.support.conversions import (
+    compare_dynamics,
+    compile_file,
+    convert_file,
+    format_shape,
+    write_standing_urdf,
+)
 from tests.support.repository import ROOT
 from tests.support.robots import NOTHING, Part, Parts, arm, changed, mjcf_text, urdf_text
 from tests.support.round_trips import round_trip
@@ -25,8 +31,8 @@ from tests.support.round_trips import round_trip
 
 @pytest.mark.slow
 def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
-    urdf = standing_urdf(tmp_path)
-    mjcf, found = converted(urdf, "quad.xml")
+    urdf = write_standing_urdf(tmp_path)
+    mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert found.agree
     assert found.comparison.differences == ()
@@ -34,9 +40,9 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
     assert found.verification is not None
     assert found.verification.duration == 12.0
     assert found.verification.torque_error < 1e-5
-    assert same_dynamics(urdf, mjcf) < 1e-9
+    assert compare_dynamics(urdf, mjcf) < 1e-9
     assert found.written == (str(mjcf),)
-    model = compiled(mjcf)
+    model = compile_file(mjcf)
     assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value
     assert model.body_subtreemass[0] == pytest.approx(4 + 4 * 1.1)
     # The URDF's effort limits are the servos' (N m).
@@ -52,13 +58,13 @@ def test_converted_random_robots_agree_with_their_source(tmp_path: Path) -> None
         parts = _random_tree(random)
         urdf = tmp_path / f"tree{number}.urdf"
         urdf.write_text(urdf_text(parts, ()))
-        mjcf, found = converted(urdf, f"tree{number}.xml", fixed_base=True)
+        mjcf, found = convert_file(urdf, f"tree{number}.xml", fixed_base=True)
         assert found.passed, found.failures
-        assert same_dynamics(urdf, mjcf) < 1e-9
-        assert compiled(mjcf).nbody == 1 + len(parts)
-        back, again = converted(mjcf, f"back{number}.urdf")
+        assert compare_dynamics(urdf, mjcf) < 1e-9
+        assert compile_file(mjcf).nbody == 1 + len(parts)
+        back, again = convert_file(mjcf, f"back{number}.urdf")
         assert again.passed, again.failures
-        assert same_dynamics(back, mjcf) < 1e-9
+        assert compare_dynamics(back, mjcf) < 1e-9
 
 
 def _random_tree(random: np.random.Generator) -> Parts:
@@ -92,14 +98,14 @@ def test_mimic_joints_are_converted_to_couplings(tmp_path: Path) -> None:
     mimic = '<mimic joint="lift" multiplier="-0.5" offset="0.1"/></joint>'
     place = text.index("</joint>", text.index('name="push"'))
     urdf.write_text(text[:place] + mimic + text[place + len("</joint>") :])
-    mjcf, found = converted(urdf, "arm.xml")
+    mjcf, found = convert_file(urdf, "arm.xml")
     assert found.passed, found.failures
-    model = compiled(mjcf)
+    model = compile_file(mjcf)
     np.testing.assert_allclose(model.eq_data[0, :3], [0.1, -0.5, 0])
     coupled = model.joint("push").id, model.joint("lift").id
     assert (model.eq_obj1id[0], model.eq_obj2id[0]) == coupled
     assert [model.actuator(i).name for i in range(model.nu)] == ["turn", "lift"]
-    back, again = converted(mjcf, "back.urdf")
+    back, again = convert_file(mjcf, "back.urdf")
     assert again.passed, again.failures
     written = ElementTree.parse(back).getroot().find("joint[@name='push']/mimic")
     assert written is not None
@@ -120,11 +126,13 @@ def test_shape_poses_equal_those_of_yourdfpy(tmp_path: Path) -> None:
     solid.export(folder / "part.stl")
     solid.export(folder / "part.dae")
     shapes = {
-        "base": shape_of("visual", '<mesh filename="parts/part.stl" scale="1 -1 2"/>', "0.1 0 0.2"),
-        "column": shape_of("collision", '<box size="0.1 0.2 0.3"/>', "0 0.1 0", "0.3 0.2 -0.4"),
-        "boom": shape_of("visual", '<mesh filename="parts/part.dae"/>', "0 0 0.1", "0 0 1")
-        + shape_of("collision", '<cylinder radius="0.03" length="0.4"/>', "0.1 0 0", "0 1.2 0"),
-        "rod": shape_of("collision", '<sphere radius="0.07"/>', "0.02 0.03 0.04"),
+        "base": format_shape(
+            "visual", '<mesh filename="parts/part.stl" scale="1 -1 2"/>', "0.1 0 0.2"
+        ),
+        "column": format_shape("collision", '<box size="0.1 0.2 0.3"/>', "0 0.1 0", "0.3 0.2 -0.4"),
+        "boom": format_shape("visual", '<mesh filename="parts/part.dae"/>', "0 0 0.1", "0 0 1")
+        + format_shape("collision", '<cylinder radius="0.03" length="0.4"/>', "0.1 0 0", "0 1.2 0"),
+        "rod": format_shape("collision", '<sphere radius="0.07"/>', "0.02 0.03 0.04"),
     }
     text = urdf_text(arm(), ())
     for link, shape in shapes.items():
@@ -132,12 +140,12 @@ def test_shape_poses_equal_those_of_yourdfpy(tmp_path: Path) -> None:
         text = text[:end] + shape + text[end:]
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(text)
-    mjcf, found = converted(urdf, "arm.xml")
+    mjcf, found = convert_file(urdf, "arm.xml")
     assert found.passed, found.failures
     assert all(text.startswith("velocity limits of ") for text in map(str, found.not_converted))
     assert (tmp_path / "arm_meshes" / "part.obj").is_file()
     assert found.written[-1] == str(mjcf)
-    back, _ = converted(mjcf, "back.urdf")
+    back, _ = convert_file(mjcf, "back.urdf")
     one, two = (
         yourdfpy.URDF.load(str(path), load_collision_meshes=True, build_collision_scene_graph=True)
         for path in (urdf, back)
@@ -146,7 +154,7 @@ def test_shape_poses_equal_those_of_yourdfpy(tmp_path: Path) -> None:
         first, second = getattr(one, which), getattr(two, which)
         assert len(first.geometry) == len(second.geometry) > 0
         np.testing.assert_allclose(first.bounds, second.bounds, atol=1e-6)
-    model = compiled(mjcf)
+    model = compile_file(mjcf)
     groups = sorted(model.geom_group.tolist())
     assert groups == [2, 2, 3, 3, 3]
     np.testing.assert_allclose(model.geom("column_collision").size, [0.05, 0.1, 0.15])
@@ -158,10 +166,10 @@ def test_missing_meshes_are_left_out_with_a_note(tmp_path: Path) -> None:
     pointer = tmp_path / "far.stl"
     pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     names = ("package://none/gone.stl", "far.stl")
-    shapes = "".join(shape_of("visual", f'<mesh filename="{one}"/>', "0 0 0") for one in names)
+    shapes = "".join(format_shape("visual", f'<mesh filename="{one}"/>', "0 0 0") for one in names)
     text = urdf_text(arm(), ()).replace("</link>", f"{shapes}</link>", 1)
     (tmp_path / "arm.urdf").write_text(text)
-    _, found = converted(tmp_path / "arm.urdf", "arm.xml")
+    _, found = convert_file(tmp_path / "arm.urdf", "arm.xml")
     assert found.passed
     assert len(found.not_converted) == 2
     assert ", ".join(names) in str(found.not_converted[0])
@@ -169,7 +177,7 @@ def test_missing_meshes_are_left_out_with_a_note(tmp_path: Path) -> None:
 
 def test_errors_of_the_source_file_are_reported(tmp_path: Path) -> None:
     """A negative damping of the source is in the converted file as well."""
-    _, mjcf = features.files(tmp_path, features.FEATURES["damping -2"])
+    _, mjcf = features.write_files(tmp_path, features.FEATURES["damping -2"])
     notes = pa.convert_model(mjcf, tmp_path / "new.urdf").notes
     (message,) = [note for note in notes if note.code == "rests-on-made-up"]
     assert "damping is negative" in str(message)
@@ -177,7 +185,7 @@ def test_errors_of_the_source_file_are_reported(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("feature", ["armature -0.01", "timestep 10"])
 def test_model_that_cannot_be_simulated_is_not_written(feature: str, tmp_path: Path) -> None:
-    _, mjcf = features.files(tmp_path, features.FEATURES[feature])
+    _, mjcf = features.write_files(tmp_path, features.FEATURES[feature])
     with pytest.raises(pa.ModelError):
         pa.convert_model(mjcf, tmp_path / "new.urdf")
     assert not (tmp_path / "new.urdf").exists()
@@ -221,12 +229,12 @@ def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
             <geom type="ellipsoid" size="0.1 0.2 0.3" name="egg"/>
             <site name="tip" pos="0.1 0 0" euler="0 0 1"/>
           </body></body></body></worldbody></mujoco>""")
-    urdf, found = converted(mjcf, "odd.urdf")
+    urdf, found = convert_file(mjcf, "odd.urdf")
     assert found.passed, found.failures
     assert "geom 'egg': a URDF has no ellipsoid" in map(str, found.not_converted)
     assert "3 joints have no effort limit; in a URDF that is 0" in map(str, found.not_converted)
-    assert same_dynamics(urdf, mjcf) < 1e-9
-    model, reference = compiled(mjcf), pin.buildModelFromUrdf(str(urdf))
+    assert compare_dynamics(urdf, mjcf) < 1e-9
+    model, reference = compile_file(mjcf), pin.buildModelFromUrdf(str(urdf))
     data, work = mujoco.MjData(model), reference.createData()
     angles = {"yaw": 0.3, "pitch": -0.6, "push": 0.11}
     q = pin.neutral(reference)
@@ -306,7 +314,7 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line(arguments: tuple[str, ...], problem: str, tmp_path: Path) -> None:
-    standing_urdf(tmp_path)
+    write_standing_urdf(tmp_path)
     done = answer("convert", "quad.urdf", *arguments, folder=tmp_path)
     assert done.returncode == 2
     assert problem in done.stderr
@@ -333,7 +341,7 @@ def hand(folder: Path, count: int = 3) -> Path:
                 name, parent, joint, position=place, axis=(0.0, 1.0, 0.0),
                 mass=mass, com=(0.0, 0.0, 0.02), lower=-0.3, upper=1.5,
             )  # fmt: skip
-    ball = shape_of("collision", '<sphere radius="0.01"/>', "0 0 0.04")
+    ball = format_shape("collision", '<sphere radius="0.01"/>', "0 0 0.04")
     path = folder / "hand.urdf"
     path.write_text(urdf_text(parts, ()).replace("</link>", f"{ball}</link>"))
     return path
@@ -346,21 +354,21 @@ def is_free(model: mujoco.MjModel) -> bool:
 @pytest.fixture(scope="module")
 def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The MJCF of a quadruped."""
-    mjcf, found = converted(standing_urdf(tmp_path_factory.mktemp("quad")), "quad.xml")
+    mjcf, found = convert_file(write_standing_urdf(tmp_path_factory.mktemp("quad")), "quad.xml")
     assert found.passed, found.failures
     return mjcf
 
 
 def test_free_hand_that_cannot_stand_fails_and_names_fixed_base(tmp_path: Path) -> None:
     """A hand has as many limbs as a tripod; with fixed_base the conversion passes."""
-    mjcf, found = converted(hand(tmp_path), "free.xml")
+    mjcf, found = convert_file(hand(tmp_path), "free.xml")
     assert found.agree
     assert not found.passed
     assert "--fixed-base" in str(found.failures[0])
-    assert is_free(compiled(mjcf))
-    mjcf, found = converted(hand(tmp_path), "hand.xml", fixed_base=True)
+    assert is_free(compile_file(mjcf))
+    mjcf, found = convert_file(hand(tmp_path), "hand.xml", fixed_base=True)
     assert found.passed, found.failures
-    assert not is_free(compiled(mjcf))
+    assert not is_free(compile_file(mjcf))
 
 
 @pytest.mark.slow
@@ -410,7 +418,7 @@ def test_conversion_of_an_mjcf_fails_if_a_collision_mesh_is_missing(tmp_path: Pa
 def test_base_frame_below_the_feet_keeps_its_position(empty: bool, tmp_path: Path) -> None:
     """The keyframe has the base below the ground, as the URDF has; with and without an empty
     root link above the base."""
-    path, lift = standing_urdf(tmp_path), 1.05
+    path, lift = write_standing_urdf(tmp_path), 1.05
     tree = ElementTree.parse(path)
     root, new = tree.getroot(), ElementTree.SubElement
     raised = root.findall("link[@name='trunk']/*") + root.findall("joint/parent[@link='trunk']/..")

@@ -31,24 +31,24 @@ def test_torques_sag_and_tool_position_equal_the_closed_form() -> None:
     """Of both engines, of servos by joint, and simulated."""
     robot = arm()
     held = pa.hold_posture(robot, POSTURE)
-    wanted = by_hand.torques(*ANGLES)
+    wanted = by_hand.holding_torques(*ANGLES)
     torques = dict(zip(robot.joint_names, held.statics.joint_torques, strict=True))
     assert robot.joint_names == by_hand.ORDER
     assert torques == pytest.approx(wanted, abs=1e-12)
     by_mujoco = load_by_mujoco(robot, held.posture.qpos)
     assert by_mujoco == pytest.approx(held.statics.joint_torques, abs=1e-12)
     assert held.tool.name == "tip"
-    assert held.tool_position == pytest.approx(by_hand.tip(*ANGLES), abs=1e-12)
+    assert held.tool_position == pytest.approx(by_hand.tip_position(*ANGLES), abs=1e-12)
     assert held.passed
     assert held.verdict.code is VerdictCode.HOLDS
     assert held.verification.torque_error < 1e-6
 
     assert held.settled is not None
     rest = dict(zip(robot.joint_names, held.settled.qpos, strict=True))
-    there = by_hand.torques(*(rest[name] for name in POSTURE))
+    there = by_hand.holding_torques(*(rest[name] for name in POSTURE))
     for name, angle in POSTURE.items():
         assert STIFFNESS[name] * (angle - rest[name]) == pytest.approx(there[name], abs=1e-9)
-    moved = by_hand.tip(*(rest[name] for name in POSTURE)) - by_hand.tip(*ANGLES)
+    moved = by_hand.tip_position(*(rest[name] for name in POSTURE)) - by_hand.tip_position(*ANGLES)
     assert held.tool_sag == pytest.approx(moved, abs=1e-12)
     assert moved[2] < -5e-3
     assert held.sagging.joint_positions == pytest.approx(held.settled.qpos, abs=1e-6)
@@ -107,7 +107,7 @@ def test_a_tool_may_be_a_link_or_a_site() -> None:
 
 def test_posture_fails_if_motors_are_too_weak(tmp_path: Path) -> None:
     """And parts that touch, and servos too soft to hold an arm up."""
-    needs = abs(by_hand.torques(0.0, 0.0, 0.5, 0.1)["elbow"])
+    needs = abs(by_hand.holding_torques(0.0, 0.0, 0.5, 0.1)["elbow"])
     posture = {"a_turn": 0.0, "shoulder": 0.0, "elbow": 0.5, "b_slide": 0.1}
     for share, holds in ((1.02, True), (0.98, False)):
         urdf = by_hand.URDF.replace('effort="9.0"', f'effort="{share * needs}"')
@@ -147,7 +147,7 @@ def test_torque_of_a_leading_joint_includes_its_follower(
     held = pa.hold_posture(robot, {"shoulder": -0.4, "elbow": 1.2, "a_turn": 0.0})
     assert held.passed
     at = dict(zip(robot.joint_names, held.posture.qpos, strict=True))
-    tree = by_hand.torques(0.0, -0.4, 1.2, at["b_slide"])
+    tree = by_hand.holding_torques(0.0, -0.4, 1.2, at["b_slide"])
     torques = dict(zip(robot.joint_names, held.statics.joint_torques, strict=True))
     assert torques["elbow"] == pytest.approx(tree["elbow"] + rate * tree["b_slide"], rel=1e-6)
     assert torques["b_slide"] == 0.0
@@ -227,7 +227,7 @@ def test_welded_base_gives_the_results_of_a_fixed_base(tmp_path: Path) -> None:
 def test_posture_with_touching_parts_fails(tmp_path: Path) -> None:
     """A sphere at the hand, 5 mm inside a sphere at the base, or beside it."""
     posture = {"a_turn": 0.0, "shoulder": 0.0, "elbow": 0.5, "b_slide": 0.1}
-    place = by_hand.tip(0.0, 0.0, 0.5, 0.1 - by_hand.SLIDE)
+    place = by_hand.tip_position(0.0, 0.0, 0.5, 0.1 - by_hand.SLIDE)
     for beside, codes in ((0.0, {"parts-touch"}), (0.1, set())):
         x, y, z = place + np.array([0.0, beside, -0.095])
         text = by_hand.MJCF.replace('<site name="tip"', '<geom size=".05"/><site name="tip"')

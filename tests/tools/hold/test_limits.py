@@ -36,11 +36,11 @@ def test_worst_postures_equal_the_closed_form() -> None:
     worst = worst_postures(robot, find_posture(robot), find_tool(robot))
     found = dict(zip(ORDER, np.abs(worst.joint_torques), strict=True))
     out, slide = RANGES["b_slide"][1], MASSES["hand"]
-    straight = by_hand.torques(0.0, 0.0, 0.0, out)
+    straight = by_hand.holding_torques(0.0, 0.0, 0.0, out)
     assert found["elbow"] == pytest.approx(-straight["elbow"], rel=1e-9)  # it may point ahead
     # The elbow's range keeps the fore arm 0.2 rad below the upper arm.
     angles = np.linspace(-0.3, 0.1, 400_001)
-    both = [-by_hand.torques(0.0, angle, 0.2, out)["shoulder"] for angle in angles[::100]]
+    both = [-by_hand.holding_torques(0.0, angle, 0.2, out)["shoulder"] for angle in angles[::100]]
     assert found["shoulder"] == pytest.approx(max(both), rel=1e-7)
     assert found["b_slide"] == pytest.approx(G * slide, rel=1e-9)
     assert found["a_turn"] == 0.0
@@ -69,7 +69,7 @@ def test_worst_postures_include_springs_and_gravcomp(what: str, tmp_path: Path) 
     if what == "gravcomp":
         ahead = math.cos(POSTURE["shoulder"] + POSTURE["elbow"])
         relief = -0.7 * G * MASSES["fore"] * by_hand.CENTRES["fore"] * ahead
-    plain = by_hand.torques(*POSTURE.values())["elbow"]
+    plain = by_hand.holding_torques(*POSTURE.values())["elbow"]
     assert held[0] == pytest.approx(plain - relief, abs=1e-12)
     check_worst(robot, posture)
 
@@ -178,7 +178,7 @@ def test_tool_forces_equal_the_force_polytope() -> None:
     # By finite differences of the tip's closed form: no Jacobian of either engine.
     angles, step = np.array(list(POSTURE.values())), 1e-6
     ends = [
-        (by_hand.tip(*(angles + way)) - by_hand.tip(*(angles - way))) / (2 * step)
+        (by_hand.tip_position(*(angles + way)) - by_hand.tip_position(*(angles - way))) / (2 * step)
         for way in step * np.eye(4)
     ]
     columns = dict(zip(POSTURE, ends, strict=True))

@@ -80,7 +80,7 @@ def test_arm_verdict_includes_the_mujoco_import(tmp_path: Path) -> None:
 @pytest.mark.parametrize("gravity", ["0 0 -1.62", "0 0 0"])
 def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path, gravity: str) -> None:
     """Without it motors hold any mass: true, and not of a robot on the ground."""
-    _, mjcf = features.files(tmp_path, features.option(f'gravity="{gravity}"'))
+    _, mjcf = features.write_files(tmp_path, features.make_option_edit(f'gravity="{gravity}"'))
     said = format_verdict(hold_posture(pa.load_robot(mjcf, fixed_base=True)).verdict)
     assert f"gravity is taken from the MJCF: ({gravity.replace(' ', ', ')}) m/s^2" in said
 

@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.tools.live.model import StanceSolver
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.state import State
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 
 
 class Drawn:
@@ -36,7 +36,7 @@ def test_payload_is_drawn_at_its_position_on_a_tilted_base() -> None:
     assert found.robot is not None
     drawn = Drawn()
     Scene(drawn).show(found)
-    data = mujoco_at(found.robot, found.stand.qpos)
+    data = evaluate_mujoco(found.robot, found.stand.qpos)
     base = found.robot.mj_model.body(found.robot.mj_base).id
     place = data.xpos[base] + data.xmat[base].reshape(3, 3) @ (0.06, 0.04, 0.09)
     np.testing.assert_allclose(drawn.nodes["/load"].position, place, atol=1e-6)

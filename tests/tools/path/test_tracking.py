@@ -20,7 +20,7 @@ from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import path_commands, study_path, track_path
 from tests.prepare.test_own_run import codes, slipped
 from tests.support.commands import check_refusal, run_command
-from tests.support.engines import mujoco_at
+from tests.support.engines import evaluate_mujoco
 from tests.support.repository import benchmark
 from tests.support.variants import load
 from tests.tools.path.test_plan import path_of, stances
@@ -89,7 +89,7 @@ def test_time_step_of_tracking_suits_the_damping_of_the_servos() -> None:
     robot, share = load("original"), []
     path = stance_path(robot, [pa.StandTask(), pa.StandTask(height=0.98 * robot.stand_height)], 0.4)
     matrix = np.zeros((robot.nv, robot.nv))
-    mujoco.mj_fullM(robot.mj_model, mujoco_at(robot, path.qpos[0]), matrix)
+    mujoco.mj_fullM(robot.mj_model, evaluate_mujoco(robot, path.qpos[0]), matrix)
     inertia = np.diag(matrix)[robot.mj_convention.qvel_index[6:]]
     for kd in (1.0, 5.0, 20.0):
         plan = path_commands(robot, path, lambda there, kd=kd: model_with_servos(there, 50.0, kd))

@@ -19,7 +19,7 @@ from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.tools.push import recovery as push
 from pupper_analysis.tools.push.bench import make_push_bench
 from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery, tipping_impulses
-from tests.support.engines import changed, mujoco_at, with_efforts
+from tests.support.engines import change_model, evaluate_mujoco, with_efforts
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
 
@@ -76,7 +76,7 @@ def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
         model.geom_condim[:] = 3  # no rolling friction
 
     result = push_recovery(
-        with_efforts(changed(load(name), grip), 500),
+        with_efforts(change_model(load(name), grip), 500),
         stand_of(name),
         kp=1000,
         kd=10,
@@ -89,7 +89,7 @@ def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
 def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
     """Reference: MuJoCo's bodies and the parallel axis theorem, about the line between two feet."""
     robot, stand = load("heavy"), stand_of("heavy")
-    config, data = pa.Configuration(robot, stand.qpos), mujoco_at(robot, stand.qpos)
+    config, data = pa.Configuration(robot, stand.qpos), evaluate_mujoco(robot, stand.qpos)
     com, ground = config.center_of_mass(), config.contact_points()
     (estimate,) = tipping_impulses(config, com, np.array([[1.0, 0.0]]))
     one, two = sorted(ground.values(), key=lambda place: -place[0])[:2]
