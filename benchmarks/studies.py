@@ -197,7 +197,7 @@ import studies, pupper_analysis as pa
 from pupper_analysis.tools.study import running
 running.SHARD_SECONDS = 0.1
 if __name__ == "__main__":
-    studies.to_kill().execute(sys.argv[1], workers=2)
+    studies.make_study().execute(sys.argv[1], workers=2)
 """
 """Code of a process that runs a study and is killed."""
 

@@ -168,7 +168,7 @@ def test_fetched_actions_and_packages_are_pinned_by_hash() -> None:
 
 def test_locked_requirements_equal_those_of_the_project() -> None:
     """`python scripts/check_requirements.py` writes them anew."""
-    code = "import check_requirements as c; print(c.requirements(), end='')"
+    code = "import check_requirements as c; print(c.make_requirements(), end='')"
     result = subprocess.run(
         [sys.executable, "-c", code],
         cwd=ROOT / "scripts",
