@@ -203,7 +203,7 @@ _TEST_PENETRATION = 1e-4
 
 _NUM_SOLE_JOINTS = 5
 """Number of joints between foot and base with which a leg can lay the sole flat at any position, up
-to the yaw angle. With fewer, this is tested by `can_keep_sole_flat`."""
+to the yaw angle: a position and two angles. With fewer, `can_keep_sole_flat` tests the leg."""
 
 _MIN_SOLE_JOINTS = 4
 """Number of joints between foot and base below which a leg has a single contact point instead of a
@@ -212,9 +212,9 @@ sole. With this number, a leg may lay the sole flat at any height, but not at an
 _CIRCLE_ANGLES = np.linspace(0, 2 * math.pi, 24, endpoint=False)
 """Angles at which circles are sampled [rad]. Chosen, not tuned."""
 
-_CIRCLE_POINTS = np.column_stack(
-    [np.cos(_CIRCLE_ANGLES), np.sin(_CIRCLE_ANGLES)]
-)  # for rims of cylinders
+_CIRCLE_POINTS = np.column_stack([np.cos(_CIRCLE_ANGLES), np.sin(_CIRCLE_ANGLES)])
+"""Points of a unit circle, shape (24, 2), with which rims of cylinders are sampled."""
+
 _LATITUDE_ANGLES = np.linspace(-math.pi / 2, math.pi / 2, 12)
 """Latitudes at which spheres are sampled [rad]. Chosen, not tuned."""
 

@@ -64,8 +64,8 @@ bounds the damping of a light leg. Measured: a tripod oscillates at 2 ms with kd
 and not with 25."""
 
 _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
-"""Deflections [rad, m] for which gains are tried with reduced damping, in order, after the
-deflections of `_SAG_CANDIDATES`."""
+"""Deflections [rad, m] of the most loaded joint for which gains are tried with reduced damping, in
+order, after the deflections of `_SAG_CANDIDATES`. Chosen, not tuned."""
 
 _BRIEF_DURATION = 2.0
 """Duration of the first simulation with candidate gains [s]. If it agrees with the prediction, no
@@ -161,7 +161,7 @@ def add_position_servos(
 
     results: dict[tuple[int, bool], bool] = {}
 
-    def rests(number: int, *, fed: bool) -> bool:
+    def rests_with(number: int, *, fed: bool) -> bool:
         """Return True if the robot comes to rest with a candidate, with or without feed-forward.
 
         Each case is simulated once.
@@ -181,7 +181,7 @@ def add_position_servos(
         """
         for number, candidate in enumerate(candidates):
             report_progress("servos", number, len(candidates))
-            if all(rests(number, fed=fed) for fed in sorted(feedforward)):
+            if all(rests_with(number, fed=fed) for fed in sorted(feedforward)):
                 yield candidate
 
     resting = good = None

@@ -232,13 +232,13 @@ def _register_pass(
     the robot is first simulated or drawn.
     """
 
-    def added(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
+    def register(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
         """Register a function as the next pass."""
         name = apply.__name__.strip("_").replace("_", "-")
         _registered_passes.append(Pass(name, does, apply, condition, after_refusal, deferred))
         return apply
 
-    return added
+    return register
 
 
 def _applies_always(_draft: Draft) -> bool:
@@ -700,7 +700,7 @@ def make_robot(
     request = LoadRequest(frames, fixed_base, name, joints, keyframe, as_is, visuals)
     draft = _begin_preparation(urdf, mjcf, request)
 
-    def complete(*, visuals: bool = visuals) -> Robot:
+    def complete_preparation(*, visuals: bool = visuals) -> Robot:
         """Run the remaining preparation steps (servos, rest pose, visual meshes); return the robot.
 
         Args:
@@ -710,10 +710,10 @@ def make_robot(
         return robot if finish is None else finish(robot)
 
     if _keeps_joint_order(draft.robot):
-        return defer_stages(draft.robot, complete)
+        return defer_stages(draft.robot, complete_preparation)
     if visuals and draft.mjcf.deferred_visuals is not None and not draft.robot.floating:
-        return defer_stages(complete(visuals=False), complete)
-    return complete()
+        return defer_stages(complete_preparation(visuals=False), complete_preparation)
+    return complete_preparation()
 
 
 def _keeps_joint_order(robot: Robot) -> bool:

@@ -580,7 +580,7 @@ def _test_causes(
     """
 
     @cache
-    def without(removed: frozenset[CauseCandidate]) -> float | None:
+    def deviation_without(removed: frozenset[CauseCandidate]) -> float | None:
         """Return the remaining deviation without some candidates; None if the model is unsound."""
         model = copy.copy(published.model)
         for candidate in removed:
@@ -590,7 +590,7 @@ def _test_causes(
     numerics = [candidate for candidate in candidates if candidate.code in NUMERICS_CODES]
     rest = [candidate for candidate in candidates if candidate.code not in NUMERICS_CODES]
     for group in (numerics, rest, candidates, [*candidates, *physical]):
-        if not group or without(frozenset(group)) is None:
+        if not group or deviation_without(frozenset(group)) is None:
             continue
         sound = next(
             group_of_all
@@ -599,15 +599,15 @@ def _test_causes(
                 frozenset(candidates),
                 frozenset(group),
             )
-            if group_of_all.issuperset(group) and without(group_of_all) is not None
+            if group_of_all.issuperset(group) and deviation_without(group_of_all) is not None
         )
         breaking = [
             candidate
             for candidate in group
-            if without(frozenset(group) - {candidate}) is None
-            and without(sound - {candidate}) is None
+            if deviation_without(frozenset(group) - {candidate}) is None
+            and deviation_without(sound - {candidate}) is None
         ]
-        residual = without(frozenset(breaking)) if breaking else None
+        residual = deviation_without(frozenset(breaking)) if breaking else None
         if residual is not None:
             return tuple(candidate.make_cause(residual) for candidate in breaking)
     return ()

@@ -525,9 +525,10 @@ def find_pushing_bodies(
 
 
 def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
-    """Return the bodies whose contacts with the world carry less than ``LIGHT_FOOT_LOAD``.
+    """Return the ids of bodies that carry less than ``LIGHT_FOOT_LOAD`` of the load on the ground.
 
-    The share of a body is the sum of its normal forces, relative to the sum over all bodies.
+    The load of a body is the sum of its normal forces [N] in contacts with the world; the total is
+    the sum over all bodies.
 
     Args:
         model: MuJoCo model.

@@ -148,7 +148,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     on_planes = stand.task.ground.planes
     normal = UP if on_planes else next(iter(stand.normals.values()), UP)
 
-    def surplus(drop: float) -> float:
+    def compute_surplus_force(drop: float) -> float:
         """Return contact force minus weight [N] along the normal, with the base lowered [m]."""
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
@@ -162,12 +162,14 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     if robot.is_base_fixed or robot.welds or (on_planes and any(stand.depths.values())):
         return rest_state(robot, drive, stand.qpos, data.ctrl)
     low, high = 0.0, _MIN_DROP
-    while (over := surplus(high)) <= 0 and high < _MAX_DROP:
+    while (over := compute_surplus_force(high)) <= 0 and high < _MAX_DROP:
         low, high = high, min(2 * high, _MAX_DROP)
     while over > 0 and high - low > _DROP_RESOLUTION:
         middle = (low + high) / 2
-        low, high = (middle, high) if surplus(middle) < 0 else (low, middle)
-    surplus(high)  # the state at the end of the interval; the robot falls if no depth carries it
+        low, high = (middle, high) if compute_surplus_force(middle) < 0 else (low, middle)
+    compute_surplus_force(
+        high
+    )  # the state at the end of the interval; the robot falls if no depth carries it
     return full_state(model, data)
 
 

@@ -131,7 +131,7 @@ class Creep(Result):
 
 NOTABLE_CREEP_SPEED, NOTABLE_CREEP_RATE = 1e-3 / 60, 10e-3 / 60
 """Creep above which the verdict states the creep in its first lines: 1 mm/min [m/s] and 10 mrad/min
-[rad/s]. Chosen, not tuned: v3's nominal stand creeps by less than a tenth of both."""
+[rad/s]. Chosen, not tuned: the nominal stand of Pupper v3 creeps by less than a tenth of both."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -395,6 +395,7 @@ class _MeasuredClearance:
 
 
 def _freeze_array(task: object, name: str, value: Array) -> None:
+    """Set an attribute of a frozen task to an array, and make the array read-only."""
     value.setflags(write=False)
     object.__setattr__(task, name, value)  # the dataclass is frozen
 
@@ -428,6 +429,7 @@ def _make_rotation(value: Any) -> Array:
 
 
 def _check_axes(axes: str) -> None:
+    """Raise ConfigurationError if a text contains other letters than x, y and z, or none."""
     if not axes or set(axes) - set("xyz"):
         known = ["x", "y", "z", "xy", "xz", "yz", "xyz"]
         raise ConfigurationError("axes", diagnose("not-one-of", given=axes, known=known))

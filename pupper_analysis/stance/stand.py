@@ -135,8 +135,9 @@ def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
 
 
 _MAX_JOINT_DISTANCE = 0.5
-"""Largest norm of a joint displacement [rad] between successive stands. A larger one may be another
-branch than a search from home would find. Samples of a path are much closer."""
+"""Upper bound of the norm of the joint displacement [rad] between successive stands of a sequence,
+beyond which `solve_stand` solves the task: the stand may be in another IK branch. Chosen, not
+tuned; samples of a path are much closer."""
 
 
 _EXTRAPOLATION_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}

@@ -79,8 +79,8 @@ _RADIUS_REDUCTION = 4
 tuned."""
 
 _ROUNDING_ERROR = 1e-24
-"""Weighted sum of squared residuals [m^2 and rad^2 mixed] that counts as rounding: 1e-12 of one
-task."""
+"""Weighted sum of squared residuals [m^2 and rad^2 mixed] below which the iteration ends. Chosen as
+the size of rounding errors: a residual of 1e-12 of one task."""
 
 _ROUNDING_STEP = 1e-7
 """Norm of a step [rad and m mixed] below which an increase of the error is rounding, so that the
@@ -94,8 +94,8 @@ _NUM_RESTARTS = 8
 """Number of random initial guesses after a failure, within the joint limits. Chosen, not tuned."""
 
 _REGULARIZATION = 1e-9
-"""Weight of the squared step, relative to the weights of tasks of 1: selects a step of redundant
-joints, and does not bias the solution."""
+"""Weight of the squared step of the joints, relative to a task's weight of 1. Chosen small: it
+selects a step of redundant joints, and does not bias the solution."""
 
 _UNLIMITED_POSITION = 1e3
 """Finite limit [rad, m] that replaces an infinite joint limit, since PlaCo requires finite limits.
@@ -515,6 +515,7 @@ class _MujocoBody(_PinocchioBody):
 
 
 def _compute_residuals(tasks: Sequence[PostureTask], body: _PinocchioBody) -> Array:
+    """Return the residual of each task at a configuration, shape (n,) [m, rad]."""
     return np.array([task.residual(body) for task in tasks])
 
 

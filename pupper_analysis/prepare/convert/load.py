@@ -169,6 +169,7 @@ def read_pair(
 
 
 def _is_xacro(model: str | Path, packages: Mapping[str, Path]) -> bool:
+    """Return True if the file of a robot is a xacro file, by its suffix."""
     return find_file(model, packages).suffix == XACRO_SUFFIX
 
 

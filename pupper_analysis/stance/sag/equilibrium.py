@@ -2,8 +2,8 @@
 
 `SagEquilibrium` contains the balance of generalised forces, a slip law and a depth law per
 contact. The unknowns are the configuration and the contact forces. The set of touching contacts is
-fixed in a solve; `SagEquilibrium.switch` changes it. `stance.sag.steady_state` follows a solution
-while feed-forward is removed and feet creep.
+fixed in a solve; `SagEquilibrium.switch_contact` changes it. `stance.sag.steady_state` follows a
+solution while feed-forward is removed and feet creep.
 
 The "ground frame" of a contact has the z axis along the ground normal. "Height" as a unit is
 `EquilibriumScales.length`.
@@ -156,7 +156,7 @@ class ContactKinematics:
         deeper: Array = -(self._normals[:, None] @ self._centre)[:, 0]
         return deeper
 
-    def push(self, forces: Array) -> Array:
+    def generalized_force(self, forces: Array) -> Array:
         """Compute the generalised force of contact forces on the robot, shape (nv,) [N, N m].
 
         Args:
@@ -288,9 +288,8 @@ RESIDUAL_TOLERANCE = 3e-12
 x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
-"""Residual of the equilibrium equations, in units of robot weight, weight x height and height, that
-is rounding. Newton's method reuses a Jacobian if the predicted next residual is at most this
-value."""
+"""Predicted residual of the equilibrium equations, in units of robot weight, weight x height and
+height, up to which Newton's method reuses a Jacobian. Chosen as the size of rounding errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
 """Penetration, in units of `EquilibriumScales.length`, up to which a contact does not count as
@@ -332,8 +331,8 @@ class SagEquilibrium:
         feet: Slip law.
 
     Attributes:
-        anchors: {touching contact: pose at the first contact}. `switch` changes it.
-        target: Commanded joint positions, shape (nu,) [rad, m], set by `command`.
+        anchors: {touching contact: pose at the first contact}. `switch_contact` changes it.
+        target: Commanded joint positions, shape (nu,) [rad, m], set by `set_command`.
         crept: {contact: slip [m] at the start of the creep step, shape (2,)}.
         yielding: {contact: compliance [m/N] of the creep step}.
     """
@@ -361,7 +360,7 @@ class SagEquilibrium:
         ]
         self.laws = {foot: GroundLaw.of_contact(robot, foot) for foot in self._points}
         self._commands = command_ranges(robot).T
-        self.command(stand.joint_positions(robot))
+        self.set_command(stand.joint_positions(robot))
         self._sole = {point: sole for sole, points in robot.feet.items() for point in points}
         config = Configuration(robot, stand.qpos)
         frames = robot.contact_frames
@@ -421,7 +420,7 @@ class SagEquilibrium:
             self._depth_cache = normal_forces, np.array(depths)
         return self._depth_cache[1].copy()
 
-    def command(self, target: Array) -> None:
+    def set_command(self, target: Array) -> None:
         """Set the commanded joint positions, shape (nu,) [rad, m], clipped to command ranges."""
         low, high = self._commands
         self.target: Array = np.minimum(np.maximum(target, low), high)
@@ -492,7 +491,7 @@ class SagEquilibrium:
         contacts, shape (n, 3) [N], in the ground frames.
         """
         touch, places = self.contacts_at(qpos), self.slips(qpos, forces)
-        balance = touch.config.static_load() - touch.push(forces)
+        balance = touch.config.static_load() - touch.generalized_force(forces)
         balance[self._joints] -= self.torques(qpos)
         if self.robot.closure is not None:
             balance[self._joints] -= self.robot.closure.constraint_torques(qpos)
@@ -739,7 +738,7 @@ class SagEquilibrium:
         depth = self.contacts_at(solution.qpos).depths[foot]
         return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.units.length
 
-    def switch(self, foot: str, solution: Solution) -> Solution:
+    def switch_contact(self, foot: str, solution: Solution) -> Solution:
         """Release the contact point ``foot`` if it touches; otherwise add it as a contact.
 
         Returns:

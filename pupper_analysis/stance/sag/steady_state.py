@@ -176,8 +176,8 @@ the equilibrium is not checked. A longer step may end at another, unstable equil
 tuned."""
 
 _SHARE_TOLERANCE = 1e-7
-"""Tolerance of the removed fraction of the feed-forward at which a contact changes. It corresponds
-to nanometres of motion."""
+"""Accuracy of the removed fraction of the feed-forward (0 to 1) at which a contact opens or closes.
+Chosen: it corresponds to nanometres of motion."""
 
 _MAX_EVENTS = 24
 """Upper bound of the number of contact changes along a path, after which the solve fails: contacts
@@ -346,7 +346,7 @@ class HomotopyPath:
         full = system.stand.joint_positions(system.robot) + compute_command_lead(
             self.balance.joint_torques, system.kp
         )
-        system.command(full + share * (self.end - full))
+        system.set_command(full + share * (self.end - full))
 
     def _solve_at(self, share: float) -> Solution | None:
         """Solve the equilibrium with a fraction ``share`` (0 to 1) of the feed-forward removed.
@@ -388,7 +388,7 @@ class HomotopyPath:
             raise NoEquilibriumError(
                 self.share, diagnose("foot-neither-carries-nor-clears", subject=("foot", foot))
             )
-        self.solution = self.system.switch(foot, found)
+        self.solution = self.system.switch_contact(foot, found)
 
     def _solve_contacts(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
         """Solve the equilibrium, and switch contacts until none contradicts the solution.
@@ -573,8 +573,8 @@ def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
 
 
 MAX_CREEP_DURATION = 1e9
-"""Upper bound of the creep time of `steady_state` [s], thirty years. With much larger times,
-numbers overflow."""
+"""Upper bound of the creep time of `steady_state` [s], thirty years. Chosen: with much larger
+times, numbers overflow."""
 
 
 def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
