@@ -108,10 +108,10 @@ def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
 
 
 def list_difference_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
-    """Return the elements of an MJCF that the preparation changes, ignores or overrides.
+    """Return the elements of an MJCF whose effect the prediction of a stand does not contain.
 
-    Such an element may be the reason why the published model behaves differently from the prepared
-    robot: solver settings, contact exclusions, limits, servo laws, equalities and shapes.
+    Such an element may be the reason why the published model deviates from the prediction: solver
+    settings, contact exclusions, equalities, limits, servo laws and shapes.
     """
     model = published.model
     return [
@@ -196,7 +196,7 @@ def _yield_if_any(
 
 
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield the integration, and the constraint solver if less accurate than `_MIN_ITERATIONS`."""
+    """Yield integration and, if its settings are inaccurate, constraint solver as candidates."""
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
     if not model.actuator_delay.any():  # a delay is stored as a number of samples

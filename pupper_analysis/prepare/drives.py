@@ -83,8 +83,8 @@ def list_dependent_joints(robot: Robot) -> list[int]:
 def add_loop_motors(robot: Robot) -> Robot:
     """Add motors without torque to the independent joints of closed loops that have no motor.
 
-    The actuator order lists joints with motors first. Stands are solved after this call, so that
-    servos, which are added later, do not change the order. Without closed loops the robot is
+    The actuator order lists joints with motors first. With these motors, the order does not change
+    when servos are added later, after stands have been solved. Without closed loops the robot is
     returned unchanged.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(

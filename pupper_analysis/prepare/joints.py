@@ -1,4 +1,10 @@
-"""Make the joints of both files consistent: joint limits, couplings, one actuator per joint."""
+"""Make the joints of both files consistent: joint limits, couplings, one actuator per joint.
+
+Input is a robot with matched joints; output is its description with changes, and notes. The joint
+limits of the URDF [rad, m] are narrowed to those of the MJCF, and continuous joints of closed loops
+get limits. ``<mimic>`` couplings of the URDF are added to the MJCF. Joints with several actuators
+are rejected.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Torque limits in verdicts: motors without torque, and motors whose limit no file states."""
+"""Torque limits in verdicts: motors with a limit of zero, and motors whose limit no file contains.
+
+Inputs are a robot and the static torques of a stance [N m]; outputs are messages with a proposed
+limit from the other file or a similar limb, or with the torque that the motors must hold. A motor
+that holds less than `MIN_TORQUE_PER_MASS` times the robot's mass counts as unloaded.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Notes on the preparation: matched joints, feet, couplings, added servos."""
+"""Notes on the preparation: matched joints, feet, couplings, added servos.
+
+Inputs are the results of preparation passes; outputs are diagnostics, which ``robot.notes``
+contains and ``--explain`` prints. The functions only describe changes; the passes make them.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Clearances of a robot: distances between links, and heights above the ground.
+"""Clearances of a robot: distances between links [m], and heights above the ground [m].
 
-The shapes are those with which MuJoCo computes contacts; meshes are replaced by convex hulls.
-Distances are computed with coal.
+`ClearanceShapes` evaluates both at a configuration, with their Jacobians by qvel. The shapes are
+those with which MuJoCo computes contacts; meshes are replaced by convex hulls. Distances are
+computed with coal; bounding spheres exclude most pairs of links. Pairs of neighbouring links, and
+feet on the ground, are left out.
 """
 
 from __future__ import annotations

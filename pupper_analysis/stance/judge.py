@@ -1,7 +1,9 @@
-"""A stand as a result: configuration, errors of the requirements, and clearances.
+"""A stand as a result: configuration, errors of the requirements [m, rad], and clearances [m].
 
-`evaluate_stand` computes the errors with Pinocchio, independent of the solver that found the
-configuration.
+Inputs are a goal and a configuration from a solver; output is a `Stand`. `evaluate_stand` computes
+the errors with Pinocchio's kinematics, independent of the solver that found the configuration. A
+`Stand` also provides quantities for simulations: servo commands, support region and lift-off
+directions.
 """
 
 from __future__ import annotations

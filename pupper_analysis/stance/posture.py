@@ -1,7 +1,8 @@
 """Posture of a robot with a fixed base: commanded joint positions, from options or a keyframe.
 
-`find_posture` completes the given joint positions; `held_stand` converts a posture to a stand
-without feet.
+`find_posture` takes positions of some joints [rad, m]. It completes them from a keyframe or the
+middle of the joint ranges, closes loops and couplings, and checks the limits. `held_stand` converts
+a posture to a stand without feet, so that the functions for stands can simulate and judge it.
 """
 
 from __future__ import annotations

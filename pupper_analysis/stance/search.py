@@ -388,7 +388,7 @@ def default_initial_guesses(robot: Robot, goal: Goal) -> Iterator[Array]:
 def minimise_foot_errors(
     context: SearchContext, goal: Goal, qpos: Array, iterations: int = 0
 ) -> Stand:
-    """Minimise the distances of the feet from the targets of a goal, and return the configuration.
+    """Minimise the distances of the feet from the targets of a goal, and return this `Stand`.
 
     The nonlinear program starts at the configuration ``qpos``, shape (nq,). Clearances are ignored.
     PlaCo's Gauss-Newton steps assume that errors vanish, and end before this minimum.

@@ -1,7 +1,10 @@
 """Solve stand tasks: whole-body configurations with planted feet, and statics.
 
-`solve_stand` solves a task, `solve_stands` a sequence of similar tasks. `stand_statics` computes
-the torques and contact forces of a stand.
+Inputs are a robot and stand tasks; outputs are stands with errors below 1e-9 m or rad, or an error
+with the requirements that must be relaxed. `solve_stand` solves a task by inverse kinematics from
+several initial guesses (`stance.search`). `solve_stands` solves a sequence of similar tasks, each
+from an extrapolation of the previous stands. `stand_statics` computes joint torques [N m] and
+contact forces [N].
 """
 
 from __future__ import annotations

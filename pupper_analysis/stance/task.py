@@ -1,7 +1,8 @@
 """Stand task: the requirements on ground, feet, base and centre of mass (CoM) of a stand.
 
-`StandTask` contains requirements only; `stance.problem.make_goal` converts it to numbers for a
-robot.
+`StandTask` contains requirements only, as attributes in m and rad, and checks them. The table
+``stance/fields.toml`` defines names, bounds and texts. `stance.problem.make_goal` converts a task
+to the numerical goal of a robot, and `describe` to a text in English or Chinese.
 """
 
 from __future__ import annotations

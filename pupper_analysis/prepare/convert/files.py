@@ -1,6 +1,8 @@
 """Specification of a robot by files, for scripts, command lines and studies.
 
-No engine is imported before a robot is loaded, so that ``--help`` is fast.
+`RobotFiles` stores the arguments of ``load_robot``: names of a URDF or an MJCF, and options.
+`FileSource` provides the loaded robot to pages and studies. No engine is imported before a robot is
+loaded, so that ``--help`` is fast.
 """
 
 from __future__ import annotations
