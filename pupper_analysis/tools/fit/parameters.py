@@ -172,6 +172,7 @@ class Prior:
 _PRIOR_PATTERN = re.compile(
     r"(?P<kind>[a-z]+)(?::(?P<subject>[^=]+))?=(?P<value>[-+.\d]+(?:[eE][-+]?\d+)?)(?P<unit>.*)"
 )
+"""Option that changes a prior: ``KIND[:SUBJECT]=VALUE[UNIT]``."""
 
 
 _MIN_PRIOR_WIDTH = 1e-9

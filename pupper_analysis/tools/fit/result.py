@@ -1,4 +1,9 @@
-"""Results of a fit: estimates with intervals, and how much of each comes from the measurements."""
+"""Results of a fit: estimates with intervals, and how much of each comes from the measurements.
+
+Input is the posterior distribution of the parameters; output is, for each parameter, the mean and
+the 95 % interval in the parameter's unit, and whether data, prior or both determine the estimate:
+the smaller the ratio of posterior to prior variance, the more the data determine.
+"""
 
 from __future__ import annotations
 

@@ -37,6 +37,8 @@ PYTHON_THRESHOLDS = 700, 10, 10
 generation, after which a generation is collected."""
 
 _ROBOT_OPTIONS = frozenset(("words", *(one.name for one in fields(RobotOptions))))
+"""Names of the command's parameters that all modes accept: files and options of the robot."""
+
 _OPTIONS_OF_MODE = {
     "--mujoco": {*_ROBOT_OPTIONS, "viewer", "headless", "fixed_base"},
     "--drop": {*_ROBOT_OPTIONS, "dropped", "headless"},

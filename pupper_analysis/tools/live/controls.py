@@ -1,4 +1,9 @@
-"""Sliders and buttons of a page, and the state that results from the values."""
+"""Sliders and buttons of a page, and the state that results from the values.
+
+`make_slider_ranges` derives the range of each slider from the robot, and `Controls` creates the
+sliders in viser's interface. Each change of a control results in a new `State`, in the units of the
+page; `Controls.set_state` sets all controls to a state.
+"""
 
 from __future__ import annotations
 
@@ -284,7 +289,7 @@ class Controls:
             return {}
 
     def _show_foot(self) -> None:
-        """Show the values of the selected foot."""
+        """Set the foot controls to the selected foot's values, or the initial values if unset."""
         foot, state = self._selected_foot, self._state
         self.lifted.value = foot in state.swing
         for name in self.sliders:
@@ -403,6 +408,7 @@ class JointSliders:
 # Sliders of a page, and their ranges for a robot.
 
 _AXIS_TERMS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
+"""{axis of a point: term for its positive direction}, for the labels of sliders."""
 
 
 @dataclass(frozen=True)

@@ -191,6 +191,7 @@ class NumberPanel:
 _PHONE_STYLE = (
     "<style>.pa-phone{display:none}@media (max-width:36em){.pa-phone{display:block}}</style>"
 )
+"""Style that shows elements of the class ``pa-phone`` on narrow screens only."""
 
 
 # Translator for a page. The texts are those of the catalogues, as in reports.
@@ -233,6 +234,7 @@ class Translator:
         )
 
     def _select_language(self, words: Text) -> str:
+        """Return a text in the language of the page."""
         return words.zh if self.code == "zh" else words.en
 
 

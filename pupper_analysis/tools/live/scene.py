@@ -1,4 +1,9 @@
-"""3-D scene of a page: robot, forces, torques, ghost of the nearest stance, simulated twin."""
+"""3-D scene of a page: robot, forces, torques, ghost of the nearest stance, simulated twin.
+
+Inputs are robots and solved stances; outputs are nodes of viser's scene, in the world frame in m.
+The meshes of a robot are joined for each body and colour, so that a new configuration moves nodes
+and sends no geometry.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +99,7 @@ def make_body_meshes(model: mujoco.MjModel) -> BodyMeshes:
 
 
 def _join_meshes(meshes: list[Mesh]) -> Mesh:
-    """Join meshes."""
+    """Return a mesh with the vertices [m] and triangles of all meshes, in their common frame."""
     firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))

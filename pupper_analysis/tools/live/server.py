@@ -1,4 +1,8 @@
-"""Server of a page; each browser that opens the page has a separate session."""
+"""Server of a page; each browser that opens the page has a separate session.
+
+`ServedPage` starts viser's server and creates a session for each browser from a given function.
+`Page` serves stances of a robot, from a valid initial state.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""State of a page in the units of the sliders, and the conversion to tasks and files."""
+"""State of a page in the units of the sliders, and the conversion to tasks and files.
+
+Sliders use mm and degrees, tasks use SI units, and files use the values as typed on the command
+line. `State` holds the requested values and converts them to a task, `make_state` converts a
+task to a state, and `write_stance_file` writes a state as a file for ``--stance``.
+"""
 
 from __future__ import annotations
 

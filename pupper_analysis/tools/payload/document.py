@@ -186,7 +186,7 @@ def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
 
 
 def _describe_trial(trial: PayloadTrial) -> doc.Text:
-    """Describe the nudged simulation of a payload."""
+    """Return the text of the result of the nudged simulations with a payload: holds, or fails."""
     mass, seconds = mass_text(trial.mass), f"{trial.duration:g}"
     if trial.failure is None:
         return text(

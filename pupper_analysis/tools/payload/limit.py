@@ -639,7 +639,10 @@ class _PayloadSearch:
         return self._last_stand[1]
 
     def _solve_stand(self, mass: float) -> _LoadedStand:
-        """Solve the loaded stand with a mass [kg], or classify the failure."""
+        """Return the stand with a payload [kg]; without a stand, the cause (kind, parts).
+
+        Kinds are out of reach, tipping, and sliding if more friction would permit the stand.
+        """
         try:
             return _LoadedStand(
                 *solve_loaded_stand(self._robot, self._task, mass, self._point), None

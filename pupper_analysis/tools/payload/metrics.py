@@ -15,3 +15,4 @@ def _measure_payload(design: Any) -> float:
 METRICS: dict[str, dict[str, Any]] = {
     "payload_limit": {"function": _measure_payload, "unit": "kg", "simulates": True},
 }
+"""{name of a metric of studies: arguments of `Metric` except the name}."""

@@ -397,7 +397,11 @@ def tipping_impulses(
 def _find_push_limits(
     bench: PushBench, estimate: Array, resolution: float
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
-    """Return the limits (n,), the bisected limits before the check (n,), and the failures.
+    """Return the largest survived impulses [N s], shape (n,), by bisection with a check below.
+
+    The check simulates smaller impulses too; where one fails, the limit is below it. The second
+    result is the limits before the check, shape (n,) [N s]; the third is the failure above each
+    limit. If the robot fails without a push, all limits are 0.
 
     Args:
         bench: Simulations of the stand.

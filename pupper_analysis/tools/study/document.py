@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.study.running import Progress as StudyProgress
 
 _MAIN_EFFECT_NOTE = "alone-the-variance"
+"""Key of the text that explains main effects, below their table."""
 
 MAX_TABLE_ROWS = 300
 """Maximum number of rows in a table of designs. Bounds the size of a page. Chosen, not tuned."""
@@ -96,7 +97,7 @@ def _format_shown_label(column: str) -> str:
 
 
 def _text_column(name: str) -> doc.Column:
-    """Create a left-aligned column."""
+    """Return a left-aligned column of a table; ``name`` is the key of the heading."""
     return doc.Column(text(name), left=True)
 
 
@@ -213,7 +214,7 @@ def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _format_share(value: float) -> doc.Number:
-    """Format a fraction as a percentage with a bar."""
+    """Return a fraction (1 is all) as a percentage with a bar; a dash if not finite."""
     if not math.isfinite(value):
         return doc.Number("-", math.nan)
     return doc.Number(f"{value:.1%}", 100 * value, bar_fraction=min(max(value, 0.0), 1.0))

@@ -241,6 +241,7 @@ _METRICS_OF_DESIGNS = (
     Metric("pitch_range", lambda d: d.compute_base_range("pitch"), "rad", simulates=True),
     Metric("verified", lambda d: d.verdict.passed, "1", simulates=True, fallen=0.0),
 )
+"""Metrics that are defined in this module; other tools define further metrics."""
 
 
 def _load_tool_metrics() -> Iterator[Metric]:

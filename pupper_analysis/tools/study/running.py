@@ -479,7 +479,11 @@ class StudyRun:
                 yield [names[index] for index in new], numbers[new]
 
     def _make_chunks(self, blocks: Iterable[tuple[list[str], Array]]) -> Iterator[Chunk]:
-        """Yield the designs in chunks."""
+        """Yield the designs in chunks, each for one worker; sizes adapt to the measured time.
+
+        Args:
+            blocks: (hashes of n designs, variable values, shape (n, variables)) of each block.
+        """
         for names, numbers in blocks:
             start = 0
             while start < len(names):

@@ -1,4 +1,9 @@
-"""Folder of a study: definition, lock, and shards of rows that are written atomically."""
+"""Folder of a study: definition, lock, and shards of rows that are written atomically.
+
+A run stores evaluated designs as Parquet files (shards), each a table with a row per design; an
+interrupted run therefore loses only rows that are not written yet. The stored table is the union
+of all shards, identified by the hashes of the designs.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Variables of a study: lists of values and probability distributions."""
+"""Variables of a study: lists of values and probability distributions.
+
+`Variable` maps probabilities to values, and `Sampling` generates the designs block by block: the
+product of all lists, or a scrambled Sobol sequence if a variable has a distribution.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Writing a design as URDF, MJCF and stance, and evaluating the metrics again from these files."""
+"""Writing a design as URDF, MJCF and stance, and evaluating the metrics again from these files.
+
+Input is a study and a row of its results; output is a folder with both models, their meshes and the
+stance as a file of options, and a comparison of the metrics in the study with those of the written
+files.
+"""
 
 from __future__ import annotations
 

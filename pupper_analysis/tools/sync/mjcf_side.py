@@ -221,7 +221,10 @@ class MjcfSide(Side):
         return self.elements.find_joint(name, str(self.model.body(body).name))
 
     def _plan_limits(self, key: Key) -> None:
-        """Plan the range of a joint."""
+        """Plan to set a joint's range in the MJCF to the limits of the URDF, in the file's unit.
+
+        ``key`` is the difference (kind, joint). A joint with one infinite limit is not written.
+        """
         name = key[1]
         element, joint = self.find_joint_element(name), self.target.joints[name]
         if element is None:
@@ -274,7 +277,11 @@ class MjcfSide(Side):
         self._plan_number(key, "armature", [target])
 
     def _plan_number(self, key: Key, attribute: str, values: list[float]) -> None:
-        """Plan numbers of a joint."""
+        """Plan to set an attribute of a joint's element in the MJCF to numbers in SI units.
+
+        ``key`` is the difference (kind, joint); it is not written if the element is a copy of
+        another.
+        """
         element = self.find_joint_element(key[1])
         if element is None:
             self.unwritten[key] = COPIED_BODY

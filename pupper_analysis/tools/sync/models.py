@@ -161,7 +161,7 @@ def sync_models(
 
 
 def _compare_files(files: Files, tolerances: Tolerances) -> FilesCompared:
-    """Compare two files."""
+    """Return the comparison of a URDF and an MJCF; differences exceed the tolerances."""
     return compare_files(
         files.urdf,
         files.mjcf,

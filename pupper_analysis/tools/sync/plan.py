@@ -206,7 +206,13 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
 
 
 def _find_unwritten_reason(key: Key, whose: str, both: MatchedRobots) -> Diagnostic | None:
-    """Return the reason why a difference is not written, or None."""
+    """Return the reason why a file cannot state the new value of a difference, else None.
+
+    Args:
+        key: Difference: kind and element.
+        whose: File whose value is taken, ``"urdf"`` or ``"mjcf"``.
+        both: Matched robots of both files.
+    """
     kind, name = key
     if kind not in _WRITTEN_KINDS:
         if kind in _UNWRITTEN_REASONS:

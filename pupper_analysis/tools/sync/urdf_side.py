@@ -113,7 +113,11 @@ class UrdfSide(Side):
             joint.element.ensure(tag).set(word, text)
 
     def _plan_limits(self, key: Key) -> None:
-        """Plan the limits of a joint; a continuous joint becomes revolute."""
+        """Plan to set a joint's limits in the URDF to those of the MJCF [rad or m].
+
+        ``key`` is the difference (kind, joint). A continuous joint becomes revolute. A joint with
+        an infinite limit is not written.
+        """
         urdf_joint, joint = self._find_joint(key[1]), self.target.joints[key[1]]
         element = urdf_joint.element
         if not (math.isfinite(joint.lower) and math.isfinite(joint.upper)):
@@ -126,7 +130,10 @@ class UrdfSide(Side):
         self._complete_limit(key, urdf_joint)
 
     def _plan_number(self, key: Key) -> None:
-        """Plan a number of a joint."""
+        """Plan to set a number of a joint in the URDF to that of the MJCF, in SI units.
+
+        ``key`` is the difference (kind, joint); the kind is also the name of the joint's field.
+        """
         kind, name = key
         if name not in self.target.joints:
             self.unwritten[key] = diagnose("base-without-joint")

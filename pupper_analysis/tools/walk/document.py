@@ -340,12 +340,12 @@ def _list_absolute_limits(result: TrackedIntervals) -> Iterable[doc.Words]:
 
 
 def _format_command(command: Array) -> doc.Name:
-    """Format a command."""
+    """Return a velocity command (forward [m/s], left [m/s], turning left [rad/s]) as text."""
     return doc.Name(f"{command[0]:g}, {command[1]:g} m/s, {command[2]:g} rad/s")
 
 
 def _name_quantity(name: str) -> doc.Text:
-    """Return the name of a quantity."""
+    """Return the readable name of a tracked quantity of a walk, from its key."""
     return text(f"walk-quantity-{name}")
 
 
@@ -391,7 +391,7 @@ def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -
 
 
 def _make_measured_cells(interval: TrackedInterval) -> tuple[doc.Cell, doc.Cell]:
-    """Create the cells of a measured interval."""
+    """Return the cells of a tracked quantity: measured interval, and whether within bounds."""
     if interval.measured is None:
         return doc.Name("-"), doc.Name("-")
     low, high = interval.measured

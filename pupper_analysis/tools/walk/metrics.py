@@ -43,7 +43,8 @@ def _bind_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[
 _COMMON_ARGUMENTS = {
     "function": None,
     "simulates": True,
-}  # the function is created from the policy file
+}
+"""Arguments of `Metric` that both metrics share; `of_file` creates the function from the policy."""
 
 METRICS: dict[str, dict[str, Any]] = {
     "walk_margin": {

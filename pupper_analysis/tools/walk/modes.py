@@ -37,6 +37,8 @@ CONTRACT_OPTION = shared.file_option(
         "policy."
     ),
 )
+"""Option ``--contract`` of the commands that read a walking policy."""
+
 COMMAND_OPTION = click.option(
     "--command",
     "command_text",

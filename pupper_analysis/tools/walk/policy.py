@@ -161,7 +161,12 @@ def _unpack_floats(values: Sequence[Any]) -> list[float]:
 
 
 def _read_tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
-    """Return name and numbers of a tensor."""
+    """Return the name and the numbers of an ONNX tensor (protobuf message), in its shape.
+
+    Raises:
+        ModelError: If the tensor is too large or in another file, has an unsupported type, or has
+            another number of elements than its shape. The error names the file `path`.
+    """
     tensor = gather_fields(data)
     name, dims = get_text(tensor, 8), decode_integers(tensor.get(1, ()))
     kind = tensor.get(2, [0])[0]
@@ -321,7 +326,7 @@ def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
-    """Create a clip to bounds from inputs or attributes."""
+    """Return the operation Clip: limits to bounds from its inputs, else from its attributes."""
 
     def apply(value: Array, low: Any = None, high: Any = None) -> Any:
         low = attributes.get("min", -np.inf) if low is None else low
@@ -362,7 +367,7 @@ def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _ignore_attributes(operation: Operation) -> Make:
-    """Return a maker of an operation without attributes."""
+    """Return a function that makes an operation from attributes, and ignores the attributes."""
     return lambda _given, _count: operation
 
 
@@ -393,7 +398,7 @@ _OPERATION_MAKERS: dict[str, Make] = {
     "LSTM": _make_lstm,
     **dict.fromkeys(_IDENTITY_OPERATORS, _ignore_attributes(ACTIVATIONS["linear"])),
 }
-
+"""{ONNX operator: function that makes its operation from attributes and the number of outputs}."""
 
 _NUM_WEIGHT_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
 """Number of weight arrays of each RTNeural layer type."""

@@ -1,4 +1,9 @@
-"""Logs from MCAP files and ROS bags: joint positions and commands, resampled to a common clock."""
+"""Logs from MCAP files and ROS bags: joint positions and commands, resampled to a common clock.
+
+A bag contains messages of several topics, each with separate times. `read_bag` selects the topics
+of joint states and commands, and returns values of all joints at the sample times of the joint that
+is measured most frequently: positions are interpolated, and commands hold until the next message.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +31,8 @@ ones mean that the clock was set. Chosen, not tuned."""
 _STATE_TYPE, _ARRAY_TYPE = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 _TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
 _CONTROLLER_TYPE = "control_msgs/msg/JointTrajectoryControllerState"
+"""ROS type of messages with measured and commanded joint positions."""
+
 _ROLE_TYPES = {
     "state": (_STATE_TYPE, _CONTROLLER_TYPE),
     "command": (_ARRAY_TYPE, _TRAJECTORY_TYPE, _CONTROLLER_TYPE),

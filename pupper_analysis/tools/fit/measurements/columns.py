@@ -1,4 +1,9 @@
-"""CSV files of measurements: columns of numbers with names and units."""
+"""CSV files of measurements: columns of numbers with names and units.
+
+`read_columns` reads a file into arrays in SI units, and texts. Each column must match one of the
+columns that the caller accepts, whose physical quantity determines the units that the header may
+state in brackets. Missing cells are NaN, and errors name the line in the file.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +40,10 @@ _CELL_SEPARATORS = (",", ";", "\t")
 """Possible separators; the most frequent separator in the first line is used."""
 
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
+"""Start of a number with a decimal comma, up to the comma; the group is the integer part."""
 
 _HEADER_PATTERN = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+"""Header of a column: a name, and optionally the unit in brackets."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,7 @@ def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
 
 
 def _parse_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
-    """Parse the text of a CSV file."""
+    """Parse the text of a CSV file; ``source`` is the path of the file for error messages."""
     first = text.lstrip("\r\n").partition("\n")[0]
     separator = max(_CELL_SEPARATORS, key=first.count)
     try:
@@ -142,7 +149,17 @@ def _parse_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
 def _parse_numbers(
     source: str, name: str, cells: Sequence[str], body: Sequence[tuple[int, list[str]]]
 ) -> Array:
-    """Parse the cells of a column."""
+    """Return the numbers of a column's cells, shape (n,), in the file's unit; NaN if missing.
+
+    Args:
+        source: Path of the file, for error messages.
+        name: Header of the column, for error messages.
+        cells: Cells of the column, without surrounding blanks.
+        body: (line number, cells) of each row, for error messages.
+
+    Raises:
+        MeasurementError: If a cell is not a finite number and not a missing value.
+    """
     try:  # fast path: all cells are numbers
         values = np.array(cells, dtype=float)
     except ValueError:

@@ -1,4 +1,9 @@
-"""Logs of motions: joint commands and measured positions over time."""
+"""Logs of motions: joint commands and measured positions over time.
+
+A log is read from a CSV file or a ROS bag, and contains a row per sample. Checks that need no robot
+(times, completeness of the columns) are made when a log is read; `inspect_log` checks a log for a
+robot.
+"""
 
 from __future__ import annotations
 
@@ -135,10 +140,16 @@ def make_log(
 
 
 def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
-    """Check that each sample has a time, and that times increase.
+    """Check that a log has enough samples, and that the sample times [s] increase.
+
+    Args:
+        source: File of the log, for error messages.
+        time: Sample times, shape (n,) [s]; NaN if missing.
+        lines: Line number of each sample in the file, shape (n,).
 
     Raises:
-        MeasurementError: If not.
+        MeasurementError: If samples are fewer than `MIN_SAMPLES`, a time is missing, or a time is
+            not larger than the time before.
     """
     if len(time) < MIN_SAMPLES:
         error = diagnose("log-too-short", samples=len(time), least=MIN_SAMPLES)

@@ -1,4 +1,8 @@
-"""Measurements of stands at rest: commands, positions, feet in the air and known masses."""
+"""Measurements of stands at rest: commands, positions, feet in the air and known masses.
+
+`read_stands` reads a CSV file with a row per stand, and `format_stands` writes the same format. The
+methods of `MeasuredStands` check the stands for a robot and average repeated readings.
+"""
 
 from __future__ import annotations
 

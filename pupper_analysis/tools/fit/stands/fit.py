@@ -102,7 +102,11 @@ class StandFit(Fit):
 def _list_joint_residuals(
     stands: MeasuredStands, equations: StandEquations, known: Posterior
 ) -> tuple[JointResidual, ...]:
-    """Return the residual of each joint in each stand, most significant first."""
+    """Return the error of each measured joint position [rad], most significant first.
+
+    The error is the measured position minus the position that agrees best with all other
+    measurements; significance is the ratio to the standard deviation.
+    """
     deviation, std = equations.find_contradictions(known)
     residuals = [
         JointResidual(

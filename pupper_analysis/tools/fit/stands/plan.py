@@ -338,7 +338,10 @@ def _log_determinant(information: Array) -> float:
 def _make_measured_stands(
     source: str, planned: Sequence[PlannedStand], tool: Tool | None
 ) -> MeasuredStands:
-    """Return planned stands as measured stands with missing positions."""
+    """Return planned stands as measured stands, with NaN as the measured joint positions [rad].
+
+    Stands with an added mass [kg] have the mass at the offset [m] of the tool in its link.
+    """
     command = np.array([list(stand.command.values()) for stand in planned])
     loads = {}
     if tool is not None and any(stand.added for stand in planned):
