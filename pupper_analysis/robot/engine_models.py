@@ -218,8 +218,8 @@ class EngineModels:
         """Convert Pinocchio's acceleration a (pin_model.nv,) to qacc (nv,).
 
         Args:
-            qpos: Configuration (nq,), in public coordinates.
-            qvel: Velocity (nv,), in public coordinates.
+            qpos: Configuration (nq,), quaternion (w, x, y, z), joints in actuator order.
+            qvel: Velocity (nv,), joints in actuator order.
             a: Pinocchio's acceleration (pin_model.nv,) [m/s^2, rad/s^2].
 
         Raises:
@@ -249,7 +249,7 @@ class EngineModels:
         """Convert the columns of Pinocchio's Jacobian (n, pin_model.nv): J = J_pin T.
 
         Args:
-            qpos: Configuration (nq,), in public coordinates.
+            qpos: Configuration (nq,), quaternion (w, x, y, z), joints in actuator order.
             jacobian: Pinocchio's Jacobian (n, pin_model.nv).
 
         Returns:

@@ -1,4 +1,4 @@
-"""Detect whether a simulated robot has fallen, sunk, been thrown up, or left its place.
+"""Detect whether a simulated robot has fallen, sunk, risen, or moved away horizontally.
 
 Heights are those of the robot's centre of mass (CoM) above the ground that carries it. The height
 of the base frame is not used, because a file may place that frame anywhere.
@@ -26,7 +26,7 @@ fallen over. Chosen, not tuned."""
 
 MAX_HEIGHT_LOSS_RATIO = 0.3
 """Largest accepted change of the CoM height, upward or downward, relative to the initial height;
-with a larger change the robot has sunk or been thrown up. Servo sag is a tenth of the height
+with a larger change the robot has sunk or risen. Servo sag is a tenth of the height
 (Pupper v3 at kp 5: 9 %), and a robot on its shanks is half as high as before."""
 
 
@@ -57,7 +57,7 @@ _MIN_KEYFRAME_DURATION = 2.0
 ground by then."""
 
 MAX_TRAVEL_RATIO = 1.0
-"""Horizontal travel of the CoM, relative to the CoM height, above which a robot has left its place.
+"""Horizontal travel of the CoM, relative to the CoM height, above which a robot has moved away.
 On planted feet no robot travels as far. (Sideways gravity moves it by 20 m in 2 s.)"""
 
 NUDGE_SPEED = 1e-3
@@ -136,7 +136,7 @@ class BodyMotion:
 
     @property
     def collapses(self) -> bool:
-        """Whether the robot has fallen over, sunk, been thrown up, left its place, or diverged."""
+        """Whether the robot has fallen over, sunk, risen, moved away horizontally, or diverged."""
         return self.diverged or self._has_collapsed(self.away)
 
     @property
@@ -382,7 +382,7 @@ def horizontal_distance(start: Array, end: Array) -> float:
 
 
 def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool:
-    """Return True if a robot has fallen over, sunk, been thrown up, or left its place.
+    """Return True if a robot has fallen over, sunk, risen, or moved away horizontally.
 
     Also True if tilt, height loss or distance is NaN, as after a divergence.
 

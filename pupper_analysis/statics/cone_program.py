@@ -96,8 +96,8 @@ class Balance:
 
     Attributes:
         base_rows: Shape (k, size); rows of the transposed Jacobian that belong to the base, and one
-            row per stated normal force.
-        base_load: Shape (k,) [N, N m]; generalised force on the base, and the stated forces.
+            row per prescribed normal force.
+        base_load: Shape (k,) [N, N m]; generalised force on the base, and the prescribed forces.
         joint_rows: Shape (nu, size); rows of the transposed Jacobian that belong to the joints.
         joint_load: Shape (nu,) [N m]; motor torques without contact forces.
         normals: Shape (n, 3); unit vectors out of the ground, in the world frame.

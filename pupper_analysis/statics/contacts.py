@@ -45,9 +45,9 @@ class Contacts:
             it.
         welds: For each welded or gripping part, a contact point on the part; None for the base. The
             last len(``grips``) entries are grips.
-        stated: Contact forces that the task states: shape (k, n), 1.0 where a contact belongs to a
-            group, and shape (k,), the total normal force of each group in units of the robot's
-            weight. None if the task states no force.
+        stated: Contact forces that the task prescribes: shape (k, n), 1.0 where a contact belongs
+            to a group, and shape (k,), the total normal force of each group in units of the robot's
+            weight. None if no force is prescribed.
         weight: Weight of the robot [N], the unit of ``stated``; may be 0 without contacts of a
             task.
         grips: Shape (g,) [N]; upper bound of the force of each grip.

@@ -3,7 +3,7 @@
 `gravity_compensation` solves g(q) = J^T f + S^T tau for contact forces f in friction cones and
 motor torques tau. If no such forces exist, the raised `StaticsInfeasibleError` states the reason:
 friction too low, a foot that would have to pull, the centre of mass outside the support region, a
-grip too weak, or a stated contact force out of reach.
+grip too weak, or a prescribed contact force out of reach.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class ForceDistribution(StrEnum):
     sum f_t^2 / c, with c the viscosity (`GroundLaw.viscosity`); the optimality condition is
     f_t = c (v + omega x r). Use these torques for a robot or a simulator.
     Beside a weld, contacts have no tangential force: the weld carries the rest of the load. The
-    normal forces minimise the sum of squared motor torques, or equal the stated forces. Beside
+    normal forces minimise the sum of squared motor torques, or equal the prescribed forces. Beside
     grips alone, the sum of all squared forces is minimised instead; contacts have tangential forces
     only if balance requires tangential forces.
 
@@ -567,8 +567,8 @@ def explain_infeasibility(
 ) -> StaticsInfeasibleError:
     """Determine why no feasible forces exist.
 
-    The causes are tested in this order: a stated force out of reach, grips too weak, friction too
-    low, the centre of mass outside the support region, feet that would have to pull.
+    The causes are tested in this order: a prescribed contact force out of reach, grips too weak,
+    friction too low, the centre of mass outside the support region, feet that would have to pull.
 
     Args:
         config: State of the robot.
@@ -697,7 +697,7 @@ it."""
 
 _MAX_TOTAL_NORMAL_FORCE = 10.0
 """Upper bound of the sum of normal forces, in units of the robot's weight, while the feasible range
-of a stated force is computed. Chosen: legs do not press harder."""
+of a prescribed contact force is computed. Chosen: legs do not press harder."""
 
 MIN_TORQUE_PER_MASS = 1e-9
 """Torque per payload mass [N m/kg] below which a motor counts as not loaded by the payload: the

@@ -1,7 +1,7 @@
 """Support polygon and support region: horizontal CoM positions that allow equilibrium.
 
 On contacts of a single plane the region is the convex hull of the contact points, seen from above.
-On contacts of several planes, with grips or with stated contact forces, the region is the
+On contacts of several planes, with grips or with prescribed contact forces, the region is the
 projection of all CoM positions for which contact forces in the friction cones exist
 (`support_corners`).
 """
@@ -125,7 +125,7 @@ def support_corners(
 ) -> tuple[Corner, ...]:
     """Compute corners of the support region, seen from above.
 
-    If all normals are equal (a single plane, or parallel planes), and without stated forces and
+    If all normals are equal (a single plane, or parallel planes), and without prescribed forces and
     grips, the result is the contact points, whose convex hull is used independent of friction
     (gravity along the plane is not checked here). Otherwise the region contains all CoM
     positions for which forces f_i in the friction cones exist with
@@ -139,7 +139,7 @@ def support_corners(
         points: Shape (n, 3) [m]; contact points in the world frame.
         normals: Shape (n, 3); unit vectors out of the ground.
         friction: Shape (n,); friction coefficients, or empty if unknown.
-        stated: Stated contact forces, as in `Contacts.stated`; None without.
+        stated: Prescribed contact forces, as in `Contacts.stated`; None without.
         grips: Shape (g, 4): position [m] and force limit in units of the weight; None without.
 
     Returns:
