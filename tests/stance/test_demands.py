@@ -15,6 +15,7 @@ from pupper_analysis.stance.demands import (
     DemandVector,
     describe_limit,
     differs_from_nominal,
+    relax_further,
     reset_to_nominal,
     round_outward,
 )
@@ -251,3 +252,13 @@ def test_limits_of_a_refusal_are_solvable_if_legs_are_stretched(task: pa.StandTa
     assert refusal.value.limits
     for limits in refusal.value.limits.values():
         pa.solve_stand(robot, replace(task, **limits), explain=False)
+
+
+def test_relax_further_extends_the_relaxation_by_a_share_of_it() -> None:
+    """Reference: value + share (value - requested value), per demand."""
+    requested = pa.StandTask(height=0.16, roll=0.4, pitch=0.1)
+    task = replace(requested, height=0.15, roll=0.3)
+    further = relax_further(load("v3"), task, requested, ["height", "roll"], 0.5)
+    assert further.height == pytest.approx(0.145)
+    assert further.roll == pytest.approx(0.25)
+    assert further.pitch == 0.1

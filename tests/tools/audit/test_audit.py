@@ -549,6 +549,23 @@ def test_a_mesh_that_is_mirrored_in_all_directions_is_found(tmp_path: Path) -> N
         assert {"mesh-mirrored", "value-impossible"} & set(findings) == rules
 
 
+def test_shape_off_its_link_states_the_displacements_across_and_along_the_link(
+    tmp_path: Path,
+) -> None:
+    """The cylinder of a thigh of 80 mm is displaced by 30 mm across and by 40 mm along it."""
+    edit = Edit(
+        '<link name="FL_thigh">',
+        r'(?s)<collision>\s*<origin xyz="0 0 -0.04"/>',
+        '<collision>\n      <origin xyz="0 0.03 -0.08"/>',
+    )
+    (finding,) = found(audit_model(written(tmp_path, "urdf", (edit,))), "shape-off-link")
+    values = finding.diagnostic.values
+    for name, expected in (("aside", 0.03), ("ahead", 0.04), ("way", 0.08)):
+        value = values[name]
+        assert isinstance(value, Quantity)
+        assert value.value == pytest.approx(expected)
+
+
 def test_two_mirrored_meshes_are_one_finding_with_their_number(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
     shape = r'<cylinder radius="0.011" length="0.11"/>'
