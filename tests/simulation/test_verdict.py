@@ -258,7 +258,7 @@ def test_expected_verdict_without_simulation_never_passes(
     statics: Any = Stub(joint_names=("hip", "knee"), motor_utilisation=shares)
     leaving = () if doubling is None else (Stub(doubling_time=doubling),)
     stability: Any = Stub(
-        lasts=lambda: not leaving, modes_growing_within=lambda: leaving, at_rest=True
+        is_stable_for=lambda: not leaving, modes_growing_within=lambda: leaving, at_rest=True
     )
     verdict = predict_verdict(statics, FILE, stability if known else None)
     assert verdict.code is code

@@ -302,7 +302,7 @@ def loaded(*unknown: str) -> Any:
         bounds=bounds,
         upper_bound=1.239,
         unknown_limits=unknown,
-        torque_of={"hip": 1.0, "knee": -2.0},
+        torque_by_joint={"hip": 1.0, "knee": -2.0},
         joint_torques=(1.0, 2.0),
         continuous=(),
         trial=trial,
