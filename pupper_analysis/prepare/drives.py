@@ -211,7 +211,7 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
     Returns:
         Robot with servos, and notes.
     """
-    made, messages = _with_chosen_servos(_remove_zero_limits(robot), mjcf)
+    made, messages = _add_servos_of_stand(_remove_zero_limits(robot), mjcf)
     return _restore_zero_limits(made, robot), messages
 
 
@@ -238,7 +238,7 @@ def _restore_zero_limits(made: Robot, robot: Robot) -> Robot:
     )
 
 
-def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos with suggested gains to a robot, and return notes about these servos.
 
     If the robot has no nominal stand, the gains for a fixed base are used.
@@ -270,11 +270,11 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos to a robot with a fixed base, at joints without one; return notes."""
-    made, messages = _with_held_servos(_remove_zero_limits(robot), mjcf)
+    made, messages = _add_servos_of_fixed_base(_remove_zero_limits(robot), mjcf)
     return _restore_zero_limits(made, robot), messages
 
 
-def _with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+def _add_servos_of_fixed_base(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos to a robot with a fixed base, and return notes about these servos."""
     kp, kd = list_fixed_base_gains(robot)
     timestep = float(robot.mj_model.opt.timestep)

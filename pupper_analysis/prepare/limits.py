@@ -47,12 +47,12 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
         attribute=origin.attribute,
         value=f"{high:g}" if origin.attribute == "effort" else f"{low:g} {high:g}",
         negative=null[0].code is EffortCode.NEGATIVE,
-        **_remedy(twin or _sibling_limit(robot, null)),
+        **_proposed_limit_fields(twin or _sibling_limit(robot, null)),
     )
 
 
-def _remedy(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
-    """Return the fields of a message about the limit that another file or limb states, if any."""
+def _proposed_limit_fields(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
+    """Return the message fields for the limit of another file or limb; None values without one."""
     if found is None:
         return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}
     joint, statement = found

@@ -107,7 +107,7 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
     if robot.published.is_unchanged:
         return robot.mj_model
     if robot.published.file is None:
-        found = robot.compute_once(_imported)
+        found = robot.compute_once(_import_urdf)
         model = None if isinstance(found, Diagnostic) else found
     else:
         model = compile_published_model(robot.published.file, robot)
@@ -123,11 +123,11 @@ def import_refused(robot: Robot) -> tuple[Diagnostic, ...]:
 
     Also empty for a robot with an MJCF, whose URDF is not imported.
     """
-    found = as_loaded(robot).compute_once(_imported)
+    found = as_loaded(robot).compute_once(_import_urdf)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
 
 
-def _imported(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
+def _import_urdf(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
     """Import the URDF of a robot without MJCF by MuJoCo's own importer.
 
     Returns:
@@ -288,8 +288,8 @@ def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun |
     """Simulate a published model from the nominal stand, and command the joint positions.
 
     Returns:
-        Run. None if the model has no level ground, if the base cannot be placed, or if an actuator
-        has a built-in controller.
+        Simulation result. None if the model has no level ground, if the base cannot be placed, or
+        if an actuator has a built-in controller.
     """
     published = with_unstated_options(published, robot)
     data = place_published(published, robot, robot.home)

@@ -382,7 +382,7 @@ def _remove_free_joint_friction(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("builds the robot"), _has_free_base)
 def _build(draft: Draft) -> PassOutput:
-    """Build the robot; refuse joints with several motors."""
+    """Build the robot; raise an error for joints with several motors."""
     check_motors(draft.mjcf.model, draft.mjcf.path)
     return replace(draft, built=build_robot(draft.matched_description)), ()
 
@@ -402,7 +402,7 @@ def _narrow_limits(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("refuses joints that move no mass"), _applies_always)
 def _check_masses(draft: Draft) -> PassOutput:
-    """Refuse joints that move no mass."""
+    """Raise an error if a joint moves no mass."""
     check_masses(draft.robot, draft.urdf)
     return draft, ()
 
@@ -463,7 +463,7 @@ def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
 
 @_register_pass(Term("adds motors to joints of loops that have none"), _may_be_altered)
 def _add_loop_motors(draft: Draft) -> PassOutput:
-    """Add motors without effect to joints of closed loops that have none."""
+    """Add motors without torque to joints of closed loops that have none."""
     return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 
@@ -485,7 +485,7 @@ def _find_start_pose(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("takes hulls that carry most of the load as contact points"), _may_be_altered)
 def _use_hulls_as_feet(draft: Draft) -> PassOutput:
-    """Use convex hulls of foot meshes as contact points if they carry most of the feet's load."""
+    """Use other shapes of soft feet, such as hulls, as contact points if they carry most load."""
     if draft.footless is None or draft.robot.closure is not None:
         return draft, ()
     hulls = touching.find_carrying_hulls(draft.footless, draft.robot, draft.feet)

@@ -375,7 +375,10 @@ class _Descent:
     def _compute_steps(
         self, errors: Array, jacobians: Array, joints: Array, damping: Array
     ) -> Array:
-        """Return damped steps (k, n); joints at a bound with an outward gradient stay."""
+        """Return Levenberg-Marquardt steps of the limb joints, (k, n) [rad, m].
+
+        Joints at a bound with an outward gradient stay.
+        """
         low, high = self._lower[self._joints], self._upper[self._joints]
         rows = jacobians.reshape(len(joints), -1, joints.shape[1])
         gradient = np.einsum("kij,ki->kj", rows, errors.reshape(len(joints), -1))

@@ -327,7 +327,7 @@ class ClearanceShapes:
         return np.array(rates).reshape(-1, self.robot.nv)
 
     def _is_floorless(self, ground: Ground) -> bool:
-        """Return True if no ground can touch the robot: no floor, and no plane of a foot."""
+        """Return True if no ground can touch the robot: no floor, no steps, no planes of feet."""
         return not self._has_floor and _is_plane(ground)
 
     def _measure_above_steps(

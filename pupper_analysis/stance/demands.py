@@ -315,7 +315,8 @@ def round_outward(
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
     """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
 
-    Unchanged at the nominal value, or if the rounded number would reach the nominal value.
+    ``usual`` is the value in the nominal stand. The number is unchanged if it is equal, or if the
+    rounded number would reach it.
     """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit

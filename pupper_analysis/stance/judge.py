@@ -288,7 +288,7 @@ class Stand(Pictured, Tabular):
         return robot
 
     def _require_robot(self) -> Robot:
-        """Return the robot with the contacts of the task."""
+        """Return the robot that this stand references, with the task's contacts; raise if none."""
         robot = self.own_robot
         if robot is None:
             owner = self.robot.rpartition(" ")[0]

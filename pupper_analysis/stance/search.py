@@ -192,7 +192,7 @@ class _Search:
         self.found: dict[Limb, tuple[Branch, ...]] = {}
 
     @cached_property
-    def _is_hopeless(self) -> bool:
+    def _is_base_in_ground(self) -> bool:
         """Whether no stand exists: the base would be in the ground. Evaluated at first access."""
         return is_base_in_ground(self.shapes, self.goal)
 
@@ -210,7 +210,7 @@ class _Search:
         """
         for start in joints:
             stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
-            if stand is None and self.reached and self._is_hopeless:
+            if stand is None and self.reached and self._is_base_in_ground:
                 stand = self.reached[0]
             if stand is not None:
                 return stand
@@ -246,7 +246,7 @@ class _Search:
             First solved stand; otherwise the best stand of the search, which may violate the goal.
         """
         best = self.best_stand()
-        if best.solved or (self._is_hopeless and self.reached):
+        if best.solved or (self._is_base_in_ground and self.reached):
             return best
         if not self.goal.com_is_free and not (self.reached and has_spare_joints(self.robot)):
             return best
@@ -254,11 +254,11 @@ class _Search:
             reach = support_radius(self.goal) + bound_com_shift(self.robot, best.qpos, self.found)
             if any(branches[0].foot_error > reach for branches in self.found.values()):
                 return best  # no CoM displacement can compensate
-        without = CLEARANCE_NAMES if self._is_hopeless else ()
+        without = CLEARANCE_NAMES if self._is_base_in_ground else ()
         programme = StanceProgram(self.shapes, self.goal, without=without)
         for qpos in self._generate_initial_configurations(best):
             stand = self.solve_program(programme, qpos) or self.solve_from_minimum(programme, qpos)
-            if stand is not None and (stand.solved or self._is_hopeless):
+            if stand is not None and (stand.solved or self._is_base_in_ground):
                 return stand
             if self._have_guesses_converged() and not self._is_underactuated:
                 break
