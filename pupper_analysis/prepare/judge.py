@@ -270,6 +270,9 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
         messages.insert(0, diagnose("joints-rub-negatively", joints=negative_friction.tolist()))
     if negative_damping.size:
         messages.insert(0, diagnose("joints-damped-negatively", joints=negative_damping.tolist()))
+    locked = joint_names[loaded.upper_limits <= loaded.lower_limits]
+    if locked.size:
+        messages.insert(0, diagnose("joints-locked-by-range", joints=locked.tolist()))
     assumptions = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
     gravity_notes = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
     return (

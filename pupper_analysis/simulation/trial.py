@@ -256,11 +256,12 @@ def _free_joint_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
     """Return lower and upper joint limits, (nu,) each [rad, m], which the nudged stand must keep.
 
     A limit is infinite if a joint that carries no foot rests on it in the stand, for example the
-    joint of a closed gripper.
+    joint of a closed gripper; or if the range of the joint permits no motion.
     """
     angles, free = stand.qpos[7:], np.isin(robot.joint_names, free_joints(robot))
-    at_lower = free & (angles < robot.lower_limits + _LIMIT_ATOL)
-    at_upper = free & (angles > robot.upper_limits - _LIMIT_ATOL)
+    locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
+    at_lower = locked | (free & (angles < robot.lower_limits + _LIMIT_ATOL))
+    at_upper = locked | (free & (angles > robot.upper_limits - _LIMIT_ATOL))
     return np.where(at_lower, -np.inf, robot.lower_limits), np.where(
         at_upper, np.inf, robot.upper_limits
     )

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.simulation.trial import _free_joint_limits, is_near_limit, simulate_nudges
 from pupper_analysis.stance.stand import stand_statics
-from tests.support.legged import quadruped
+from tests.support.legged import quadruped, rewritten
 from tests.support.variants import load
 
 
@@ -36,6 +37,24 @@ def test_joint_at_its_limit_from_the_start_is_no_failure(
     legs = np.arange(robot.nu) != nod
     assert np.array_equal(lower[legs], robot.lower_limits[legs])
     assert np.array_equal(upper, robot.upper_limits)
+
+
+def test_joint_whose_range_permits_no_motion_is_named_and_has_no_limits_in_the_trial(
+    tmp_path: Path,
+) -> None:
+    """In bare MuJoCo the pair stands after each nudge: the MJCF has a range of 1.6 rad. The trial
+    failed after 0 s, since the URDF has a range of 0 to 0."""
+    pair = quadruped(tmp_path)
+    rewritten(pair.urdf, ('lower="-0.8" upper="0.8"', 'lower="0" upper="0"'), count=1)
+    robot = pa.load_robot(*pair)
+    lower, upper = _free_joint_limits(robot, pa.solve_stand(robot))
+    roll = robot.joint_names.index("FL_roll")
+    assert (lower[roll], upper[roll]) == (-np.inf, np.inf)
+    legs = np.arange(robot.nu) != roll
+    assert np.isfinite(lower[legs]).all()
+    (remark,) = (found for found in list_file_remarks(robot) if found.code == "rests-on-made-up")
+    (finding,) = remark.values["findings"]
+    assert (finding.code, finding.values["joints"]) == ("joints-locked-by-range", ("FL_roll",))
 
 
 def test_foot_with_negligible_load_may_lift_without_failure() -> None:
