@@ -1,4 +1,8 @@
-"""Documents of fits, plans and recordings."""
+"""Documents of fits, plans and recordings.
+
+Inputs are a fit of motions or stands, a plan of stands, or a recording; outputs are documents that
+are independent of the output format, with estimates and intervals in printed units.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Document of stable gains: bounds of stiffness and damping, by joint class and as a plot."""
+"""Document of stable gains: bounds of stiffness and damping, by joint class and as a plot.
+
+Input is a `GainStudy`; output is a document that is independent of the output format. The answer
+states bounds as factors on the present gains, or as gains if all joints have equal gains.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +96,7 @@ def _describe_range(study: GainStudy) -> doc.Words:
 
 
 def _describe_controller(study: GainStudy) -> doc.Words:
-    """State the controller, and the mode beyond the largest damping."""
+    """Return the text of rate and delay of the controller, and of the mode at the largest kd."""
     implicit = study.integrator.startswith("implicit")
     return text(
         "gains-controller-implicit" if implicit else "gains-controller",
@@ -153,7 +157,7 @@ def _make_class_table(study: GainStudy) -> doc.Table:
 
 
 def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
-    """Explain the columns of the table of joint classes."""
+    """Yield the explanations of the columns of the table of joint classes."""
     yield text("gains-note-together")
     if study.error is not None:
         yield text("gains-note-torque", error=f"{math.degrees(study.error):.3g}")

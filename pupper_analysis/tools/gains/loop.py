@@ -156,7 +156,7 @@ class ControlledStand:
         self._first, self._late, self._prompt = self._linearise()
 
     def _make_start(self) -> mujoco.MjData:
-        """Return the state of the stand, with the torques that hold it."""
+        """Return the simulation state of the stand at rest; controls are the holding torques."""
         data = mujoco.MjData(self.model)
         mujoco.mj_setState(
             self.model, data, self._held.start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value

@@ -1,4 +1,8 @@
-"""Document of a posture of a robot with a fixed base: statics, simulation, verdict, tool limits."""
+"""Document of a posture of a robot with a fixed base: statics, simulation, verdict, tool limits.
+
+Input is a `Hold`; output is a document that is independent of the output format, with angles in
+degrees and lengths in mm.
+"""
 
 from __future__ import annotations
 
@@ -382,7 +386,7 @@ def describe_hardest_motor(
 
 
 def _list_findings(hold: Hold) -> Iterable[doc.Words]:
-    """List the findings: largest utilisation, sag, payload and force limits."""
+    """Yield the text of findings: sag of the tool [mm], payload [kg] and force limits [N]."""
     if hold.tool_sag is not None:
         yield text(
             "tool-sags-by",

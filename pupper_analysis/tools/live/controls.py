@@ -261,7 +261,7 @@ class Controls:
             self._changed()
 
     def _slider_value(self, state: State, control: Control) -> float:
-        """Return the value of a slider in a state, in the units of the page."""
+        """Return the value of a slider in a state (page units); if unset, the initial value."""
         value = getattr(state, control.field.name)
         return self._ranges[control.name].value if value is None else control.extract_number(value)
 

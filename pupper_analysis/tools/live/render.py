@@ -122,7 +122,10 @@ def make_address(server: Any, host: str, access: Access) -> str:
 
 @contextlib.contextmanager
 def _guard_requests(access: Access) -> Iterator[None]:
-    """Apply the access control to servers that viser starts within the context."""
+    """Make servers that viser starts within the context refuse requests without access.
+
+    Requests are checked with `Access.find_refusal`; sizes of messages are limited, too.
+    """
     websockets: Any = import_module("websockets.asyncio.server")
     serve = websockets.serve
 

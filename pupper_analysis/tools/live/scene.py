@@ -379,7 +379,7 @@ class Scene:
             box.wxyz, box.position = step.quaternion, step.centre - rise * normal
 
     def _draw_support(self, described: StandingScene, *, held: bool) -> None:
-        """Draw the support polygon."""
+        """Draw the support polygon [m, world frame]; its colour shows if the stance is `held`."""
         points = described.polygon + np.array([0.0, 0.0, 0.005 * self._size])
         padded = np.concatenate([points, np.tile(points[-1], (_NUM_POLYGON_CORNERS, 1))])[
             :_NUM_POLYGON_CORNERS
@@ -400,7 +400,7 @@ class Scene:
         area.color = INSIDE_COLOUR if held else OUTSIDE_COLOUR
 
     def _draw_com(self, described: StandingScene) -> None:
-        """Draw the centre of mass and the projection."""
+        """Draw the centre of mass, its projection, and a line between; colour: inside or not."""
         colour = INSIDE_COLOUR if described.com_inside else OUTSIDE_COLOUR
         for name, place, size in (
             ("com", described.com, 0.075),
@@ -419,7 +419,7 @@ class Scene:
         line.colors = np.array(colour, dtype=np.uint8)
 
     def _draw_load(self, answer: Answer, stand: Stand) -> None:
-        """Draw the payload."""
+        """Draw a ball at the position of the payload in a stance; nothing without a payload."""
         if not answer.state.payload:
             return
         ball = self._get_node("load", "add_icosphere", 0.13 * self._size, LOAD_COLOUR)
@@ -445,7 +445,7 @@ class Scene:
             label.position = hardest.world_anchor + np.array([0.0, 0.0, 0.2 * self._size])
 
     def _draw_forces(self, described: StandingScene) -> None:
-        """Draw the contact forces."""
+        """Draw the contact forces as arrows from the contact points; nothing without contacts."""
         if not described.contacts:
             return
         assert self._robot is not None

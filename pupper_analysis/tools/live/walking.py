@@ -1,4 +1,9 @@
-"""Page of a walking policy: sliders for the command, buttons for pushes."""
+"""Page of a walking policy: sliders for the command, buttons for pushes.
+
+Each browser has a `WalkSession`, whose thread simulates the robot in real time with the velocity
+command of the sliders, draws the robot, and reports speeds and motor torques of the last second.
+After a fall the session waits for a restart.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""A robot in MuJoCo's viewer, or as text: sensor readings, and the result of a drop."""
+"""A robot in MuJoCo's viewer, or as text: sensor readings, and the result of a drop.
+
+The robot starts at the keyframe ``home``, with the servos commanded to its joint positions. A drop
+is simulated from above the ground, and messages state what in the robot's file contradicts a stable
+drop.
+"""
 
 from __future__ import annotations
 

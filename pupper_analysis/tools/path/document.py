@@ -1,4 +1,8 @@
-"""Document of a path to a stance: plan, simulation and verdict."""
+"""Document of a path to a stance: plan, simulation and verdict.
+
+Input is a simulated path; output is a document that is independent of the output format, with an
+animated 3-D view of the plan.
+"""
 
 from __future__ import annotations
 

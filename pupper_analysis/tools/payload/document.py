@@ -1,4 +1,8 @@
-"""Document of a payload limit: largest mass, table of the bounds, and nudged simulation."""
+"""Document of a payload limit: largest mass, table of the bounds, and nudged simulation.
+
+Input is a `PayloadLimit`; output is a document that is independent of the output format, with
+masses in kg and positions in mm.
+"""
 
 from __future__ import annotations
 

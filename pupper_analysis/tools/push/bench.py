@@ -455,7 +455,7 @@ def _only_moves(failures: list[Diagnostic]) -> bool:
 
 
 def _combine_failures(failures: list[Diagnostic]) -> Diagnostic | None:
-    """Combine the failures of a push; None without a failure."""
+    """Return one diagnostic that states all failures of a push; None without a failure."""
     if len(failures) < 2:
         return failures[0] if failures else None
     return diagnose("failures-together", failures=failures)

@@ -1,4 +1,8 @@
-"""Documents of pushes: largest impulses of a stance by direction, and response to a push."""
+"""Documents of pushes: largest impulses of a stance by direction, and response to a push.
+
+Inputs are the largest pushes of one or several robots, or a simulated push; outputs are documents
+that are independent of the output format, with impulses in N s.
+"""
 
 from __future__ import annotations
 

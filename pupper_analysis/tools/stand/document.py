@@ -1,4 +1,8 @@
-"""Documents of a stance, and of the preparation of a robot from its files."""
+"""Documents of a stance, and of the preparation of a robot from its files.
+
+Inputs are a `Stance` or a preparation; outputs are documents that are independent of the output
+format, with values in printed units. The verdict and the limiting motor come first.
+"""
 
 from __future__ import annotations
 
@@ -235,7 +239,7 @@ def _is_base_bolted(stance: Stance) -> bool:
 
 
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
-    """List the limits: behaviour without gravity compensation, minimum kp, and presses of hands."""
+    """Yield the text of minimum kp, equilibrium without feed-forward, and presses of hands [N]."""
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",

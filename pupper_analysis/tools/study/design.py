@@ -119,7 +119,7 @@ def _encode_value(value: Value) -> Any:
 
 
 def _decode_value(encoded: Any) -> Value:
-    """Decode a value that `_encode_value` encoded."""
+    """Return the value of a diagnostic's field from JSON data; the inverse of `_encode_value`."""
     if isinstance(encoded, list):
         return tuple(map(_decode_value, encoded))
     if not isinstance(encoded, dict):
@@ -545,7 +545,11 @@ def _make_columns(name: str, measured: Any) -> Row:
 
 
 def _to_float(name: str, value: Any) -> float:
-    """Convert a measured value to a number: 1 for True, 0 for False."""
+    """Return a measured value as a number, 1 for True and 0 for False.
+
+    Raises:
+        ConfigurationError: If the value is no number; ``name`` is the metric, for the message.
+    """
     try:
         return float(value)
     except (TypeError, ValueError) as error:

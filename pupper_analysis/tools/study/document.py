@@ -1,4 +1,8 @@
-"""Documents of studies: failures, Pareto front, main effects, written designs."""
+"""Documents of studies: failures, Pareto front, main effects, written designs.
+
+Inputs are the outcome of a study or a written design; outputs are documents that are independent of
+the output format, with values in printed units.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +95,7 @@ def _find_shown_unit(column: str) -> tuple[float, str]:
 
 
 def _format_shown_label(column: str) -> str:
-    """Return the name of a metric with the unit in which it is printed."""
+    """Return the name of a metric, followed by the unit of printed values in parentheses."""
     _, unit = _find_shown_unit(column)
     return f"{column} ({unit})" if unit else column
 

@@ -232,13 +232,20 @@ def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor
 
 
 def _move_origin(element: etree._Element, matrix: Array, shift: Array) -> None:
-    """Move the origin of an element to A p + b."""
+    """Move the <origin> p of a URDF element to A p + b; ``matrix`` is A, ``shift`` is b [m]."""
     origin = origin_of(element)
     set_origin(element, pin.SE3(origin.rotation, matrix @ origin.translation + shift))
 
 
 def _stretch_form(form: etree._Element, factors: Array | None, link: str) -> None:
-    """Scale the size of a shape of the URDF; spheres keep their size."""
+    """Scale the size of a URDF shape by factors along its own axes, shape (3,).
+
+    Spheres keep their size; cylinders and capsules keep their radius. ``factors`` is None if the
+    stretch is along none of the axes; the size then is kept.
+
+    Raises:
+        ModelError: If the shape is a mesh and ``factors`` is None.
+    """
     attributes: dict[object, tuple[str, Callable[[Array], Array]]] = {
         "box": ("size", lambda factors: factors),
         "mesh": ("scale", lambda factors: factors),
@@ -288,7 +295,19 @@ def _stretch_geom(
     shift: Array,
     meshes: dict[str, list[tuple[mujoco.MjsGeom, Array]]],
 ) -> None:
-    """Stretch a geom of the MJCF; mesh geoms are collected in ``meshes``."""
+    """Stretch a geom of the MJCF in place: points p of the body frame [m] move to A p + b.
+
+    Spheres keep their size; cylinders and capsules keep their radius.
+
+    Args:
+        geom: Geom.
+        matrix: A, shape (3, 3).
+        shift: b, shape (3,) [m].
+        meshes: Mesh geoms are appended here: {mesh name: (geom, factors along its axes)}.
+
+    Raises:
+        ModelError: If the geom is a mesh, and the stretch is along none of its axes.
+    """
     if not np.isnan(geom.fromto[0]):
         ends = np.array(geom.fromto)
         geom.fromto = np.concatenate([matrix @ end + shift for end in (ends[:3], ends[3:])])

@@ -1,4 +1,9 @@
-"""Metrics of a study: named metrics of a design, and functions of (robot, stand)."""
+"""Metrics of a study: named metrics of a design, and functions of (robot, stand).
+
+A metric is a function that maps a `Design` (robot with a solved stand) to a number or to {name:
+number}, in SI units. Other tools contribute metrics, such as the payload limit, in their modules
+``metrics``.
+"""
 
 from __future__ import annotations
 

@@ -252,7 +252,14 @@ def compute_main_effects(
 def _summarise_metric(
     table: pd.DataFrame, name: str, spread: Sequence[str], study: Study
 ) -> MetricSummary:
-    """Summarise a metric column."""
+    """Return the smallest, median and largest value of a metric, and its main effects.
+
+    Args:
+        table: Table of results, a row per design.
+        name: Column of the metric.
+        spread: Variables whose main effects are computed.
+        study: Study, for the unit of the metric and the sampling.
+    """
     column, sampled = table[name].dropna(), study.sampling.samples is not None
     main_effects = {} if "." in name else compute_main_effects(table, spread, name, sampled=sampled)
     is_complete = not sampled and len(column) == len(study) and len(main_effects) > 1
@@ -273,7 +280,7 @@ def _summarise_metric(
 
 
 def _group_failures(table: pd.DataFrame) -> tuple[Failures, ...]:
-    """Group failed designs by kind."""
+    """Return number, share and first reason of the failed designs, for each kind of failure."""
     groups = []
     for kind, count in table["failure"].value_counts().items():
         first = table[table["failure"] == kind].iloc[0]

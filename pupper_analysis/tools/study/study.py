@@ -1,4 +1,9 @@
-"""A study: variables, designs and metrics, defined in Python or by a TOML file."""
+"""A study: variables, designs and metrics, defined in Python or by a TOML file.
+
+`Study.run` evaluates the metrics of all designs that its folder does not contain yet, and returns a
+table with a row per design. A design is identified by a hash of the study's definition and the
+variable values, so that an interrupted or extended study resumes.
+"""
 
 from __future__ import annotations
 

@@ -218,7 +218,7 @@ def make_variable(name: str, requested: object) -> Variable:
 
 
 def _diagnose_grid(numbers: Any) -> Diagnostic:
-    """Return the diagnostic for ``grid``, which has two possible meanings."""
+    """Return the message that ``grid`` may mean a list of values or evenly spaced values."""
     listed = ", ".join(map(str, numbers)) if isinstance(numbers, list | tuple) else str(numbers)
     return diagnose("grid-is-ambiguous", listed=listed)
 

@@ -1,4 +1,8 @@
-"""Document of `sync`: written attributes and remaining differences."""
+"""Document of `sync`: written attributes and remaining differences.
+
+Input is the result of a sync; output is a document that is independent of the output format. If no
+difference was selected, the differences are listed with examples of the option ``--take``.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +84,7 @@ def _list_failures(sync: Sync) -> Iterable[doc.Words]:
 
 
 def _make_choice_blocks(sync: Sync) -> Iterable[doc.Block]:
-    """Yield the differences with the numbers, and examples of choices."""
+    """Yield the differences with their lines in both files, and examples of ``--take``."""
     for difference in sync.differences:
         places = (difference.urdf_place, difference.mjcf_place)
         columns = tuple(

@@ -1,4 +1,8 @@
-"""Elements of an MJCF and the included files, found by name and changed in place."""
+"""Elements of an MJCF and the included files, found by name and changed in place.
+
+Each include is replaced by the included elements, which remain elements of their own documents. A
+body that is a copy, such as by ``<replicate>``, has no element and is not found.
+"""
 
 from __future__ import annotations
 

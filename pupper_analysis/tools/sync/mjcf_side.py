@@ -1,4 +1,9 @@
-"""Planning of changes to an MJCF and the included files: positions, limits, gains, masses."""
+"""Planning of changes to an MJCF and the included files: positions, limits, gains, masses.
+
+Inputs are target values from the URDF, converted to the frames of the MJCF, and selected
+differences. Elements are changed in memory, with as few changed attributes as possible; a
+difference that cannot be written gets a reason.
+"""
 
 from __future__ import annotations
 
@@ -182,12 +187,16 @@ class MjcfSide(Side):
             plan_inertial(self, name, [key for key in taken if key[1] == name])
 
     def _compute_body_pose(self, body: int) -> pin.SE3:
-        """Return the pose of a body in the frame of the body that a joint moves."""
+        """Return the pose of a body in the frame of the moved body to which it is fixed."""
         name = str(self.model.body(body).name)
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
 
     def _plan_position(self, key: Key) -> None:
-        """Move the body of a joint, with the child bodies."""
+        """Plan to move the body of a joint, with its child bodies, to the URDF's joint position.
+
+        ``key`` is the difference (kind, joint). The position is not written if the joint is not the
+        first of its body or not at the body's origin, or the body is a copy or within a <frame>.
+        """
         name = key[1]
         index = self.model.joint(name).id
         body = int(self.model.jnt_bodyid[index])
@@ -293,7 +302,7 @@ class MjcfSide(Side):
 
 
 def plan_gains(side: MjcfSide, name: str, target_gains: dict[Key, float]) -> None:
-    """Plan the gains of the servo of a joint.
+    """Plan the changes of the MJCF that give a joint's servo the target gains.
 
     Args:
         side: MJCF.
@@ -338,7 +347,16 @@ def _plan_position_servo(
     stiffness: float,
     damping: float,
 ) -> None:
-    """Plan the gains of a <position> actuator."""
+    """Plan the changes of the attributes ``kp`` and ``kv`` of a <position> actuator.
+
+    Args:
+        side: MJCF.
+        element: Actuator.
+        name: Joint.
+        target_gains: Gains to be written: {("kp" or "kd", joint): gain}.
+        stiffness: Target kp, divided by the square of the gear.
+        damping: Target kd, divided by the square of the gear.
+    """
     if ("kp", name) in target_gains:
         side.elements.write(element, "kp", stiffness)
     if ("kd", name) in target_gains:

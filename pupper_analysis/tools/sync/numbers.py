@@ -299,7 +299,13 @@ def try_files(
 def _find_wrong_numbers(
     changes: NumberChanges, after: Robot, sides: Iterable[str]
 ) -> Iterator[Key]:
-    """Yield the numbers that an engine reads differently than requested."""
+    """Yield the numbers (kind, element) that the written files state differently than requested.
+
+    Args:
+        changes: Requested numbers.
+        after: Robot, read from the written files.
+        sides: Models to be checked: ``"urdf"``, ``"mjcf"``.
+    """
     trees = dict(zip(("urdf", "mjcf"), kinematic_trees(after), strict=True))
     for side in sides:
         target, frames = changes.make_tree(side), changes.both.mjcf_frames if side == "mjcf" else {}

@@ -1,4 +1,10 @@
-"""Plan of a sync: changes of both files, reasons for differences that remain, layout of copies."""
+"""Plan of a sync: changes of both files, reasons for differences that remain, layout of copies.
+
+Input is, for each selected difference, the file whose value is taken. `make_plan` changes both
+documents in memory, and records a reason for each difference that no file receives. `FileLayout`
+arranges copies of the model's files, so that the changed files can be verified before they are
+written.
+"""
 
 from __future__ import annotations
 
@@ -228,7 +234,7 @@ def _find_unwritten_reason(key: Key, whose: str, both: MatchedRobots) -> Diagnos
 
 
 def _make_unstated_reason(whose: str) -> Diagnostic:
-    """Return the reason that the chosen file states no value."""
+    """Return the reason that the chosen file (``"urdf"`` or ``"mjcf"``) states no value."""
     lacking, stating = ("URDF", "MJCF") if whose == "urdf" else ("MJCF", "URDF")
     return diagnose("stated-in-one-file", lacking=lacking, stating=stating)
 
@@ -246,7 +252,7 @@ def _iterate_edits(element: Element) -> Iterator[Edit]:
 
 
 def _describe_element(element: Element) -> str:
-    """Return the path of an element, from the nearest ancestor with a name."""
+    """Return the tags from the nearest element with a name to an element, joined with ``>``."""
     parts = []
     current: Element | None = element
     while current is not None:

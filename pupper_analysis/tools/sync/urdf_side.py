@@ -1,4 +1,8 @@
-"""Planning of changes to a URDF."""
+"""Planning of changes to a URDF: positions, limits, joint numbers, masses.
+
+Inputs are target values from the MJCF, converted to the frames of the URDF, and selected
+differences. Elements are changed in memory; a difference that cannot be written gets a reason.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +78,7 @@ class UrdfSide(Side):
             self._plan_inertial(name, [key for key in taken if key[1] == name])
 
     def _compute_link_pose(self, link: str) -> pin.SE3:
-        """Return the pose of a link in the frame of the link that a joint moves."""
+        """Return the pose of a link in the frame of the moved link to which it is fixed."""
         pose = pin.SE3.Identity()
         while link not in self._mover_of_link and link in self._parent_joints:
             joint = self._parent_joints[link]
@@ -88,7 +92,7 @@ class UrdfSide(Side):
         return self._mover_of_link[link]
 
     def _plan_position(self, name: str) -> None:
-        """Plan the origin of a joint."""
+        """Plan to set the ``xyz`` of a joint's <origin> in the URDF to the MJCF's position [m]."""
         joint = self._find_joint(name)
         frame = self.sides.urdf_frames[self._find_mover(joint.parent)] * self._compute_link_pose(
             joint.parent
@@ -103,7 +107,14 @@ class UrdfSide(Side):
         return self.tree.joints[self.sides.matched.urdf_joint[name]]
 
     def _write_number(self, joint: UrdfJoint, kind: str, value: float, floor: float = 0.0) -> None:
-        """Write a number of a joint, unless the file states this number."""
+        """Set a number of a joint in the URDF, in SI units, unless the file states this number.
+
+        Args:
+            joint: Joint.
+            kind: Kind of the attribute, such as ``effort`` or ``damping``.
+            value: Number.
+            floor: Lower bound of the magnitude that the tolerance of the number refers to.
+        """
         attribute = BY_KIND[kind]
         assert attribute.urdf is not None
         tag, word = attribute.urdf
@@ -224,7 +235,12 @@ def make_inertial_changes(link: Element, target: pin.Inertia) -> Changes:
 def _list_tensor_changes(
     old_entries: list[str | None], values: Array
 ) -> Iterator[tuple[tuple[str, str], str]]:
-    """Yield the changed entries of the inertia tensor."""
+    """Yield ((``inertia``, entry), text) for each changed entry of an inertia tensor.
+
+    Args:
+        old_entries: Stated texts in the order of `INERTIA_ENTRIES`; None if not stated.
+        values: New entries in the same order, shape (6,) [kg m^2].
+    """
     scale = float(np.abs(values).max())
     for name, old, value in zip(INERTIA_ENTRIES, old_entries, values, strict=True):
         text = format_numbers((old or "").split(), value, scale)

@@ -491,7 +491,17 @@ def read_usd_model(file: UsdFile) -> UsdModel:
 def _read_edges(
     file: UsdFile, placements: Mapping[str, PrimPlacement], units: StageUnits, cache: Any
 ) -> Iterator[Edge]:
-    """Yield the enabled joints between different bodies."""
+    """Yield the enabled joints between different bodies, with the joint frames in both bodies [m].
+
+    Args:
+        file: USD file.
+        placements: {body: pose and scale of the body}.
+        units: Units of the stage.
+        cache: USD's cache of transforms.
+
+    Raises:
+        ModelError: If a joint refers to a prim that does not exist.
+    """
     body_names = {path: name for name, path in file.bodies.items()}
     paths = {path: name for name, path in file.joints.items()}
     for name, path in file.joints.items():

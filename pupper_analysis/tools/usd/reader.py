@@ -139,7 +139,7 @@ def _get_joint_frame(link: Link) -> Pose:
 
 
 def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str, Pose]) -> None:
-    """Add a joint; ``poses`` are the link frames in the base frame."""
+    """Add a joint of a USD model to a URDF; ``poses`` are the link frames in the base frame."""
     frame = poses[joint.child]
     is_unlimited = not (math.isfinite(joint.lower) or math.isfinite(joint.upper))
     urdf_types = {
@@ -271,7 +271,11 @@ def make_mjspec(model: UsdModel) -> mujoco.MjSpec:
 
 
 def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
-    """Add the joints of a link to a body of the spec."""
+    """Add the movable joints of a link to its body in MuJoCo's spec, in the frame of the body.
+
+    Raises:
+        ModelError: If a joint has several axes and is not the joint of a root.
+    """
     inverse = link.pose.inverse()
     for joint in link.joints:
         if joint.kind == FIXED_JOINT:

@@ -1,4 +1,9 @@
-"""Contract of a policy and a robot: the observation, and the meaning of the actions."""
+"""Contract of a policy and a robot: the observation, and the meaning of the actions.
+
+Inputs are statements {contract key: value} of several files: the policy, its source files and a
+TOML file. `make_contract` merges these statements, checks them against the sizes of the network,
+and returns a `Contract`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Documents of `walk`: gaits, tracked intervals, and rankings of readings of a policy."""
+"""Documents of `walk`: gaits, tracked intervals, and rankings of interpretations of a policy.
+
+Inputs are results of `walk` (`Walk`, `TrackedIntervals`, `Orders`); outputs are documents that are
+independent of the output format, with values in printed units.
+"""
 
 from __future__ import annotations
 
@@ -165,7 +169,7 @@ _MIN_TORQUE = 1e-9
 
 
 def _max_over_runs(walk: Walk, name: str) -> Array:
-    """Return the largest value of all runs, per motor."""
+    """Return the largest value of all runs, shape (nu,), of a gait's attribute per motor."""
     worst: Array = np.max([getattr(gait, name) for gait in walk.gaits], axis=0)
     return worst
 
@@ -221,13 +225,13 @@ def _describe_simulation(walk: Walk) -> doc.Text:
 
 
 def _format_range(values: Array) -> str:
-    """Format the smallest and largest value."""
+    """Return the smallest and largest value as text, such as ``2-5``; one number if equal."""
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g}-{high:g}"
 
 
 def _describe_outcome(gait: Gait) -> doc.Words:
-    """Describe the outcome of a run."""
+    """Return the outcome of a run as text: the fall, or whether the command was tracked."""
     if gait.fall is not None:
         return doc.diagnostic_text(gait.fall, "bad")
     return text("walk-tracks" if gait.tracks else "walk-tracks-not")
@@ -284,7 +288,7 @@ def torque_plot(walk: Walk) -> doc.LinePlot:
 
 @build_document.register(TrackedIntervals)
 def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the command intervals that a policy tracks.
+    """Create the report of the intervals of varied quantities in which a policy tracks the command.
 
     `build_document` calls this function for `TrackedIntervals`.
     """

@@ -75,7 +75,7 @@ def _find_base(stage: Stage, model: mujoco.MjModel) -> int:
 
 
 def _scale_base_mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Scale mass and inertia of the base body."""
+    """Multiply mass and inertia of the base body by a factor, in place; the CoM is unchanged."""
     model.body_mass[_find_base(stage, model)] *= value
     model.body_inertia[_find_base(stage, model)] *= value
 
@@ -448,7 +448,10 @@ def read_measured_intervals(
 
 
 def _find_estimates(data: Any) -> list[Any]:
-    """Return the rows of a fit's JSON, in either form."""
+    """Return the estimates in the JSON of a fit, a dict each; empty if there are none.
+
+    A fit lists its estimates as ``estimates`` or, in ``fit.json``, as ``parameters``.
+    """
     for key in ("estimates", "parameters"):
         rows = data.get(key) if isinstance(data, dict) else None
         if isinstance(rows, list):

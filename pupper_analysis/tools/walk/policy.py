@@ -1,4 +1,9 @@
-"""Policy files: networks in ONNX, RTNeural's JSON and TorchScript, with contracts."""
+"""Policy files: networks in ONNX, RTNeural's JSON and TorchScript, with contracts.
+
+`Policy.load` reads a file as a network of NumPy operations, which maps observations of several runs
+to actions, and the contract that the file states. ONNX files are decoded without another package;
+TorchScript requires torch.
+"""
 
 from __future__ import annotations
 
@@ -238,7 +243,17 @@ def _build_onnx_network(path: Path, file: OnnxFile) -> Network:
 def _build_node(
     path: Path, node: ProtobufMessage, number: int, constants: dict[str, Array]
 ) -> Node:
-    """Build an operation; a Constant adds its value to ``constants``."""
+    """Return a node of an ONNX graph as an operation with named inputs and outputs.
+
+    Args:
+        path: File, for messages.
+        node: ONNX node (protobuf message).
+        number: Number of the node, which names a node without a name.
+        constants: {name: value}; the value of a Constant is added.
+
+    Raises:
+        ModelError: If the operator is not supported.
+    """
     kind = get_text(node, 4)
     name = get_text(node, 3) or f"layer {number} ({kind})"
     inputs = tuple(get_text(node, 1, index) for index in range(len(node.get(1, ()))))
@@ -300,7 +315,7 @@ def _is_last_axis(attributes: dict[str, Any]) -> bool:
 
 
 def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
-    """Create a split along the last axis."""
+    """Return the operation Split into ``count`` parts; None if not along the last axis."""
     if not _is_last_axis(attributes):
         return None
 
@@ -313,7 +328,7 @@ def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
 
 
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create a concatenation along the last axis."""
+    """Return the operation Concat; None if not along the last axis."""
     if not _is_last_axis(attributes):
         return None
 
@@ -336,7 +351,7 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create a GRU; None for another direction or other activations."""
+    """Return the operation GRU; None if not forward, or with other activations."""
     if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
     reset_after = bool(attributes.get("linear_before_reset", 0))
@@ -350,7 +365,7 @@ def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create an LSTM; None for another direction or other activations."""
+    """Return the operation LSTM; None if not forward, or with other activations."""
     if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
 
@@ -405,7 +420,7 @@ _NUM_WEIGHT_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm":
 
 
 def read_rtneural(path: Path) -> dict[str, Any]:
-    """Read RTNeural's JSON.
+    """Return the content of a network in RTNeural's JSON as {key: value}, with a list of layers.
 
     Raises:
         ModelError: If the file cannot be read, or contains no list of layers.

@@ -120,7 +120,7 @@ def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[D
 
 
 def _check_clock(log: Log) -> Iterator[Diagnostic]:
-    """Yield remarks on the sample times."""
+    """Yield remarks on the sample times [s] of a log: clock jumps, gaps, uneven intervals."""
     steps, jumps = np.diff(log.time), log.jumps
     interval, longest = Quantity(log.interval, "s"), Quantity(steps.max(), "s")
     if jumps:

@@ -1,4 +1,8 @@
-"""Connections to a robot: interface, and selection by name."""
+"""Connections to a robot: interface, and selection by name.
+
+A recording needs a `Bridge`, which commands and measures joint positions in actuator order, and an
+`Operator`, who sets the robot down and lifts feet. `open_bridge` returns both for a name.
+"""
 
 from __future__ import annotations
 

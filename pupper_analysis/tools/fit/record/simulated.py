@@ -140,7 +140,11 @@ class SimulatedRobot:
         return True
 
     def _place_on_feet(self, swing: Sequence[str]) -> None:
-        """Set the robot down just above the ground, in the commanded posture."""
+        """Reset the simulation to the commanded posture, at rest, `_DROP_HEIGHT` above the ground.
+
+        Args:
+            swing: Feet in the air; the base is level when the other feet stand on the ground.
+        """
         robot, joints = self._loaded, self.sent[-1] - self.offset
         contact_points = [
             point for foot, points in robot.feet.items() if foot not in swing for point in points

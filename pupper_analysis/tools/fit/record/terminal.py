@@ -1,4 +1,8 @@
-"""Operator at a terminal, and a bridge with typed positions."""
+"""Operator at a terminal, and a bridge with typed positions.
+
+Prompts appear at the terminal, and the operator confirms or types joint positions. Both classes
+need no software of the robot.
+"""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def _list_joint_residuals(
 
 
 def _estimate_total_mass(robot: Robot, posterior: Posterior) -> Estimate:
-    """Return the estimate of the robot's total mass."""
+    """Return the estimate of the robot's total mass [kg], from the distribution of all masses."""
     gradient = (posterior.kinds == "mass").astype(float)
     stated = np.array([parameter.stated for parameter in posterior.parameters])
     quantity = Parameter("mass", robot.name, "", robot.total_mass, 0.0)
@@ -779,7 +779,16 @@ def _estimate_from_stands(
     scale_residual: Callable[[Array], LinearisedResiduals],
     start: Array | None,
 ) -> Posterior:
-    """Return the most probable parameters, estimated in ``LogCoordinates``."""
+    """Return the distribution of the parameters after measured stands at rest.
+
+    The most probable parameters are searched in ``LogCoordinates``, from the parameters ``start``,
+    shape (n,), or from those of the model. ``scale_residual`` maps parameters to the residual of
+    the weighed mass.
+
+    Raises:
+        FitError: If the search fails.
+        MeasurementError: If the search fails because a foot has to pull or is below the ground.
+    """
     table = equations.table
     logarithms = LogCoordinates(table)
 
