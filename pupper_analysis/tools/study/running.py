@@ -428,7 +428,7 @@ class StudyRun:
         executor: Executor | None,
         workers: int | None,
     ) -> Progress:
-        """Evaluate all designs that are not stored.
+        """Evaluate all designs of a study that are not stored, store their rows, return progress.
 
         Args:
             blocks: Hashes and variable values (n, variables) of the designs.

@@ -107,7 +107,7 @@ class WrittenNumbers:
         ]
 
     def hash_contents(self) -> dict[str, str]:
-        """Return {path in the folder: hash of the content}, to recognise written files later."""
+        """Return {path in the folder: hash of the file's content}, to recognise the files later."""
         return {str(place): hash_content(content) for place, content in self.contents.items()}
 
 

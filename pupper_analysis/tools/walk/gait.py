@@ -232,7 +232,8 @@ def simulate_walk(
         robot: Robot.
         policy: Policy.
         command: Forward speed, speed to the left [m/s], and turning rate to the left [rad/s].
-        seeds: Number of runs. Initial states differ by at most 0.05 rad, 0.05 m/s and 0.05 rad/s.
+        seeds: Number of runs. Initial states differ from the default pose at rest by at most 0.05
+            rad at the joints, and 0.05 m/s and 0.05 rad/s of the base; the first does not differ.
         seconds: Duration of each run [s], 3 to 600.
         warm_up: Duration of the warm-up [s].
         workers: Number of threads; by default the number of cores. The result does not depend on

@@ -108,7 +108,9 @@ class Orders(Result):
 
     @property
     def determined(self) -> bool:
-        """True if the first candidate tracks a command and is clearly better than the second.
+        """Whether the best interpretation of a policy is clearly better than the second.
+
+        The first candidate must track a command.
 
         The first is clearly better if it tracks more commands, or if the cost of the second is more
         than `MIN_COST_RATIO` times the cost of the first.
@@ -119,7 +121,7 @@ class Orders(Result):
 
     @property
     def alike(self) -> tuple[int, ...]:
-        """Indices of the candidates that track as many commands as the first at similar cost.
+        """Indices of the interpretations that track as many commands as the best at similar cost.
 
         The cost of these candidates is at most `MIN_COST_RATIO` times the cost of the first. Empty
         if no candidate tracks a command.

@@ -286,8 +286,8 @@ class Lockstep:
                 `FORCED_CONTROL_SPEC`.
 
         Returns:
-            States (n, substeps, size); applied controls (n, substeps, nu); True for each run that
-            diverged, shape (n,).
+            Full physics states of MuJoCo, shape (n, substeps, size); applied controls, shape
+            (n, substeps, nu); True for each run that diverged, shape (n,).
         """
         stage, active = self._stage, self.active
         observations = self._observer.observe(self.current, active, self.tick)
@@ -463,10 +463,10 @@ class Observer:
         self._frames = np.zeros(shape)
 
     def observe(self, states: Array, active: Integers, tick: int) -> Array:
-        """Return the observations of the active runs, shape (n, inputs).
+        """Return the observations (inputs of the policy) of the active runs, shape (n, inputs).
 
         Args:
-            states: States of the active runs, shape (n, size).
+            states: Full physics states of MuJoCo of the active runs, shape (n, size).
             active: Indices of the active runs, shape (n,).
             tick: Number of actions so far.
         """
