@@ -790,7 +790,9 @@ def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Toler
         tolerances: Tolerances of the comparison of two models.
         changes: Texts ``KIND=VALUE``.
     """
-    return tolerances.changed(dict(parse_number_assignment("tolerance", text) for text in changes))
+    return tolerances.with_values(
+        dict(parse_number_assignment("tolerance", text) for text in changes)
+    )
 
 
 def parse_name_map(pairs: tuple[str, ...]) -> dict[str, str]:

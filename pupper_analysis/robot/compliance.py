@@ -118,7 +118,7 @@ class GroundLaw:
         d, _ = self._impedance_and_slope(depth)
         return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)
 
-    def rate(self, depth: float) -> float:
+    def normal_stiffness(self, depth: float) -> float:
         """Return the normal stiffness [N/m] at a penetration [m], by finite differences."""
         start = -self.margin
         low, high = max(depth - 1e-8, start), max(depth, start) + 1e-8
@@ -127,7 +127,7 @@ class GroundLaw:
     @cached_property
     def _initial_stiffness(self) -> float:
         """Normal stiffness [N/m] at the start of the contact."""
-        return self.rate(-self.margin)
+        return self.normal_stiffness(-self.margin)
 
     def depth(self, force: float, near: float | None = None) -> float:
         """Return the penetration [m] at rest under a normal force: the inverse of ``force``.

@@ -152,8 +152,9 @@ class Ground:
         """Return {foot: box or cylinder} for feet on a step, or on a plane or bar of their own.
 
         A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. For a step of
-        height h > 0, the box stands on the ground; for h < 0 (a pit), the top of the box is the
-        bottom of the pit, |h| below the ground, and the thickness of the box is also |h|.
+        height h > 0, the box stands on the ground. For h < 0 (a pit), the top of the box is the
+        bottom of the pit at height h, and the thickness of the box is -h times the cosine of the
+        slope.
 
         Args:
             places: {contact point: centre (3,) [m]}; the points of a flat foot are ``foot/1``,

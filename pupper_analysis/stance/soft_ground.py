@@ -285,7 +285,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     def derivative(coefficients: Array) -> Array:
         """Return the derivative of the residual by the coefficients, shape (k, k) [N/m]."""
         depths = (basis @ coefficients).tolist()
-        stiff = np.array([law.rate(d) for law, d in zip(laws, depths, strict=True)])
+        stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])
         return np.asarray(basis.T @ (stiff[:, None] * basis))
 
     depths: Array = (

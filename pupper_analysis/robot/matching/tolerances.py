@@ -1,7 +1,7 @@
 """Tolerances for the comparison of two files: one number per kind of value.
 
 `Tolerances` has defaults for files with 5 to 6 digits; ``strict`` and ``fine`` accept rounding
-errors only; ``changed`` replaces single tolerances.
+errors only; ``with_values`` replaces single tolerances.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Tolerances:
         """
         return replace(Tolerances.strict(), gravity=Tolerances().gravity)
 
-    def changed(self, changes: Mapping[str, float]) -> Tolerances:
+    def with_values(self, changes: Mapping[str, float]) -> Tolerances:
         """Return a copy with changed tolerances.
 
         Args:

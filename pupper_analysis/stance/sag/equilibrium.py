@@ -518,14 +518,18 @@ class SagEquilibrium:
         laws = [self.laws[point] for point in self.anchors]
         return np.array(
             [
-                (law.force(depth), law.rate(depth)) if depth > -law.margin else (0.0, 0.0)
+                (law.force(depth), law.normal_stiffness(depth))
+                if depth > -law.margin
+                else (0.0, 0.0)
                 for law, depth in zip(laws, depths, strict=True)
             ]
         ).reshape(-1, 2)
 
     def _force_scales(self) -> Array:
         """Return stiffnesses (n,) [N/m] that convert force equations to depth equations."""
-        return np.array([self.laws[point].rate(-self.laws[point].margin) for point in self.anchors])
+        return np.array(
+            [self.laws[point].normal_stiffness(-self.laws[point].margin) for point in self.anchors]
+        )
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
         """Compute the Jacobian of the equilibrium equations' residual, (nv + 3 n, nv + 3 n).
@@ -559,7 +563,7 @@ class SagEquilibrium:
         diagonal = np.zeros((size, 3))
         diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._slip_compliances()[:, None]
         diagonal[:, 2] = [
-            -1 / self.laws[foot].rate(depth)
+            -1 / self.laws[foot].normal_stiffness(depth)
             for foot, depth in zip(
                 self.anchors, self.equilibrium_depths(forces).tolist(), strict=True
             )

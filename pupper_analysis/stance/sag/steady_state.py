@@ -131,7 +131,7 @@ def compute_smallest_stiffness(
     idle = system.is_sole_point() & np.array(
         [depth <= -law.margin for law, depth in zip(laws, depths, strict=True)], dtype=bool
     )
-    rates = np.array([law.rate(depth) for law, depth in zip(laws, depths, strict=True)])
+    rates = np.array([law.normal_stiffness(depth) for law, depth in zip(laws, depths, strict=True)])
     rates[idle] = 0.0
     pushed = normal.copy()  # direction of a contact force, including saturated friction
     slipping = [row for row, foot in enumerate(feet) if foot in moving]

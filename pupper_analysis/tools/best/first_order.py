@@ -180,7 +180,7 @@ def _compute_buckling_modes(
     tangential = kinematics.jacobians[:, :2].reshape(-1, robot.nv)
     normal = kinematics.jacobians[:, 2]
     stiffnesses = np.array(
-        [law.rate(depth) for law, depth in zip(laws, depths.values(), strict=True)]
+        [law.normal_stiffness(depth) for law, depth in zip(laws, depths.values(), strict=True)]
     )
     forces, force_rates = ((frames @ line[:, :, None])[:, :, 0] for line in lines)
     geometric = kinematics.balance_rates(forces)  # without servos and ground

@@ -337,7 +337,7 @@ class _ConfigReader:
             packages={
                 name: self.resolve_package(name, to) for name, to in both["packages"].items()
             },
-            tolerances=tolerances.changed(
+            tolerances=tolerances.with_values(
                 {name: float(value) for name, value in both["tolerances"].items()}
             ),
             strict=strict,

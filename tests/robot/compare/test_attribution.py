@@ -268,7 +268,7 @@ def test_each_tolerance_passes_just_below_and_fails_just_above(
 
 def test_unknown_tolerance_is_refused_with_the_valid_names() -> None:
     with pytest.raises(ConfigurationError, match=r"no kind 'masses'; valid: mass, com, inertia,"):
-        Tolerances().changed({"masses": 1.0})
+        Tolerances().with_values({"masses": 1.0})
 
 
 # ------------------------------------------------------------------------------------- words

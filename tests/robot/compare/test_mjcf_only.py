@@ -36,7 +36,7 @@ from tests.support.robots import (
 GRAVITY, LENGTH, MASS = 9.81, 0.5, 2.0  # of the pendulum
 ROD = MASS * LENGTH**2 + 1e-3 + 0.01  # its moment of inertia about the hinge, with the rotor
 
-EFFORT = Tolerances().changed({"effort": 2.0})  # of whatever motors there are
+EFFORT = Tolerances().with_values({"effort": 2.0})  # of whatever motors there are
 
 URDF = urdf_text(quadruped())
 MJCF = mjcf_text(quadruped())
@@ -359,7 +359,7 @@ def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
     assert ("tolerances-add-up", "gravity") in [
         (message.code, message.subject.name) for message in comparison.objections
     ]
-    assert compared(files, tolerances=Tolerances().changed({"dynamics": 0.05})).agree
+    assert compared(files, tolerances=Tolerances().with_values({"dynamics": 0.05})).agree
 
 
 # ------------------------------------------------------------------------------------- couplings

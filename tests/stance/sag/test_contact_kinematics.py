@@ -75,14 +75,14 @@ def test_depth_equals_the_root_of_the_ground_law() -> None:
             tangential=1.0,
         )
         force = float(10 ** rng.uniform(-6, 4))
-        bound = 2 * force / law.rate(0.0)
+        bound = 2 * force / law.normal_stiffness(0.0)
         expected = optimize.brentq(lambda x, law=law, f=force: law.force(x) - f, 0, bound)
         assert law.depth(force) == pytest.approx(expected, rel=1e-9, abs=1e-11)
         assert law.force(law.depth(force)) == pytest.approx(force, rel=1e-12)
     # Where the impedance falls with the depth, a foot sinks by more than twice the first guess.
     law = GroundLaw(1e3, 1.0, (0.95, 0.05, 1e-3, 0.5, 2.0), 1.0, 1.0)
     assert law.force(law.depth(10.0)) == pytest.approx(10.0, rel=1e-12)
-    assert law.depth(10.0) > 2 * 10.0 / law.rate(0.0)
+    assert law.depth(10.0) > 2 * 10.0 / law.normal_stiffness(0.0)
 
 
 def test_two_points_of_a_sole_cannot_part() -> None:

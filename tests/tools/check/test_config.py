@@ -73,10 +73,10 @@ strict = false
     assert (a.feet, a.strict) == (("FL", "FR"), True)
     assert a.packages == {"robot": folder / "meshes"}
     assert a.disabled == {"armature-zero": "direct drive", "gravity-unusual": "it hangs"}
-    assert a.tolerances == Tolerances.strict().changed({"mass": 0.5, "com": 1e-3})
+    assert a.tolerances == Tolerances.strict().with_values({"mass": 0.5, "com": 1e-3})
     assert (b.name, b.mjcf, b.strict) == ("b", None, False)
     assert b.disabled == {"armature-zero": "direct drive"}
-    assert b.tolerances == Tolerances().changed({"mass": 1e-2, "com": 1e-3})
+    assert b.tolerances == Tolerances().with_values({"mass": 1e-2, "com": 1e-3})
 
 
 REFUSED = {

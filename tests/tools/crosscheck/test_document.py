@@ -84,6 +84,6 @@ def test_annotations_have_the_given_path_and_line(
 def test_no_error_is_annotated_within_the_tolerance(tmp_path: Path) -> None:
     """A mass of 6.3 kg instead of 6 kg, with a tolerance of 10 %."""
     files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.3))
-    comparison = compared(files, tolerances=Tolerances().changed({"mass": 0.1}))
+    comparison = compared(files, tolerances=Tolerances().with_values({"mass": 0.1}))
     assert comparison.agree
     assert not [note for note in make_comparison_annotations(comparison) if note.level == "error"]

@@ -200,7 +200,7 @@ class StandRows:
         mean_forces = np.array([forces[foot_of_point == foot, 2].mean() for foot in foot_of_point])
         mean_depths = [laws[p].depth(f) for p, f in zip(points, mean_forces.tolist(), strict=True)]
         self._ground_stiffness = np.array(
-            [laws[p].rate(d) for p, d in zip(points, mean_depths, strict=True)]
+            [laws[p].normal_stiffness(d) for p, d in zip(points, mean_depths, strict=True)]
         )
         self._depths = np.array(mean_depths) + (forces[:, 2] - mean_forces) / self._ground_stiffness
         self._softness = np.array([values.softness[foot] for foot in self._feet])
