@@ -687,7 +687,7 @@ def validate_state_request(count: int, seed: int) -> None:
 
 
 def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
-    """Yield a note for a large robot, which is evaluated in MuJoCo only and at fewer states.
+    """Yield a note for a large robot: evaluated in MuJoCo only, and if necessary at fewer states.
 
     Args:
         robot: Robot.
