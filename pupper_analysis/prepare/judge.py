@@ -20,7 +20,7 @@ from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
 )
-from pupper_analysis.prepare.own_run import as_loaded, import_refused, simulate_fixed_base
+from pupper_analysis.prepare.own_run import as_loaded, describe_import_failure, simulate_fixed_base
 from pupper_analysis.prepare.self_check import (
     compare_as_published,
     explain_own_run,
@@ -279,7 +279,7 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
         *assumptions,
         *gravity_notes,
         *report_placeholder_efforts(robot),
-        *import_refused(robot),
+        *describe_import_failure(robot),
     )
 
 

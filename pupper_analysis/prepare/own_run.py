@@ -118,7 +118,7 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
     return model
 
 
-def import_refused(robot: Robot) -> tuple[Diagnostic, ...]:
+def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return the message why MuJoCo cannot import the robot's URDF; empty if the import works.
 
     Also empty for a robot with an MJCF, whose URDF is not imported.

@@ -102,9 +102,9 @@ def confirm_growth(
 ) -> Stability:
     """Confirm or refute by simulation the modes that grow within ``HOLD_DURATION``.
 
-    The state is returned unchanged if there is no such mode, or if the state is not at rest. Modes
-    that grow only without dry friction (``Mode.without_dry_friction``) are tested last, and only if
-    no other mode is confirmed to grow within ``HOLD_DURATION``.
+    ``stability`` is returned unchanged if there is no such mode, or if the state is not at rest.
+    Modes that grow only without dry friction (``Mode.without_dry_friction``) are tested last, and
+    only if no other mode is confirmed to grow within ``HOLD_DURATION``.
 
     Args:
         stability: Result of the spectrum at the state.

@@ -443,7 +443,7 @@ class _PinocchioBody:
         return self._config.center_of_mass()
 
     def joint(self, name: str) -> float:
-        """Return the position [rad, m] of a joint."""
+        """Return the position of the joint ``name`` [rad, m]."""
         robot = self._config.robot
         index = robot.nq - robot.nu + robot.joint_names.index(name)
         return float(self._config.qpos[index])
