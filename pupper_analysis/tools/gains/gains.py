@@ -328,6 +328,7 @@ def _check_request(error: float | None, encoder_bits: int | None) -> None:
 
 
 _Pair = tuple[Array, Array]
+"""Stiffness kp [N m/rad] and damping kd [N m s/rad] of all joints, shape (nu,) each."""
 
 
 class _Gains:

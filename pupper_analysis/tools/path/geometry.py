@@ -36,6 +36,7 @@ from pupper_analysis.statics.support_polygon import com_margin
 Array = NDArray[np.float64]
 
 _T = TypeVar("_T", float, NDArray[np.float64])
+"""Type of a value that is interpolated: a number or an array."""
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
 """Constraints whose target values ``interpolate_task`` computes. Values of all other constraints

@@ -145,6 +145,7 @@ class _ThreadCache(threading.local):
 
 
 _thread_cache = _ThreadCache()
+"""Definition, builder and metrics of the study that each thread evaluates."""
 
 
 def measure_designs(chunk: Chunk) -> ChunkOutcome:
@@ -165,6 +166,7 @@ def measure_designs(chunk: Chunk) -> ChunkOutcome:
 
 
 _time_limit_lock = threading.Lock()
+"""Lock of the only timer of the process for time limits of designs (`faulthandler`)."""
 
 
 @contextmanager
@@ -235,8 +237,9 @@ are written to a shard. Chosen, not tuned."""
 
 FIRST_SHARD_SECONDS = 0.5
 """Smallest time [s] between two written shards (Parquet files of results), also until the first
-shard, so that a run that ends early loses little. Later the time is a fifth of the elapsed time, at
-most `SHARD_SECONDS`, so that a long run has few shards. Chosen, not tuned."""
+shard, unless `SHARD_ROWS` rows are complete: a run that ends early loses little. Later the time is
+a fifth of the elapsed time, at most `SHARD_SECONDS`, so that a long run has few shards. Chosen, not
+tuned."""
 
 MAX_CRASHES = 2
 """Number of crashes of a worker with a single design, after which the design is recorded as

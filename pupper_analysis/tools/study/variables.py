@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 
 _MIN_PROBABILITY = 2.0**-33
-"""Lower bound of a probability and of the complement: half of the finest step of the Sobol
-sequence. At 0 and 1 the normal quantile is infinite."""
+"""Lower bound of a probability and of the complement: an eighth of the step 2^-30 of scipy's Sobol
+sequence. At 0 and 1 the normal quantile is infinite. Chosen, not tuned."""
 
 
 def _evaluate_normal(mean: float, deviation: float, probabilities: Array) -> Array:

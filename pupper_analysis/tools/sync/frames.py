@@ -26,6 +26,7 @@ from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
 Array = NDArray[np.float64]
 
 Part = TypeVar("Part", bound=Hashable)
+"""Type of the keys of a body's parts, such as the name of a link."""
 
 _TRIANGLE_RTOL = 1e-6
 """Relative tolerance of the triangle inequality of principal moments, for rounding. Chosen, not

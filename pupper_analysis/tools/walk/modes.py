@@ -47,6 +47,7 @@ COMMAND_OPTION = click.option(
     metavar="VX,VY,W",
     help="Speed forward and to the left (m/s), and turning to the left (rad/s).",
 )
+"""Option ``--command`` of the commands that simulate a walking policy: its velocity command."""
 
 _QUANTITIES_OF_COMMAND = {
     "push": (("push-forward", "push-left"), "How hard it can be pushed while this policy walks it"),

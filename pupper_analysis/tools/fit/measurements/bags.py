@@ -29,7 +29,11 @@ _MAX_STEP_BACK = 1.0
 ones mean that the clock was set. Chosen, not tuned."""
 
 _STATE_TYPE, _ARRAY_TYPE = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+"""ROS types of messages with joint positions and names, and with commands of joints in order."""
+
 _TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
+"""ROS type of messages with commanded joint positions and names."""
+
 _CONTROLLER_TYPE = "control_msgs/msg/JointTrajectoryControllerState"
 """ROS type of messages with measured and commanded joint positions."""
 

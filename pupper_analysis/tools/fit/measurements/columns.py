@@ -33,8 +33,8 @@ _MISSING_CELLS = ("", "nan", "na", "null", "none")
 """Contents of cells without a measurement."""
 
 MAX_CSV_BYTES = 100_000_000
-"""Largest size of a CSV file that is read: half an hour of twelve joints at 1 kHz. Chosen, not
-tuned."""
+"""Largest size of a CSV file that is read [bytes]: about 7 minutes of commands and positions of
+twelve joints at 1 kHz, with 9 characters per number. Chosen, not tuned."""
 
 _CELL_SEPARATORS = (",", ";", "\t")
 """Possible separators; the most frequent separator in the first line is used."""

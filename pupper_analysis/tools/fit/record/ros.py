@@ -23,6 +23,7 @@ from pupper_analysis.tools.fit.record.terminal import Terminal
 Array = NDArray[np.float64]
 
 STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/forward_position_controller/commands"
+"""Default ROS topics of measured joint positions and of commanded joint positions."""
 
 _SPIN_INTERVAL = 0.02
 """Time [s] between two checks for messages while the bridge is opened. Chosen, not tuned."""

@@ -414,7 +414,7 @@ SCALE_RTOL = 0.002
 """Standard deviation of a mass on a scale, as a fraction of the mass. Chosen, not tuned."""
 
 KNOWN_MASS_FRACTION = 0.15
-"""Default known mass of a plan, as a fraction of the robot's mass: 500 g on Pupper v3. Measured:
+"""Default known mass of a plan, as a fraction of the robot's mass: 480 g on Pupper v3. Measured:
 with 200 g alone kp is known to 12 to 14 %."""
 
 MIN_STANDS = 3
