@@ -1,4 +1,4 @@
-"""A bar on a servo, as its files have it, and a log of it that is integrated by hand."""
+"""A bar on a servo as URDF and MJCF, and a log of its motion from an independent integrator."""
 
 from __future__ import annotations
 
@@ -15,9 +15,17 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.log import Log
 
 TRUE = {"kp": 6.0, "damping": 0.13, "friction": 0.05, "armature": 0.006, "delay": 0.008}
+"""True parameters of the simulated servo joint: N m/rad, N m s/rad, N m, kg m^2, s."""
+
 MASS, LEVER, TURNS, OFFSET = 0.5, 0.15, 0.001, 0.02  # kg, m, kg m^2, rad
+"""Mass [kg] of the bar, distance [m] of its CoM from the axis, moment of inertia [kg m^2] about
+its CoM, and offset [rad] of the encoder's zero."""
+
 QUANTUM = 2 * np.pi / 4096
+"""Resolution of the encoder [rad]: 4096 steps per turn."""
+
 INTERVAL, TICKS = 0.005, 50
+"""Sampling interval of the log [s], and integration steps per sample."""
 
 URDF = """<robot name="bar"><link name="base"/><link name="bar"><inertial>
 <origin xyz="0 0 -0.15"/><mass value="0.5"/>
@@ -34,7 +42,7 @@ MJCF = """<mujoco model="bar"><compiler angle="radian"/><worldbody><body name="b
 
 @cache
 def bar() -> Robot:
-    """A bar that hangs from a joint about y, as its files have it."""
+    """Return the robot of the two files: a bar that hangs from a hinge about y."""
     with TemporaryDirectory() as folder:
         files = Path(folder) / "bar.urdf", Path(folder) / "bar.xml"
         for file, text in zip(files, (URDF, MJCF), strict=True):
@@ -43,7 +51,13 @@ def bar() -> Robot:
 
 
 def swing(command: np.ndarray) -> Iterator[float]:
-    """The bar's angles at the samples, in steps of 0.1 ms, with Coulomb's friction that sticks."""
+    """Yield the angle of the bar [rad] at each sample, integrated with steps of 0.1 ms.
+
+    Coulomb friction includes sticking.
+
+    Args:
+        command: Commanded angle at each sample [rad].
+    """
     step, late = INTERVAL / TICKS, round(TRUE["delay"] / INTERVAL * TICKS)
     inertia = TURNS + TRUE["armature"] + MASS * LEVER**2
     angle, rate = float(command[0]), 0.0
@@ -59,6 +73,7 @@ def swing(command: np.ndarray) -> Iterator[float]:
 
 @cache
 def log() -> Log:
+    """Return a log of 12 s: commanded angles, and angles with offset, noise and rounding."""
     time = np.arange(0, 12, INTERVAL)
     command = 0.5 * np.sin(3 * time) + 0.3 * np.sin(11 * time + 1)
     command[600:900], command[1500:1700] = 0.6, -0.4

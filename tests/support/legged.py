@@ -1,4 +1,8 @@
-"""Small legged robots as others publish them: no frames for feet, motors, no floor."""
+"""Small legged robots as URDF and MJCF, in the form in which others publish robots.
+
+By default the feet have no named frames, the actuators are motors and the MJCF has no floor.
+Functions that take a ``Pair`` change its files in place and return it.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +17,14 @@ import numpy as np
 
 
 class Pair(NamedTuple):
+    """Paths of the URDF and the MJCF of one robot."""
+
     urdf: Path
     mjcf: Path
 
 
 def rewritten(path: Path, *changes: tuple[str, str], count: int = -1) -> Path:
-    """A file in which texts are replaced, each of which has to be there."""
+    """Replace texts in a file, which must occur, at most ``count`` times each (-1: everywhere)."""
     text = path.read_text()
     for old, new in changes:
         assert old in text, old
@@ -28,7 +34,7 @@ def rewritten(path: Path, *changes: tuple[str, str], count: int = -1) -> Path:
 
 
 def edited_by(path: Path, edit: Callable[[str], str]) -> Path:
-    """A file to which something is done that makes a difference."""
+    """Apply a function to the text of a file; the text must change."""
     text = path.read_text()
     changed = edit(text)
     assert changed != text
@@ -37,6 +43,7 @@ def edited_by(path: Path, edit: Callable[[str], str]) -> Path:
 
 
 BOX = '<geom {name} type="box" size="0.08 0.04 0.01" pos="0.02 0 -0.03"/>'
+"""Box as an additional geom of a body, a format string with the attribute ``name``."""
 
 
 def quadruped(
@@ -50,7 +57,19 @@ def quadruped(
     keyframe: str = "0 0.6 -1.2",
     head: bool = False,
 ) -> Pair:
-    """Four legs of three hinges: roll, pitch, pitch; 0.2 m each. No frame has the feet's names."""
+    """Write a quadruped with three hinges per leg: roll, pitch, pitch; both segments are 0.2 m
+    long.
+
+    Args:
+        folder: Folder of the two files.
+        foot: Geoms of each calf in the MJCF.
+        prefix: Prefix of the names of bodies and joints in the MJCF.
+        floor: Whether the MJCF has a plane.
+        free: Whether the trunk has a free joint; without one there is no keyframe.
+        actuators: Tag of the actuators, ``motor`` or ``position``.
+        keyframe: Joint angles of each leg in the keyframe [rad]; empty for no keyframe.
+        head: Whether the MJCF has a head on an actuated joint that the URDF lacks.
+    """
     urdf = ['<robot name="quad">', _link("trunk", 4.0, (0.02, 0.05, 0.06))]
     bodies, motors = [], []
     for leg in ("FL", "FR", "RL", "RR"):
@@ -109,7 +128,7 @@ def quadruped(
 
 
 def edited(pair: Pair, urdf: dict[str, str], mjcf: dict[str, str], count: int = 0) -> Pair:
-    """Replace patterns in both files."""
+    """Replace regular expressions in both files, at most ``count`` times each (0: everywhere)."""
     for path, edits in ((pair.urdf, urdf), (pair.mjcf, mjcf)):
         text = path.read_text()
         for pattern, new in edits.items():
@@ -119,10 +138,14 @@ def edited(pair: Pair, urdf: dict[str, str], mjcf: dict[str, str], count: int = 
 
 
 KEYFRAME = {"<keyframe>.*?</keyframe>": ""}
+"""Replacement that deletes the keyframes of an MJCF, for ``edited``."""
 
 
 def held(pair: Pair, *endings: str) -> Pair:
-    """Make the joints whose names end so fixed ones, in both files; keyframes are gone."""
+    """Replace the hinges whose names end with ``endings`` by fixed joints in both files.
+
+    The keyframes are deleted.
+    """
     name = rf'"[^"]*(?:{"|".join(endings)})"'
     hinge = rf'(<joint name={name} type=)"revolute"((?:(?!</joint>).)*?)<axis [^>]*/><limit [^>]*/>'
     drives = rf"<joint name={name}[^>]*/>|<\w+ joint={name}[^>]*/>"
@@ -131,11 +154,18 @@ def held(pair: Pair, *endings: str) -> Pair:
 
 ARM = (("yaw", "0 0 1", (0.15, 0.0, 0.04)), ("shoulder", "0 1 0", (0.0, 0.0, 0.05)),
        ("elbow", "0 1 0", (0.22, 0.0, 0.0)))  # fmt: skip
-"""(joint, its axis, where it is in the link before it), of an arm on a trunk's front."""
+"""(joint, its axis, its position in the parent link [m]) of the arm that ``with_arm`` adds."""
 
 
 def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
-    """Put an arm of three hinges on a link, in both files; its hand is a sphere of 25 mm."""
+    """Add an arm of three hinges to a link in both files; its hand is a sphere of 25 mm radius.
+
+    Args:
+        pair: The two files.
+        home: Joint angles of the arm in the keyframe [rad], with position servos; empty for
+            motors.
+        on: Link that carries the arm.
+    """
     urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
     link, body = on, next(one for one in mjcf.iter("body") if one.get("name") == on)
     motors = mjcf.find("actuator")
@@ -166,14 +196,14 @@ def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
 
 
 def aside(pair: Pair, y: float) -> Pair:
-    """Put the com of the base (at x = 0) aside, as it is in files of real robots."""
+    """Set the y coordinate [m] of the base's CoM in both files."""
     new = rf"\g<1> {y} "
     urdf, mjcf = r'(<inertial><origin xyz="\S+) \S+ ', r'(<inertial pos="\S+) \S+ '
     return edited(pair, {urdf: new}, {mjcf: new}, count=1)
 
 
 def from_the_ground(pair: Pair, by: float) -> Pair:
-    """Put the frame of a biped's base lower in both files, as where it is between the feet."""
+    """Lower the frame of a biped's base by ``by`` [m] relative to its links, in both files."""
 
     def lifted(element: ElementTree.Element | None, word: str) -> None:
         assert element is not None
@@ -196,12 +226,16 @@ def from_the_ground(pair: Pair, by: float) -> Pair:
 
 
 def planar(pair: Pair) -> Pair:
-    """Take the hips' roll joints out of a quadruped: its legs swing in planes, as Solo 8's."""
+    """Fix the roll joints of a quadruped, and put its base's CoM at y = 2 µm: legs as those of Solo
+    8.
+    """
     return aside(held(pair, "_roll"), 2e-6)
 
 
 def sole_mesh(pair: Pair, foot: str, corners: int = 40) -> Pair:
-    """Put a mesh in the place of a foot's geom: a sole that is round at its ends, as a shoe's."""
+    """Replace the geom of a foot by a mesh: a sole whose outline has round ends and ``corners``
+    points.
+    """
     angles = 2 * math.pi * (np.arange(corners) + 0.3) / corners
     rim = np.column_stack(
         [0.05 * np.sign(np.cos(angles)) + 0.04 * np.cos(angles) + 0.03, 0.04 * np.sin(angles)]
@@ -217,9 +251,9 @@ def sole_mesh(pair: Pair, foot: str, corners: int = 40) -> Pair:
 
 
 def fused(pair: Pair) -> Pair:
-    """Take the trunk off a quadruped's MJCF: its legs are in the world, as MuJoCo converts URDFs.
+    """Remove the trunk from a quadruped's MJCF: its legs and shapes are attached to the world.
 
-    Its own shapes become the world's, and its mass is gone.
+    MuJoCo converts URDFs in this way. The mass of the trunk is lost, and keyframes are deleted.
     """
     trunk = r'<body name="[^"]*trunk"[^>]*>\s*(<freejoint ?/>)?\s*<inertial [^>]*/>'
     return edited(pair, {}, {trunk: "", "</body>(?=\\s*</worldbody>)": "", **KEYFRAME})
@@ -238,10 +272,17 @@ BIPED_FEET = {
     ),
     "cylinder": '<geom type="cylinder" size="0.09 0.01" pos="0.03 0 -0.05"/>',
 }
+"""{name: geoms of a foot} for ``biped``, with soles about 0.18 m long."""
 
 
 def biped(folder: Path, foot: str = BIPED_FEET["box"], *, damping: float = 0.5) -> Pair:
-    """Two legs of six hinges, on flat feet; its MJCF has motors and no keyframe."""
+    """Write a biped with six hinges per leg and flat feet; its MJCF has motors and no keyframe.
+
+    Args:
+        folder: Folder of the two files.
+        foot: Geoms of each foot in the MJCF.
+        damping: Joint damping in the MJCF [N m s/rad].
+    """
     chain = [
         ("yaw", "0 0 1", (0.0, 0.0, 0.0), 0.3, (-0.7, 0.7)),
         ("roll", "1 0 0", (0.0, 0.0, -0.02), 0.3, (-0.6, 0.6)),

@@ -1,4 +1,4 @@
-"""What the package offers: its own names, and those of its public modules."""
+"""Exported names of the package and of its public modules."""
 
 from types import ModuleType
 
@@ -6,12 +6,12 @@ import pupper_analysis as pa
 
 
 def public(module: ModuleType) -> dict[str, object]:
-    """Return what a module offers, but for the modules in it."""
+    """Return {name: object} of the names that a module exports, without modules."""
     values = {name: getattr(module, name) for name in module.__all__}
     return {name: value for name, value in values.items() if not isinstance(value, ModuleType)}
 
 
 def public_modules() -> list[ModuleType]:
-    """Return the modules that ``pa`` offers and that list names of their own."""
+    """Return the exported modules of the package that have an ``__all__`` of their own."""
     modules = [value for name in pa.__all__ if isinstance(value := getattr(pa, name), ModuleType)]
     return [module for module in modules if hasattr(module, "__all__")]

@@ -1,4 +1,4 @@
-"""One-place edits of v3's MJCF: contacts, floor, options, keyframe, joints and motors."""
+"""Edits of one value in the MJCF of v3: contacts, floor, options, keyframe, joints and motors."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _FOOT = '"collision" type="sphere" size="0.01995"'
 
 
 class Edit(NamedTuple):
-    """One edit.
+    """Replacement of one text in a file of ``mjcf/``.
 
     Attributes:
-        file: Of `mjcf/`.
-        old: What is there.
-        new: What is there after it.
-        line: The first line of it.
-        urdf: The kind of difference to the URDF; "" of what a URDF has no words for.
+        file: Name of the file in ``mjcf/``.
+        old: Text before the edit.
+        new: Text after the edit.
+        line: Line of its first occurrence.
+        urdf: Kind of the difference to the URDF; empty if a URDF cannot state the value.
     """
 
     file: str
@@ -31,7 +31,7 @@ class Edit(NamedTuple):
     urdf: str = ""
 
     def written(self, mjcf: Path) -> None:
-        """Make it in a copy of `mjcf/`."""
+        """Apply the edit to a copy of the folder ``mjcf/``."""
         text = (mjcf / self.file).read_text()
         assert self.old in text
         (mjcf / self.file).write_text(text.replace(self.old, self.new))
@@ -66,20 +66,21 @@ FELT = {
     ),
     "gravity": Edit(SHARED, "0 0 -9.81", "0 0 -3.7", 5, "gravity"),
 }
-"""What each does is seen in two seconds."""
+"""{name: edit} whose effect is visible within two simulated seconds."""
 
 HARMLESS = {
     "friction": Edit(SHARED, 'friction="0.8', 'friction="0.3', 40),  # the floor's is 1, the larger
     "gap": Edit(SHARED, _CONTACT, _CONTACT + ' gap="0.001"', 40),
     "limits' softness": Edit(SHARED, 'damping="0.01"', 'damping="0.01" solreflimit="0.3 1"', 34),
 }
+"""{name: edit} that does not change a simulation of v3 on its floor."""
 
 FALLS = ("conaffinity", "floor", "contacts off")
-"""Those after which v3 falls through the floor."""
+"""Names of the edits after which v3 falls through the floor."""
 
 
 def copied(folder: Path) -> Path:
-    """Return a copy of `mjcf/`."""
+    """Copy the folder ``mjcf/`` into ``folder`` and return the copy."""
     place = folder / "mjcf"
     shutil.copytree(ROOT / "mjcf", place, ignore=shutil.ignore_patterns("*.md"))
     return place

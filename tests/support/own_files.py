@@ -1,7 +1,8 @@
-"""Files of one's own that pages name, made here: robots, measurements, policies, a repository.
+"""Files of the reader that documentation pages name: robots, measurements, policies, a repository.
 
-Robots are Pupper v3's, with the names that a line asks for; an arm's, a leg's and a hopper's are
-those of other tests. Measurements are MuJoCo's, of a v3 that is heavier than its files say.
+``write`` creates the files that a block of a page names, so that the block can run. Robots are
+Pupper v3 with the joint and frame names that the block uses, or the arm, leg and hopper of other
+tests. Measurements are simulated with MuJoCo, with a v3 that is heavier than its files state.
 """
 
 from __future__ import annotations
@@ -28,15 +29,17 @@ OTHER_NAMES = {
     "FL_foot": (r"leg_(\w+_[rl])_3_foot_site", lambda leg: f"{LEGS[leg[1]]}_foot"),
     "--keyframe stand": ('key name="home"', 'key name="stand"'),
 }
-"""{words in a line: what is called otherwise in the robot's files}."""
+"""{words in a line of a page: (pattern, replacement) that rename elements in the robot's files}."""
 MAPPED = "leg_front_l_1"
-"""The joint that `--map` is about."""
+"""Joint that gets the two names of a line's ``--map``, one in each file of the pair."""
 WEIGHT = 3.55
-"""kg that the measured robot weighs, 0.38 kg more than its files say; all of it in the torso."""
+"""Mass of the measured robot [kg]: 0.38 kg more than its files state, all of it in the torso."""
 
 
 def write(folder: Path, text: str) -> None:
-    """Write the files that a block of a page names into a folder, but those that it makes."""
+    """Write the files that a block of a page names into a folder, except those that it creates
+    itself.
+    """
     _write_stances(folder, text)
     made: set[str] = set()  # by a command, before it is read
     for before, path, suffix, xacro in re.findall(
@@ -82,7 +85,7 @@ def _write_stances(folder: Path, text: str) -> None:
 
 
 def _robot(file: Path, text: str) -> str:
-    """The text of a robot's file, by its name."""
+    """Return the text of a robot's file; its stem selects the robot."""
     stem, urdf = file.stem, file.suffix in (".urdf", ".xacro")
     if file.suffix.startswith(".usd"):
         return _leg(file.suffix)
@@ -105,7 +108,7 @@ def _robot(file: Path, text: str) -> str:
 
 
 def _leg(suffix: str) -> str:
-    """A leg in every convention that a USD may have; its MJCF is MuJoCo's of its URDF."""
+    """Return a leg as URDF or USD, or the MJCF that MuJoCo makes of the URDF."""
     from tests.tools.usd import written
 
     if suffix == ".xml":
@@ -117,7 +120,7 @@ def _leg(suffix: str) -> str:
 
 
 def _quadruped(file: Path, text: str) -> str:
-    """Pupper v3, with the names and the differences that a block of a page is about."""
+    """Return Pupper v3 as URDF or MJCF, with the names and changes that a block of a page needs."""
     urdf = file.suffix in (".urdf", ".xacro")
     lines = text.replace("\\\n", " ").splitlines()
     text = "\n".join(line for line in lines if file.name in line)
@@ -151,10 +154,11 @@ def _quadruped(file: Path, text: str) -> str:
 PALM = """<body name="right_forearm" pos="0 0 0.1"><joint name="right_elbow_joint" range="-2 2"/>
 <inertial pos="0.05 0 0" mass="0.05" diaginertia="1e-5 5e-5 5e-5"/><body name="right_palm"
 pos="0.1 0 0"><inertial pos="0 0 0" mass="0.02" diaginertia="1e-5 1e-5 1e-5"/></body></body>"""
+"""Forearm and palm of the robot ``g1`` in lines that name ``right_palm``."""
 
 
 def _one_mjcf(name: str = "pupper_v3") -> str:
-    """An MJCF of Pupper without includes, with its meshes where they are."""
+    """Return an MJCF of Pupper as one text without includes, with an absolute ``meshdir``."""
 
     def included(found: re.Match[str]) -> str:
         text = (ROOT / "mjcf" / found[1]).read_text()
@@ -170,6 +174,7 @@ def _one_mjcf(name: str = "pupper_v3") -> str:
 
 
 FIT = ("fit", "v3", "--stands", "stands.csv", "--weight", f"{WEIGHT}kg")
+"""Arguments of ``pupper-analysis fit`` on the measured stands."""
 
 
 def _measure(folder: Path) -> None:
@@ -188,7 +193,9 @@ def _measured_plan() -> str:
 
 
 def _measured(name: str) -> tuple[mujoco.MjModel, mujoco.MjData, list[str]]:
-    """The robot that is measured."""
+    """Return the model of the measured robot, its data, and the joints in the order of the
+    actuators.
+    """
     model = mujoco.MjModel.from_xml_string(_one_mjcf(name))
     base = model.body("leg_front_r_1").parentid[0]
     if name == "pupper_v3":
@@ -199,7 +206,11 @@ def _measured(name: str) -> tuple[mujoco.MjModel, mujoco.MjData, list[str]]:
 
 
 def measure_stands(plan: Path) -> None:
-    """Fills in the positions of a plan: each stand in MuJoCo, set down softly, 12 s later."""
+    """Write measured joint positions into the CSV file of a plan.
+
+    Each stand is simulated for 12 s from contact with the floor. The column ``swing`` is set to the
+    feet without contact.
+    """
     with plan.open(newline="") as file:
         rows = list(csv.DictReader(file))
     model, data, names = _measured("pupper_v3")
@@ -235,7 +246,7 @@ def measure_stands(plan: Path) -> None:
 
 
 def level(data: mujoco.MjData, feet: list[int]) -> None:
-    """Turn the base so that the feet that shall carry are at one height: they land together."""
+    """Rotate the base so that the given foot geoms are at one height and land together."""
     places = data.geom_xpos[feet]
     normal = np.linalg.svd(places - places.mean(0))[2][-1]
     normal *= np.sign(normal[2])
@@ -245,12 +256,12 @@ def level(data: mujoco.MjData, feet: list[int]) -> None:
 
 
 def _foot(place: np.ndarray) -> str:
-    """The name of the foot that is there: FR, FL, RR or RL."""
+    """Return the leg of a foot by its position in the world: FR, FL, RR or RL."""
     return ("F" if place[0] > 0 else "R") + ("L" if place[1] > 0 else "R")
 
 
 def _write_log(path: Path, seconds: float = 4.0) -> None:
-    """A log of the legs in the air, each joint commanded about its home."""
+    """Write a log of the robot on a fixed base; each joint follows a sine about its home angle."""
     model, data, names = _measured("pupper_v3_fixed")
     mujoco.mj_resetDataKeyframe(model, data, 0)
     home, tones = data.ctrl.copy(), 1.0 + 0.37 * np.arange(model.nu)
@@ -288,7 +299,7 @@ def _write_policy(path: Path) -> None:
 
 
 def _write_sources(folder: Path) -> None:
-    """What trains and deploys Pupper, under the names of a page."""
+    """Write the training and deployment configurations of Pupper under the names of a page."""
     from tests.tools.contract import sources
 
     written = sources.write_all(folder)
@@ -302,7 +313,9 @@ def _write_sources(folder: Path) -> None:
 
 
 def _commit(folder: Path, text: str) -> None:
-    """Make a repository of a folder, with the revisions that pages name; then edits its hopper."""
+    """Make a Git repository of a folder, with the revisions that pages name; then change its
+    hopper.
+    """
 
     def git(*words: str) -> None:
         who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
@@ -322,7 +335,9 @@ def _commit(folder: Path, text: str) -> None:
 
 
 def write_models(folder: Path, text: str) -> None:
-    """Write the models of a repository, and which are checked, but for `--init`."""
+    """Write models with a configuration beside them, and one at the root unless ``--init`` is in
+    the text.
+    """
     pair = '[[pair]]\nname = "v3"\nurdf = "{}v3.urdf"\nmjcf = "{}v3.xml"\n'
     (folder / "robots").mkdir(exist_ok=True)
     for suffix in (".urdf", ".xml"):

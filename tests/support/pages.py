@@ -1,10 +1,12 @@
-"""What the pages and `--help` tell a reader to run: blocks of shell and Python, and their output.
+"""Run the shell and Python blocks of documentation pages and of ``--help``, and compare their
+output.
 
-A block that cannot run is marked in its page, with the reason: `<!-- not run: REASON -->` on the
-line above it; `<!-- not run 'WORDS': REASON -->` means those of its lines that hold these words.
-What is in a Chinese page exactly as in the English one runs once. A command whose line ends with
-`# exits 1` must. The lines of a block of text below are its output: `...` stands for any, and
-numbers have the digits that are printed. What is a reader's own makes `own_files.py`.
+A block that cannot run is marked in its page with a reason: ``<!-- not run: REASON -->`` on the
+line above it; ``<!-- not run 'WORDS': REASON -->`` excludes only the lines with these words. A
+block of a Chinese page that equals one of the English page, with the same output, runs once. A
+command whose line ends with ``# exits 1`` must exit with 1. The text block below a block is its
+output, where ``...`` stands for any text. ``own_files.py`` writes the files that the reader would
+have.
 """
 
 from __future__ import annotations
@@ -34,30 +36,30 @@ from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 
 FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs/zh/how-to")
-"""Of pages whose every block is run, beside the README."""
+"""Folders whose pages are run completely, in addition to the README."""
 
 NEVER = {"pip install": "it needs the network", "--bridge ros2": "it needs a robot's own computer"}
-"""Lines that are run nowhere: {their words: why}."""
+"""{words: reason} of lines that are run on no page."""
 
 HELP_EXITS = {"longer.urdf": 1, "mjcf:effort": 1}
-"""Exit statuses of those that are not 0: {words: status}."""
+"""{words: exit status} of the ``--help`` examples that do not exit with 0."""
 
 SPEED = "0.13,0,0"
-"""m/s, m/s, rad/s."""
+"""Commanded velocity that the policy of the tests tracks: m/s, m/s, rad/s."""
 
 
 @dataclass
 class Block:
-    """What a reader runs at once.
+    """Block of shell commands or Python of a page.
 
     Attributes:
-        page: Its name, from the repository's root; of a command's help `NAME --help`.
-        line: Of its fence.
-        language: `sh` or `python`.
-        text: What is in it.
-        marks: {words in the lines that are not run (empty: all): reason}.
-        exits: {words in the lines that end with another exit status than 0: which}.
-        output: Text that is shown below it, in order.
+        page: Path of the page from the repository's root; ``NAME --help`` for a command's help.
+        line: Line of its fence.
+        language: ``sh`` or ``python``.
+        text: Content.
+        marks: {words of the lines that are not run (empty: all): reason}.
+        exits: {words of the lines with an exit status other than 0: status}.
+        output: Text blocks below it, in order.
     """
 
     page: str
@@ -69,11 +71,11 @@ class Block:
     output: list[str] = field(default_factory=list)
 
     def reason(self, line: str = "") -> str:
-        """Why a line is not run; empty if it is."""
+        """Return why a line of this block is not run; empty if it is run."""
         return next((why for words, why in (NEVER | self.marks).items() if words in line), "")
 
     def lines(self) -> Iterator[tuple[str, int]]:
-        """Yield the commands of a shell block that are run, and their exit status."""
+        """Yield each command of a shell block that is run, and its expected exit status."""
         for line in self.text.replace("\\\n", " ").splitlines():
             command, _, comment = line.partition("  #")
             if command.strip() and not self.reason(line):
@@ -83,26 +85,29 @@ class Block:
 
     @property
     def left(self) -> dict[str, str]:
-        """{line that is not run: why}."""
+        """{line of this block that is not run: reason}."""
         lines = self.text.replace("\\\n", " ").splitlines() if self.language == "sh" else ["python"]
         return {line: why for line in lines if line.strip() and (why := self.reason(line))}
 
 
 def pages() -> list[Path]:
-    """The pages whose blocks are run."""
+    """Return the pages whose blocks are run."""
     found = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
     return [ROOT / "README.md", *found]
 
 
 def english(page: Path) -> Path:
-    """The English page of a Chinese one."""
+    """Return the English page of a Chinese page."""
     if page.name == "tutorial.md":
         return ROOT / "docs/tutorials/pupper.md"
     return ROOT / "docs" / page.relative_to(ROOT / "docs/zh")
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """The blocks of a page, each with its marks and its output."""
+    """Return the blocks of a page with their marks and outputs.
+
+    Of a Chinese page those are left out that the English page has with the same output.
+    """
     found: list[Block] = []
     marks: dict[str, str] = {}
     lines = page.read_text("utf-8").splitlines()
@@ -134,7 +139,9 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def blocks_of_help(command: str) -> list[Block]:
-    """The examples of `pupper-analysis COMMAND --help` that no page has, too."""
+    """Return one block with the examples of ``pupper-analysis COMMAND --help`` that no page
+    contains.
+    """
     said = cli.find_command(command).help or ""
     elsewhere = {line for page in pages() for block in blocks_of(page) for line, _ in block.lines()}
     lines = [
@@ -148,7 +155,9 @@ def blocks_of_help(command: str) -> list[Block]:
 
 
 def furnish(folder: Path, block: Block) -> None:
-    """Put what a block names into a folder: the checkout's files, and those of one's own."""
+    """Put the files that a block names into a folder: links to the checkout, and the reader's
+    files.
+    """
     if "analysis check" in block.text:
         own_files.write_models(folder, block.text)
     else:
@@ -164,11 +173,11 @@ def furnish(folder: Path, block: Block) -> None:
 XACRO = """#!/bin/sh
 exec cat "$1"
 """
-"""In the place of xacro, which is no dependency: the file is one already."""
+"""Substitute for xacro, which is not a dependency: prints the file, which needs no expansion."""
 
 
 def look_at(page: Any, *, browser: bool, wait: Any) -> None:
-    """In the place of a reader who opens the live page, and ends it."""
+    """Replace the server of the live page: request the page once and close it."""
     del browser, wait
     try:
         with urlopen(page.address, timeout=30) as got:
@@ -178,7 +187,7 @@ def look_at(page: Any, *, browser: bool, wait: Any) -> None:
 
 
 def look_into(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """In the place of a reader who looks into MuJoCo's viewer for a moment."""
+    """Replace MuJoCo's viewer: simulate ten steps."""
     mujoco.mj_step(model, data, 10)
 
 
@@ -196,7 +205,7 @@ tests/tools/walk/test_changes.py and tests/tools/push/test_recovery.py."""
 
 
 def slowly(text: str) -> str:
-    """Return a block with the speed at which the test's own policy walks, and shorter searches."""
+    """Return the text of a block with the speed of the tests' policy, and with shorter searches."""
     text = text.replace("0.5,0,0", SPEED).replace("(0.5, 0, 0)", f"({SPEED})")
     walks = r"(pupper-analysis walk (?!.*(?:--command|--orders)).*)"
     text = re.sub(walks, rf"\1 --command {SPEED}", text)
@@ -206,7 +215,7 @@ def slowly(text: str) -> str:
 
 
 def run_shell(command: str, folder: Path) -> Answer:
-    """Run a line as a shell does; one that only starts the command, in this process."""
+    """Run a shell line; a line that only calls ``pupper-analysis`` runs in this process."""
     command = slowly(command)
     words = shlex.split(command)
     if words[0] == "xacro":
@@ -236,7 +245,7 @@ def run_shell(command: str, folder: Path) -> Answer:
 
 
 def run_python(block: Block, folder: Path, names: dict[str, Any]) -> str:
-    """Run a block of Python in the names of its page; returns what it prints."""
+    """Run a Python block with the variables of its page; return what it prints."""
     out = io.StringIO()
     code = compile(slowly(block.text), f"{block.page}:{block.line}", "exec")
     with contextlib.chdir(folder), contextlib.redirect_stdout(out):
@@ -245,24 +254,24 @@ def run_python(block: Block, folder: Path, names: dict[str, Any]) -> str:
 
 
 def misses(shown: str, printed: str) -> list[str]:
-    """The parts of lines of a page that are not in what was printed; white space may differ."""
+    """Return the parts of the shown lines that were not printed, ignoring white space."""
     flat = " ".join(printed.split())
     parts = [part for line in shown.splitlines() for part in line.split("...")]
     return [part for part in parts if " ".join(part.split()) not in flat]
 
 
 def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
-    """Run the blocks of a page one after the other, in one folder, and compares what they print.
+    """Run the blocks of a page in order in one folder, and compare what they print.
 
     Args:
-        blocks: The blocks.
-        folder: Where.
+        blocks: Blocks of one page.
+        folder: Empty folder; the blocks run in a folder inside it.
 
     Returns:
-        How many commands and blocks of Python were run.
+        {"command" or "python": how many were run}.
 
     Raises:
-        AssertionError: If one ends otherwise than the page says, or prints something else.
+        AssertionError: If an exit status or an output differs from the page.
     """
     folder = folder / "here"
     folder.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""What a terminal shows of documents."""
+"""Terminal output of documents as text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pupper_analysis.present.terminal import SafeConsole, print_document, print_
 
 
 def printed(shown: Result | Document | Report, *, width: int = 80, everything: bool = True) -> str:
-    """What is printed of a result, of its document, or of a report."""
+    """Return what the terminal shows of a result, a document or a report."""
     file = io.StringIO()
     out = SafeConsole(file=file, width=width, highlight=False, emoji=False)
     if isinstance(shown, Report):

@@ -1,8 +1,7 @@
-"""Random one-place edits of what touches, options, keyframes and pairs of an MJCF, as a user makes.
+"""Random edits of one place in an MJCF: contacts, options, keyframes, contact pairs and structure.
 
-What `diff` says of each is compared with bare MuJoCo: both files are simulated from the first
-keyframe, and every step is looked at; a robot without a ground is put on a plane, as its scenes
-have it.
+The answer of ``diff`` to each edit is compared with bare MuJoCo: both files are simulated from the
+first keyframe, and all steps are compared. A robot without a floor is placed on a plane.
 """
 
 from __future__ import annotations
@@ -21,32 +20,35 @@ from lxml import etree
 import pupper_analysis as pa
 
 FELT = 1e-4
-"""m, rad: what moves a rollout by less is harmless."""
+"""Largest difference between two rollouts in a position [m] or angle [rad] that counts as
+harmless."""
 
 BAND = 1.5
-"""Between `FELT` divided and multiplied by it either answer is right: blows move a sample more."""
+"""Factor around ``FELT`` within which either answer is accepted: impacts amplify small
+differences."""
 
 SECONDS = 2.0
+"""Duration of a rollout [s]."""
 
 Element = etree._Element
 
 
 class Edit(NamedTuple):
-    """What was edited."""
+    """Kind of an edit, and the edited element if the edit has a single one."""
 
     what: str
     element: Element | None = None
 
 
 class Answer(NamedTuple):
-    """What bare MuJoCo and `diff` make of an edit.
+    """Effect of an edit by bare MuJoCo and by ``diff``.
 
     Attributes:
-        edit: What was edited.
-        truth: How far the rollouts are apart (m, rad).
-        felt: Whether `diff` says that a simulation changes.
-        same: Whether it says that the files are the same.
-        placed: Whether it names the line.
+        edit: Kind of the edit, with its seed.
+        truth: Largest difference between the two rollouts [m, rad].
+        felt: Whether ``diff`` reports that a simulation changes.
+        same: Whether ``diff`` reports that the files are the same.
+        placed: Whether ``diff`` reports the line of the edit.
     """
 
     edit: str
@@ -57,7 +59,9 @@ class Answer(NamedTuple):
 
     @property
     def right(self) -> bool:
-        """Whether what moves a rollout is said to, at its line, and what does not is not."""
+        """Whether ``diff`` reports an edit that changes a rollout, with its line, and only such an
+        edit.
+        """
         if self.truth > FELT * BAND:
             return self.felt and self.placed
         return self.truth >= FELT / BAND or not self.felt
@@ -71,10 +75,12 @@ Value = Callable[[np.random.Generator], str]
 
 
 def _one(*choices: str) -> Value:
+    """Return a generator of one of several texts."""
     return lambda random: str(random.choice(choices))
 
 
 def _within(*spans: tuple[float, float]) -> Value:
+    """Return a generator of numbers, one per interval, uniform in their logarithm."""
     return lambda random: _numbers(random, *spans)
 
 
@@ -94,6 +100,8 @@ _GEOM: dict[str, Value] = {
     "rgba": _one("1 0 0 1"),
     "group": _one("1", "4"),
 }
+"""{attribute of a geom: generator of a random value}."""
+
 _OPTION: dict[str, Value] = {
     "timestep": _within((5e-4, 8e-3)),
     "integrator": _one("Euler", "RK4", "implicit", "implicitfast"),
@@ -109,15 +117,18 @@ _OPTION: dict[str, Value] = {
     "wind": _one("1 0 0"),
     "density": _within((0.1, 100.0)),
 }
+"""{attribute of ``option``: generator of a random value}."""
+
 _FLAG: dict[str, Value] = {
     name: _one("enable", "disable")
     for name in ("contact", "constraint", "gravity", "frictionloss", "limit", "warmstart",
                  "filterparent", "actuation", "refsafe", "eulerdamp", "multiccd", "energy")
 }  # fmt: skip
+"""{attribute of ``flag``: generator of a random value}."""
 
 
 def edit(tree: etree._ElementTree, random: np.random.Generator) -> Edit:
-    """Make one edit in an MJCF's tree."""
+    """Make one random edit of a geom, an option, a keyframe or a contact pair in an MJCF's tree."""
     root = tree.getroot()
     geoms = list(root.iter("geom"))
     keys = [key for key in root.iter("key") if key.get("qpos")]
@@ -167,15 +178,17 @@ def edit(tree: etree._ElementTree, random: np.random.Generator) -> Edit:
 def edit_structure(
     tree: etree._ElementTree, random: np.random.Generator, folder: Path
 ) -> tuple[etree._ElementTree, Edit]:
-    """Make one edit of what a file is built from: classes, the compiler, parts of other files.
+    """Make one random edit of the structure: defaults, compiler, keyframes, included or attached
+    parts.
 
     Args:
-        tree: The MJCF's; where an edit is of an included, attached or repeated part, it gets it.
-        random: What chooses.
-        folder: The MJCF's, to which parts are written.
+        tree: MJCF; for an edit of an included, attached or repeated part, the part is added to
+            it.
+        random: Random generator.
+        folder: Folder of the MJCF, to which parts are written.
 
     Returns:
-        The edited tree, and what was edited.
+        Edited tree, and what was edited.
     """
     root = tree.getroot()
     kind = str(random.choice([*_STRUCTURE]))
@@ -192,7 +205,7 @@ def edit_structure(
 
 
 def _change_number(element: Element, random: np.random.Generator) -> str:
-    """Change one number of an element, or of one below it; returns which."""
+    """Change one number of an element or of its descendants; return the tag and the attribute."""
     having = [
         (each, word)
         for each in element.iter()
@@ -221,6 +234,7 @@ def _is_number(text: str) -> bool:
 
 
 def _default(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+    """Change a default class, or the class of an element; return what was changed."""
     classes = [one for one in root.iter("default") if one.get("class")]
     using = [one for one in root.iter("geom", "joint", "motor", "position", "general")
              if one.get("class") and not _in_default(one)]  # fmt: skip
@@ -254,9 +268,11 @@ _COMPILER: dict[str, Value] = {
     "alignfree": _one("true", "false"),
     "saveinertial": _one("true"),
 }
+"""{attribute of ``compiler``: generator of a random value}."""
 
 
 def _compiler(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+    """Set an attribute of ``compiler``; return it with its value."""
     found = root.find("compiler")
     compiler = etree.SubElement(root, "compiler") if found is None else found
     word = str(random.choice(list(_COMPILER)))
@@ -265,6 +281,7 @@ def _compiler(root: Element, random: np.random.Generator, _: Path, __: str) -> s
 
 
 def _size(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+    """Add a ``size`` element with one attribute; return it with its value."""
     size = etree.SubElement(root, "size")
     word = str(random.choice(["njmax", "nconmax", "memory", "nuserdata", "nkey", "nuser_geom"]))
     size.set(word, {"memory": _one("64K", "16M"), "njmax": _one("20", "2000"),
@@ -273,6 +290,7 @@ def _size(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
 
 
 def _key(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+    """Make a mistake in the first keyframe, such as a reordered quaternion; return its name."""
     keys = list(root.iter("key"))
     if not keys:
         return "nothing"
@@ -302,6 +320,7 @@ def _key(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
 
 
 def _include(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
+    """Move a section into an included file; in an edited part change one number of it."""
     one_key = len(list(root.iter("key"))) == 1  # rollouts begin with the first
     tags = ("default", "actuator", "contact", "worldbody", *(["keyframe"] if one_key else []))
     sections = [one for one in root if one.tag in tags and len(one)]
@@ -315,6 +334,7 @@ def _include(root: Element, random: np.random.Generator, folder: Path, name: str
 
 
 def _attach(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
+    """Attach a model of a tool to the first body; in an edited part change one number of it."""
     tool = etree.fromstring(
         '<mujoco><compiler angle="radian"/><worldbody><body name="tool" pos="0.05 0.01 0.08">'
         '<geom name="hand" type="box" size="0.03 0.02 0.05" mass="0.7" friction="0.8"/>'
@@ -339,6 +359,7 @@ def _attach(root: Element, random: np.random.Generator, folder: Path, name: str)
 
 
 def _replicate(root: Element, random: np.random.Generator, _: Path, name: str) -> str:
+    """Add repeated geoms to the first body; in an edited part change their number or one value."""
     body = next(root.iter("body"))
     several = etree.SubElement(body, "replicate", count="3", offset="0.04 0 0.01")
     etree.SubElement(several, "geom", name="rack", size="0.01 0.02 0.03", type="box", mass="0.2",
@@ -360,6 +381,7 @@ _STRUCTURE: dict[str, Callable[[Element, np.random.Generator, Path, str], str]] 
     "attach": _attach,
     "replicate": _replicate,
 }
+"""{kind of a structural edit: function that makes it}."""
 
 
 def _in_default(geom: Element) -> bool:
@@ -367,9 +389,9 @@ def _in_default(geom: Element) -> bool:
 
 
 def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
-    """Return times since the start and positions (steps, 1 + nq) of bare MuJoCo.
+    """Return time and qpos at each step of a simulation by bare MuJoCo, shape (steps, 1 + nq).
 
-    From the first keyframe.
+    The simulation begins at the first keyframe; time is counted from there.
     """
     model = _on_ground(path)
     data = mujoco.MjData(model)
@@ -388,7 +410,9 @@ def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
 
 
 def apart(one: np.ndarray, two: np.ndarray) -> float:
-    """Return how far two rollouts are apart at the same times; infinite if one diverges alone."""
+    """Return the largest difference between two rollouts at equal times; infinite if one alone
+    diverges.
+    """
     if one.shape[1] != two.shape[1]:
         return float("inf")
     begun_anew = [bool((np.diff(run[:, 0], prepend=0.0) < 0).any()) for run in (one, two)]
@@ -407,6 +431,7 @@ def apart(one: np.ndarray, two: np.ndarray) -> float:
 
 
 def _on_ground(path: Path) -> mujoco.MjModel:
+    """Return the compiled model of an MJCF, with a plane if it has none."""
     spec = mujoco.MjSpec.from_file(str(path))
     if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
         plane = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 1))
@@ -428,14 +453,14 @@ def answers(
     *,
     structure: bool = False,
 ) -> list[Answer]:
-    """Edits a file anew for each seed, and asks `diff` and bare MuJoCo.
+    """Return the answers of ``diff`` and of bare MuJoCo to random edits of a file.
 
     Args:
-        source: The file.
-        count: How many edits that MuJoCo takes.
-        first: The first seed.
-        scratch: A folder for what is edited.
-        structure: Whether what the file is built from is edited; see `edit_structure`.
+        source: MJCF.
+        count: Number of edits that MuJoCo accepts.
+        first: First seed.
+        scratch: Folder for the edited files.
+        structure: Whether the structure of the file is edited; see ``edit_structure``.
     """
     folder = scratch / "robot"
     shutil.copytree(source.parent, folder, copy_function=_linked)
@@ -468,10 +493,11 @@ def answers(
 
 
 def _line(tree: etree._ElementTree, element: Element, written: Path) -> int:
-    """Return an element's line in the file as it is written."""
+    """Return the line of an element in the file to which its tree was written."""
     (there,) = etree.parse(written).xpath(tree.getpath(element))
     return int(there.sourceline)
 
 
 def _linked(source: str, target: str) -> None:
+    """Link a file instead of copying it, as ``copy_function`` of ``shutil.copytree``."""
     Path(target).symlink_to(Path(source).resolve())

@@ -1,4 +1,7 @@
-"""Random legged robots: legs, feet, names, motors, springs and frames as others choose them."""
+"""Random legged robots as URDF and MJCF: legs, feet, names, actuators, springs and base frames.
+
+``drawn``, ``irregular_biped`` and ``ring`` draw a robot from a seed; ``written`` writes its files.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,15 @@ from tests.support.legged import Pair
 Triple = tuple[float, float, float]
 
 NAMES = ("foot", "toe_tip", "Sole", "wheel.cover", "paw-1", "EE", "contact_link")
+"""Names for the last links of the legs."""
+
 HIPS = {3: "xyy", 4: "zxyy", 6: "zxyyyx"}
-"""Axes of the legs by the number of their joints."""
+"""{number of joints of a leg: letters of their axes, from the hip on}."""
 
 
 @dataclass
 class Link:
-    """A link with the joint that moves it (none of the base)."""
+    """Link with the hinge that connects it to its parent: m, rad, kg, N m."""
 
     name: str
     parent: str
@@ -38,7 +43,7 @@ class Link:
 
 @dataclass
 class Robot:
-    """What was chosen."""
+    """Choices that define a random robot: m, kg."""
 
     links: list[Link]
     base_mass: float
@@ -57,7 +62,7 @@ class Robot:
 
 
 def drawn(seed: int) -> Robot:
-    """Draw a robot."""
+    """Draw a robot with 2, 3, 4 or 6 legs."""
     random = np.random.default_rng(seed)
     legs, joints = [(4, 3), (4, 3), (4, 4), (6, 3), (2, 6), (4, 6)][int(random.integers(6))]
     other = np.random.default_rng([seed, 1])  # what came later, so that others stay as they were
@@ -124,7 +129,7 @@ def _leg(
     *,
     flat: bool,
 ) -> list[Link]:
-    """Draw one of the legs: all alike, but for where they are."""
+    """Draw one leg; the legs of a robot differ only in position, side and foot."""
     fixed = np.random.default_rng(7)  # of all legs alike
     wide = 0.1 + 0.5 * size
     links, parent = [], "base"
@@ -160,7 +165,7 @@ def _leg(
 
 
 def _foot(random: np.random.Generator, size: float, *, flat: bool) -> str:
-    """Draw a foot's geoms: by the seed, so that each leg may have another."""
+    """Draw the geoms of a foot; the legs of a robot may have different ones."""
     if flat:
         return str(
             random.choice([
@@ -189,36 +194,39 @@ def _foot(random: np.random.Generator, size: float, *, flat: bool) -> str:
 
 
 def written(robot: Robot, folder: Path) -> Pair:
-    """Write a robot's two files."""
+    """Write the URDF and the MJCF of a robot."""
     pair = Pair(folder / "robot.urdf", folder / "robot.xml")
     pair.urdf.write_text(_urdf(robot))
     pair.mjcf.write_text(_mjcf(robot))
     return pair
 
 
-def _said(values: tuple[float, ...]) -> str:
+def _join_numbers(values: tuple[float, ...]) -> str:
+    """Return numbers as text with all digits, separated by spaces."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def _moments(mass: float) -> Triple:
+    """Return the principal moments of inertia [kg m^2] of a link by its mass [kg]."""
     return (0.01 * mass, 0.012 * mass, 0.008 * mass)
 
 
 def _inertial(mass: float, com: Triple) -> str:
+    """Return the ``inertial`` element of a URDF."""
     xx, yy, zz = _moments(mass)
     return (
-        f'<inertial><origin xyz="{_said(com)}"/><mass value="{mass!r}"/><inertia ixx="{xx!r}" '
-        f'iyy="{yy!r}" izz="{zz!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        f'<inertial><origin xyz="{_join_numbers(com)}"/><mass value="{mass!r}"/>'
+        f'<inertia ixx="{xx!r}" iyy="{yy!r}" izz="{zz!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
     )
 
 
 def _urdf(robot: Robot) -> str:
-    """The URDF; a base whose frame is elsewhere is a dummy link with a fixed joint."""
+    """Return the URDF; if the base is offset, its root is an empty link on a fixed joint."""
     lines = ['<robot name="random">']
     if any(robot.offset):
         lines += [
             '<link name="footprint"/><joint name="to_base" type="fixed"><parent link="footprint"/>'
-            f'<child link="base"/><origin xyz="{_said(robot.offset)}"/></joint>'
+            f'<child link="base"/><origin xyz="{_join_numbers(robot.offset)}"/></joint>'
         ]
     lines += [f'<link name="base">{_inertial(robot.base_mass, (0, 0, 0))}</link>']
     for link in robot.links:
@@ -228,34 +236,37 @@ def _urdf(robot: Robot) -> str:
         lines += [
             f'<link name="{link.name}">{_inertial(link.mass, link.com)}</link>',
             f'<joint name="{link.joint}" type="revolute"><parent link="{link.parent}"/>'
-            f'<child link="{link.name}"/><origin xyz="{_said(link.place)}"/>'
-            f'<axis xyz="{_said(link.axis)}"/>'
+            f'<child link="{link.name}"/><origin xyz="{_join_numbers(link.place)}"/>'
+            f'<axis xyz="{_join_numbers(link.axis)}"/>'
             f'<limit lower="{low}" upper="{high}" effort="{link.effort!r}" velocity="9"/></joint>',
         ]
     return "\n".join([*lines, "</robot>"])
 
 
 def _mjcf(robot: Robot) -> str:
+    """Return the MJCF with free or fixed base, and with actuators, floor and keyframe as chosen."""
     lines, p = [], robot.prefix
     unit = 180 / math.pi if robot.degrees else 1.0
 
     def given(link: Link) -> str:
+        """Return the torque limit of a joint as an attribute, if the joints state the limits."""
         if robot.limited != "joints" or not link.effort:
             return ""
         return f' actuatorfrcrange="{-link.effort} {link.effort}"'
 
     def body(name: str) -> str:
+        """Return the bodies below a link as text."""
         text = ""
         for link in robot.links:
             if link.parent != name or link.where == "urdf":
                 continue
-            limits = _said(tuple(unit * limit for limit in link.limits))
+            limits = _join_numbers(tuple(unit * limit for limit in link.limits))
             spring = f'stiffness="{link.stiffness}"' if link.stiffness else ""
             text += (
-                f'<body name="{p}{link.name}" pos="{_said(link.place)}"><inertial '
-                f'pos="{_said(link.com)}" mass="{link.mass!r}" '
-                f'diaginertia="{_said(_moments(link.mass))}"/>'
-                f'<joint name="{p}{link.joint}" axis="{_said(link.axis)}" range="{limits}" '
+                f'<body name="{p}{link.name}" pos="{_join_numbers(link.place)}"><inertial '
+                f'pos="{_join_numbers(link.com)}" mass="{link.mass!r}" '
+                f'diaginertia="{_join_numbers(_moments(link.mass))}"/>'
+                f'<joint name="{p}{link.joint}" axis="{_join_numbers(link.axis)}" range="{limits}" '
                 f'armature="{robot.armature}" damping="0.2" {spring}{given(link)}/>{link.shape}'
                 f"{body(link.name)}</body>"
             )
@@ -267,7 +278,7 @@ def _mjcf(robot: Robot) -> str:
     free = "<freejoint/>" if robot.base == "free" else ""
     world = (
         f'{floor}<body name="{p}base" pos="0 0 {robot.height}">{free}<inertial pos="0 0 0" '
-        f'mass="{robot.base_mass!r}" diaginertia="{_said(_moments(robot.base_mass))}"/>'
+        f'mass="{robot.base_mass!r}" diaginertia="{_join_numbers(_moments(robot.base_mass))}"/>'
         f"{inside}</body>"
     )
     lines.append(f"<worldbody>{world}</worldbody><actuator>")
@@ -292,7 +303,7 @@ def _mjcf(robot: Robot) -> str:
     key = ""
     if robot.keyframe and robot.base == "free":
         qpos = [0.0, 0.0, robot.height, 1.0, 0.0, 0.0, 0.0, *(link.home for link in _order(robot))]
-        key = f'<keyframe><key name="home" qpos="{_said(tuple(qpos))}"/></keyframe>'
+        key = f'<keyframe><key name="home" qpos="{_join_numbers(tuple(qpos))}"/></keyframe>'
     angle = "degree" if robot.degrees else "radian"
     return (
         f'<mujoco model="random"><compiler angle="{angle}" autolimits="true"/>'
@@ -302,7 +313,7 @@ def _mjcf(robot: Robot) -> str:
 
 
 def _order(robot: Robot) -> list[Link]:
-    """Return the MJCF's joints in the order of its bodies: depth first."""
+    """Return the links of the MJCF in the order of its bodies: depth first."""
 
     def below(name: str) -> list[Link]:
         found = []
@@ -315,7 +326,7 @@ def _order(robot: Robot) -> list[Link]:
 
 
 def irregular_biped(seed: int) -> Robot:
-    """Draw a biped with box soles of which no two links are alike, nor any axis exact."""
+    """Draw a biped with box soles whose links all differ and whose axes are not aligned."""
     random = np.random.default_rng(seed)
     size = float(random.uniform(0.12, 0.3))
     robot = Robot(
@@ -336,6 +347,7 @@ def irregular_biped(seed: int) -> Robot:
 def _irregular_leg(
     random: np.random.Generator, leg: int, side: int, size: float, effort: float
 ) -> list[Link]:
+    """Draw a leg of five hinges with random lengths, axes, offsets and sole."""
     links: list[Link] = []
     axes = "xyyyx"
     lengths = [size * random.uniform(0.9, 1.1) for _ in "ab"]
@@ -375,12 +387,12 @@ def _irregular_leg(
 
 
 def ring(seed: int, legs: int = 6, strength: float = 2.5) -> Robot:
-    """Draw a robot whose legs stand in a ring, each turned outward by its hip.
+    """Draw a robot whose legs are arranged in a circle, each in the plane of its direction.
 
     Args:
-        seed: What decides.
-        legs: How many: three and more.
-        strength: Of the motors, in parts of what bears the base alone.
+        seed: Seed.
+        legs: Number of legs, at least 3.
+        strength: Motor torque in units of an estimate of what bears the base alone.
     """
     random = np.random.default_rng(seed)
     size = float(random.uniform(0.12, 0.4))

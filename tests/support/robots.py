@@ -1,6 +1,7 @@
-"""Small robots that are written as URDF and as MJCF from one list of parts, to be changed in one.
+"""Small robots that are written as URDF and MJCF from one list of parts, to be changed in one file.
 
-The files are independent of the package: plain text, one element a line, 17 digits.
+The text is written without the package: one element per line, numbers with all digits. The second
+half calls the package with such files.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Part:
-    """A link, and the joint that moves it (the base has none)."""
+    """Link with the joint that connects it to its parent, none for the base: m, kg, kg m^2, rad, N
+    m.
+    """
 
     link: str
     parent: str = ""
@@ -53,12 +56,16 @@ class Part:
 
 
 class Frame(NamedTuple):
+    """Named point fixed to a link: a link of the URDF, a site of the MJCF; position [m]."""
+
     name: str
     link: str
     position: Sequence[float]
 
 
 class Files(NamedTuple):
+    """Paths of the URDF and the MJCF of one robot."""
+
     urdf: Path
     mjcf: Path
 
@@ -66,10 +73,11 @@ class Files(NamedTuple):
 Parts = dict[str, Part]
 
 FEET = [Frame(f"foot{leg}", f"shank{leg}", (0.002, 0.0, -0.2)) for leg in range(4)]
+"""Frames at the four feet of ``quadruped``."""
 
 
 def quadruped() -> Parts:
-    """A base with four legs of two hinges; no two bodies are alike, nor any frame straight."""
+    """Return a base with four legs of two hinges; bodies and frames all differ."""
     parts = [
         Part(
             "base",
@@ -101,7 +109,7 @@ def quadruped() -> Parts:
 
 
 def arm() -> Parts:
-    """A fixed base, a continuous joint, a hinge and a slide in a row."""
+    """Return a fixed base with a continuous joint, a hinge and a slide in series."""
     parts = [
         Part("base", mass=3.0, com=(0.0, 0.01, 0.02)),
         Part("column", "base", "turn", "continuous", (0.0, 0.0, 0.1), axis=(0.0, 0.0, 1.0)),
@@ -118,27 +126,29 @@ def arm() -> Parts:
 
 
 def pendulum(**values: Any) -> Parts:
-    """A point mass on a rod, on a fixed base: what it does is known in closed form."""
+    """Return a body 0.5 m below a hinge of a fixed base: its motion is known in closed form."""
     bob = Part("bob", "base", "swing", "revolute", (0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
     bob = replace(bob, mass=2.0, com=(0.0, 0.0, -0.5), inertia=(1e-3, 1e-3, 1e-3, 0, 0, 0))
     return {"base": Part("base", mass=1.0), "bob": replace(bob, **values)}
 
 
 def _unit(*quaternion: float) -> tuple[float, ...]:
+    """Return a quaternion divided by its norm."""
     return tuple(np.array(quaternion) / np.linalg.norm(quaternion))
 
 
 def changed(parts: Parts, link: str, **values: Any) -> Parts:
-    """The parts with one of them changed."""
+    """Return the parts with other values in one of them."""
     return {**parts, link: replace(parts[link], **values)}
 
 
 def all_changed(parts: Parts, **values: Any) -> Parts:
+    """Return the parts with the same other values in all of them."""
     return {name: replace(part, **values) for name, part in parts.items()}
 
 
 def turned_about(part: Part, axis: Sequence[float], angle: float) -> tuple[float, ...]:
-    """The quaternion of a part that is turned by an angle about an axis in its own frame."""
+    """Return the quaternion of a part rotated by an angle [rad] about an axis in its own frame."""
     turn = Rotation.from_rotvec(angle * np.array(axis))
     rotation = Rotation.from_quat(part.quaternion, scalar_first=True) * turn
     return tuple(rotation.as_quat(scalar_first=True))
@@ -148,10 +158,12 @@ def turned_about(part: Part, axis: Sequence[float], angle: float) -> tuple[float
 
 
 def numbers(values: Iterable[float]) -> str:
+    """Return numbers as text with all digits, separated by spaces."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def urdf_text(parts: Parts, frames: Iterable[Frame] = FEET, name: str = "machine") -> str:
+    """Return the URDF of the parts, with a fixed link per frame."""
     lines = [f'<robot name="{name}">']
     for part in parts.values():
         xx, yy, zz, xy, xz, yz = (repr(float(value)) for value in part.inertia)
@@ -206,7 +218,17 @@ def mjcf_text(
     extra: str = "",
     scene: str = "",
 ) -> str:
-    """An MJCF; with the joints' order reversed if wanted, and other sections or bodies."""
+    """Return the MJCF of the parts, with a site per frame.
+
+    Args:
+        parts: Parts by link.
+        frames: Frames; those of other links are ignored.
+        free: Whether the base has a free joint.
+        base_position: Position of the base in the world [m].
+        backwards: Whether bodies and actuators are in reverse order.
+        extra: Sections after the actuators.
+        scene: Elements at the start of the world body.
+    """
     frames = list(frames)
     lines = ['<mujoco model="machine">', '<compiler angle="radian"/>', "<worldbody>", scene]
 
@@ -247,7 +269,9 @@ def mjcf_text(
 
 
 def without_base(text: str) -> str:
-    """An MJCF whose base is fused with the world and has no mass there, as MuJoCo imports URDFs."""
+    """Return the MJCF without its base: the children are bodies of the world, as MuJoCo converts
+    URDFs.
+    """
     lines = text.splitlines()
     start = next(row for row, line in enumerate(lines) if '<body name="base"' in line)
     end = lines.index("</worldbody>")
@@ -257,10 +281,10 @@ def without_base(text: str) -> str:
 
 
 def turned_frames(parts: Parts, seed: int) -> str:
-    """An MJCF in which the frame of every body but the base is turned at random.
+    """Return an MJCF of the same robot in which all body frames but the base's are rotated at
+    random.
 
-    Bodies' poses, their children's, inertials, joints' axes and sites are all given in the turned
-    frames, so that it is the same robot.
+    Poses, inertials, joint axes and sites are expressed in the rotated frames.
     """
     random = np.random.default_rng(seed)
     still = Rotation.identity()
@@ -290,6 +314,7 @@ def turned_frames(parts: Parts, seed: int) -> str:
 
 
 def write(folder: Path, urdf: str, mjcf: str, stem: str = "robot") -> Files:
+    """Write the two texts to ``STEM.urdf`` and ``STEM.xml``."""
     files = Files(folder / f"{stem}.urdf", folder / f"{stem}.xml")
     files.urdf.write_text(urdf)
     files.mjcf.write_text(mjcf)
@@ -297,6 +322,7 @@ def write(folder: Path, urdf: str, mjcf: str, stem: str = "robot") -> Files:
 
 
 def write_parts(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Files:
+    """Write one list of parts as URDF and another as MJCF."""
     return write(folder, urdf_text(urdf), mjcf_text(mjcf, **options))
 
 
@@ -304,25 +330,29 @@ def write_parts(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Files
 
 
 def matched(files: Files, **options: Any) -> Match:
+    """Return the match of two files; options are those of ``match_models``."""
     return match_models(read_urdf(files.urdf), read_mjcf(files.mjcf), **options)
 
 
 def robot_of(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Robot:
+    """Return the robot that two lists of parts give as URDF and MJCF."""
     return matched(write_parts(folder, urdf, mjcf, **options)).robot
 
 
 def explained(
     folder: Path, urdf: Parts, mjcf: Parts, tolerances: Tolerances | None = None, **options: Any
 ) -> Explanation:
+    """Return the explanation of the differences between two lists of parts as URDF and MJCF."""
     return explain_differences(robot_of(folder, urdf, mjcf, **options), tolerances=tolerances)
 
 
 def compared(files: Files, **options: Any) -> Comparison:
+    """Compare two files at two configurations."""
     return pa.compare_models(files.urdf, files.mjcf, **{"configurations": 2, **options})
 
 
 def agree(files: Files) -> bool:
-    """Return True if two files have the same numbers, and dynamics to rounding."""
+    """Return whether two files have the same numbers, and the same dynamics up to rounding."""
     compared = pa.compare_models(
         files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict(), configurations=2
     )
@@ -330,12 +360,12 @@ def agree(files: Files) -> bool:
 
 
 def found(result: Explanation | FilesCompared) -> list[tuple[str, str]]:
-    """The kind and element of each difference, in their order."""
+    """Return kind and element of each difference, in their order."""
     return [(difference.kind, difference.element) for difference in result.differences]
 
 
 def line_at(place: str | None, files: Mapping[str, Path]) -> str:
-    """The line of text at a place ``file:line``."""
+    """Return the line of text at a location ``file:line``."""
     assert place is not None
     name, _, line = place.rpartition(":")
     assert line.isdigit(), f"no line: {place}"
@@ -344,6 +374,6 @@ def line_at(place: str | None, files: Mapping[str, Path]) -> str:
 
 
 def headline(comparison: FilesCompared) -> str:
-    """What is said first of a comparison: whether they agree, and what is to be mended first."""
+    """Return whether the files of a comparison agree, and the problem to solve first."""
     agree = "SAME ROBOT, DIFFERENT CONVENTIONS" if comparison.same_robot else "DISAGREE"
     return f"{'AGREE' if comparison.agree else agree}: {comparison.main_problem}"

@@ -1,4 +1,4 @@
-"""The package's rooms by floor, and its modules as they are written."""
+"""Layer of each subpackage, and the syntax trees of all modules."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ PACKAGE = Path(pupper_analysis.__file__).parent
 
 
 def _floors() -> list[list[str]]:
-    """From the ground up, as `pyproject.toml` tells import-linter, which checks them."""
+    """Return the layers from the lowest on, as ``pyproject.toml`` states them for import-linter."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     layers = next(one["layers"] for one in settings["contracts"] if one["id"] == "floors")
     return [re.split(r" [|:] ", layer) for layer in reversed(layers)]
 
 
 FLOOR = {room: floor for floor, rooms in enumerate(_floors()) for room in rooms}
+"""{subpackage: number of its layer, 0 for the lowest}."""
 
 
 @cache
 def trees() -> dict[str, ast.Module]:
-    """{path of a module in the package: its syntax}, parsed once."""
+    """Return {path of a module within the package: its syntax tree}."""
     return {
         path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
         for path in sorted(PACKAGE.rglob("*.py"))

@@ -1,8 +1,8 @@
-"""Round trips URDF -> MJCF -> URDF, and back: whatever is lost or changed must be told.
+"""Conversions from URDF to MJCF and back, or the other way round: find losses that are not
+reported.
 
-Both files of the start's format are read as XML, apart from the package, into tables of what links
-and joints state; of MJCFs MuJoCo's own numbers are compared. What differs and no line of "Not
-converted", of the notes or of the repairs is about is a silent loss.
+The original and the file converted back are read into tables: a URDF as XML without the package, an
+MJCF by MuJoCo. A difference that no message of the two conversions mentions is a silent loss.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from lxml import etree
 import pupper_analysis as pa
 
 Table = dict[tuple[str, str], object]
-"""{(element, word): what is stated of it}."""
+"""{(name of an element, attribute): value}."""
 
 NEAR = 1e-6
+"""Relative and absolute difference up to which two values count as equal."""
 
 
 def of_urdf(path: Path) -> Table:
-    """Read what a URDF states of masses, limits, dynamics, couplings and shapes that touch."""
+    """Return the masses, limits, dynamics, couplings and collision shapes that a URDF states."""
     found: Table = {}
     root = etree.parse(path).getroot()
     for link in root.findall("link"):
@@ -63,14 +64,17 @@ _ARRAYS = {
     "solimp": "geom_solimp", "margin": "geom_margin", "gap": "geom_gap",
     "priority": "geom_priority", "solmix": "geom_solmix",
 }  # fmt: skip
+"""{attribute of a geom: array of MuJoCo's model}."""
+
 _OPTIONS = (
     "timestep", "integrator", "cone", "impratio", "solver", "iterations", "noslip_iterations",
     "density", "viscosity",
 )  # fmt: skip
+"""Compared attributes of MuJoCo's options."""
 
 
 def of_mjcf(path: Path) -> Table:
-    """Read what MuJoCo makes of an MJCF's joints, touching geoms, options and other elements."""
+    """Return joints, contact parameters of geoms, options and numbers of elements by MuJoCo."""
     model = mujoco.MjModel.from_xml_path(str(path))
     found: Table = {}
     for word in _OPTIONS:
@@ -122,9 +126,12 @@ _SAID_AS = {
     "viscosity": ("viscosity", "fluid", "medium"), "range": ("range", "limit"),
     "armature": ("armature",), "mass": ("mass", "inert", "gram"), "sensor": ("sensor",),
 }  # fmt: skip
+"""{attribute: words of which a message must contain one to report its loss}; others by their name.
+"""
 
 
 def _same(one: object, two: object) -> bool:
+    """Return whether two values are equal up to ``NEAR``."""
     if isinstance(one, list) and isinstance(two, list):
         return len(one) == len(two) and all(map(_same, sorted(one), sorted(two)))
     if isinstance(one, set) and isinstance(two, set):
@@ -135,7 +142,7 @@ def _same(one: object, two: object) -> bool:
 
 
 def silent_losses(before: Table, after: Table, said: str) -> dict[str, list[str]]:
-    """Return {word: the elements that have another value, of which nothing is said}."""
+    """Return {attribute: elements whose value has changed without a message}."""
     lost: dict[str, list[str]] = {}
     for (name, word), value in before.items():
         more = name == "number" and int(value) <= int(after[name, word])  # type: ignore[call-overload]
@@ -147,7 +154,9 @@ def silent_losses(before: Table, after: Table, said: str) -> dict[str, list[str]
 
 
 def round_trip(source: Path, folder: Path) -> tuple[dict[str, list[str]], int]:
-    """Convert a file there and back; returns what is lost silently, of how many numbers."""
+    """Convert a file to the other format and back; return the silent losses, and the number of
+    values.
+    """
     endings = (".xml", ".urdf") if source.suffix == ".urdf" else (".urdf", ".xml")
     there, back = (folder / f"{name}{end}" for name, end in zip("ab", endings, strict=True))
     said = []

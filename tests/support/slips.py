@@ -1,4 +1,6 @@
-"""One plausible slip in an MJCF that stands: a sign, a factor of ten, a unit, a swapped pair ..."""
+"""Plausible mistakes in the MJCF of a robot that stands: signs, factors of ten, units, swapped
+values.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ Slip = Callable[[str, np.random.Generator], str]
 
 
 def standing(folder: Path, **options: object) -> legged.Pair:
-    """A quadruped of 8.4 kg that stands by itself: servos, floor, and a keyframe with its ctrl."""
+    """Write a quadruped of 8.4 kg that stands on its servos, on a floor; its keyframe has ctrl."""
     pair = legged.quadruped(folder, actuators="position", floor=True, **options)  # type: ignore[arg-type]
     text = pair.mjcf.read_text()
     text = text.replace("<worldbody>", '<option integrator="implicitfast"/><worldbody>', 1)
@@ -26,7 +28,7 @@ def standing(folder: Path, **options: object) -> legged.Pair:
 
 
 def _number(attribute: str, change: Callable[[float], float], *, one: bool) -> Slip:
-    """Change an attribute of a single number, in one place or in all."""
+    """Return an edit of an attribute with a single number, in one random place or in all."""
 
     def slip(text: str, random: np.random.Generator) -> str:
         found = list(re.finditer(rf'(?<=\b{attribute}=")[-+.\de]+(?=")', text))
@@ -40,7 +42,7 @@ def _number(attribute: str, change: Callable[[float], float], *, one: bool) -> S
 
 
 def _listed(attribute: str, change: Callable[[list[float], np.random.Generator], None]) -> Slip:
-    """Change an attribute of several numbers, in one place."""
+    """Return an edit of an attribute with several numbers, in one random place."""
 
     def slip(text: str, random: np.random.Generator) -> str:
         found = list(re.finditer(rf'(?<=\b{attribute}=")[^"]+(?=")', text))
@@ -55,29 +57,34 @@ def _listed(attribute: str, change: Callable[[list[float], np.random.Generator],
 
 
 def _text(old: str, new: str, *, one: bool = False) -> Slip:
+    """Return an edit that replaces a text once or everywhere."""
     return lambda text, _: text.replace(old, new, 1 if one else -1)
 
 
 def _sign(values: list[float], random: np.random.Generator) -> None:
+    """Change the sign of one random value."""
     index = int(random.integers(len(values)))
     values[index] = -values[index]
 
 
 def _swap(values: list[float], random: np.random.Generator) -> None:
+    """Exchange two random values."""
     one, two = random.choice(len(values), 2, replace=False)
     values[one], values[two] = values[two], values[one]
 
 
 def _degrees(values: list[float], _: np.random.Generator) -> None:
+    """Convert values from rad to degrees."""
     values[:] = [math.degrees(value) for value in values]
 
 
 def _tenth(values: list[float], random: np.random.Generator) -> None:
+    """Divide one random value by ten."""
     values[int(random.integers(len(values)))] /= 10
 
 
 def _other_joint(text: str, random: np.random.Generator) -> str:
-    """Give two actuators each other's joint."""
+    """Exchange the joints of two random actuators."""
     joints = re.findall(r'<position joint="(\w+)"', text)
     one, two = (str(joint) for joint in random.choice(joints, 2, replace=False))
     text = text.replace(f'<position joint="{one}"', "<position joint=\0")
@@ -123,4 +130,5 @@ SLIPS: dict[str, Slip] = {
         '<geom type="plane"', '<geom priority="1" friction="0.02" type="plane"'
     ),
 }
-"""Each makes one, where a random number says."""
+"""{description: function that makes this mistake in an MJCF, in a place that a generator chooses}.
+"""

@@ -1,7 +1,7 @@
-"""Results whose numbers are all different: what tests of showing show.
+"""Stub results for tests of documents and reports, with numbers that all differ.
 
-Each is a stub with the fields that its builder reads. A number that stands in two cells, or in
-none, is seen; so are metres shown as millimetres and columns that are swapped.
+Each stub has the fields that its document reads. A number that is shown twice or not at all, a
+wrong unit and exchanged columns are visible.
 """
 
 from __future__ import annotations
@@ -26,17 +26,19 @@ from pupper_analysis.stance.task import StandTask
 
 
 def tool(module: str) -> Any:
-    """A module of a tool: who shows something else can do without it."""
+    """Import a module of ``pupper_analysis.tools``, which may be missing in a package without the
+    tool.
+    """
     return import_module(f"pupper_analysis.tools.{module}")
 
 
 def problem(words: str) -> Diagnostic:
-    """A diagnostic of these words."""
+    """Return a diagnostic with these words."""
     return diagnose("problem", problem=words)
 
 
 def loads(shift: float) -> Stub:
-    """A static equilibrium of two motors and two feet; another for each shift."""
+    """Return static loads of two motors and two feet, all increased by ``shift``."""
     return Stub(
         joint_names=("hip", "knee"),
         joint_torques=np.array([0.1111, -0.2222]) + shift,
@@ -63,7 +65,7 @@ def loads(shift: float) -> Stub:
 
 
 def run(shift: float, *, passed: bool) -> Stub:
-    """A simulated stand."""
+    """Return a simulated stand, with errors increased by ``shift``."""
     return Stub(
         passed=passed,
         failures=() if passed else (problem("it sank"),),
@@ -108,6 +110,7 @@ ORIGINS = (
 
 
 def joint(name: str, shift: float) -> Stub:
+    """Return a joint with an oblique axis, with numbers increased by ``shift``."""
     return Stub(
         name=name,
         motion="oblique",
@@ -196,6 +199,7 @@ ANALYSIS: Any = Stub(
 
 
 def row(name: str, shift: float, **changes: Any) -> Any:
+    """Return a row of the comparison of variants, with numbers increased by ``shift``."""
     fields: dict[str, Any] = {
         "name": name,
         "base": "skeleton",
@@ -213,6 +217,7 @@ def row(name: str, shift: float, **changes: Any) -> Any:
 
 
 def pushes(shift: float) -> Stub:
+    """Return the push recovery in three directions, with numbers increased by ``shift``."""
     return Stub(
         directions=np.radians([0.0, 120.0, 240.0]),
         impulses=np.array([0.51, 0.62, 0.43]) + shift,
@@ -235,6 +240,7 @@ KNOWN = {"joint_names": ("hip", "knee"), "unknown_limits": (), "peak_torques": N
 
 
 def pushed(name: str, shift: float, depth: float) -> Any:
+    """Return a push result of a robot: its stand, its recovery and its verdict."""
     stand = Stub(
         task=StandTask(height=0.1, yaw=math.radians(shift)), depths={"FR": depth / 2, "RL": depth}
     )
@@ -256,6 +262,7 @@ SUNK = {"depths": {"FR": 0.00311, "RL": 0.00422}, "qpos": np.array([0.0, 0.0, 0.
 
 
 def stance(**changes: Any) -> Any:
+    """Return a stance result; ``changes`` replace fields."""
     fields: dict[str, Any] = {
         "name": "stub",
         "stand": Stub(**{**vars(STAND), **SUNK}),
@@ -281,6 +288,7 @@ def stance(**changes: Any) -> Any:
 
 
 def loaded(*unknown: str) -> Any:
+    """Return a payload result, in which the torque limits of the joints ``unknown`` are missing."""
     none = Stub(mass=math.inf, failure=Failure.NOTHING, failing_parts=())
     bounds = {
         "servos": Stub(mass=1.239, failure=Failure.BUCKLING, failing_parts=("knee",)),
@@ -310,7 +318,8 @@ def loaded(*unknown: str) -> Any:
     )
 
 
-def there(**changes: Any) -> Any:
+def make_path_result(**changes: Any) -> Any:
+    """Return a result of a path with its tracking; ``changes`` replace fields."""
     path = Stub(
         feet=("FR", "RL"),
         loads=np.array([[3.33, 9.99], [7.77, 4.44], [8.88, 5.55]]),
@@ -340,7 +349,7 @@ def there(**changes: Any) -> Any:
 
 
 def best() -> Any:
-    """The best stance of a search."""
+    """Return a result of a search for the best stance."""
     found = Stub(
         objective=tool("best.search").Objective.MARGIN,
         payload=None,
@@ -354,7 +363,7 @@ def best() -> Any:
 
 
 def workspace() -> Any:
-    """How far a base can go."""
+    """Return the interval of the base's pose in three coordinates."""
     intervals = {
         "height": Stub(low=0.0911, high=0.1922),
         "roll": Stub(low=math.radians(-13.3), high=math.radians(14.4)),
@@ -364,7 +373,7 @@ def workspace() -> Any:
 
 
 def files() -> Any:
-    """Two files that disagree."""
+    """Return the comparison of two files that disagree."""
     difference = Stub(
         kind="mass",
         element="base",
@@ -440,6 +449,7 @@ def files() -> Any:
 
 
 def _variants() -> Report:
+    """Return the report of the comparison of three variants."""
     other = row(
         "two",
         0.01,
@@ -454,6 +464,7 @@ def _variants() -> Report:
 
 
 def _pushes() -> Report:
+    """Return the report of two push recoveries with their comparison."""
     both = [pushed("one", 0.0, 0.00311), pushed("two", 0.1, 0.0)]
     push = tool("push.document")
     return Report(
@@ -462,6 +473,7 @@ def _pushes() -> Report:
 
 
 def _alone(document: Document) -> Report:
+    """Return a report with one document."""
     return Report(text("report"), (document,))
 
 
@@ -479,12 +491,13 @@ _REPORTS: dict[str, tuple[str, Callable[[], Report]]] = {
         "workspace",
         lambda: _alone(tool("workspace.document").workspace_document(workspace())),
     ),
-    "path": ("path", lambda: _alone(tool("path.document").path_document(there()))),
+    "path": ("path", lambda: _alone(tool("path.document").path_document(make_path_result()))),
     "files": (
         "crosscheck",
         lambda: _alone(tool("crosscheck.document").comparison_document(files())),
     ),
 }
-"""{golden document: the tool that shows it, and what makes its report}."""
+"""{name of an expected document: (tool that shows it, function that makes its report)}."""
 
 REPORTS = {name: make for name, (tool, make) in _REPORTS.items() if tool in own_tools()}
+"""{name of an expected document: function that makes its report}, of the tools in this package."""

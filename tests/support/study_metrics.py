@@ -1,4 +1,4 @@
-"""Measures for the tests of studies: workers import them by name, as they do users' own."""
+"""Metrics of study tests in an importable module: worker processes import them by name."""
 
 import ctypes
 import os
@@ -10,35 +10,41 @@ import pupper_analysis as pa
 
 
 def places(robot: pa.Robot, stand: pa.Stand) -> dict[str, float]:
+    """Return the x coordinate [m] of each contact point."""
     return {foot: float(place[0]) for foot, place in stand.contact_points.items()}
 
 
 def wrong(robot: pa.Robot, stand: pa.Stand) -> str:
+    """Return a text, which is not a valid value of a metric."""
     return "much"
 
 
 def fails(robot: pa.Robot, stand: pa.Stand) -> float:
+    """Raise an error."""
     raise RuntimeError("on purpose")
 
 
 def heavy(robot: pa.Robot) -> bool:
+    """Return whether the robot has more than 4 kg."""
     return robot.total_mass > 4.0
 
 
 def crashes(robot: pa.Robot, stand: pa.Stand) -> float:
+    """Kill the worker process for a heavy robot."""
     if heavy(robot):
         os.kill(os.getpid(), signal.SIGKILL)
     return 1.0
 
 
 def hangs(robot: pa.Robot, stand: pa.Stand) -> float:
-    """In C, with Python's lock held: no signal handler and no other thread would run."""
+    """Sleep in C for a heavy robot, with Python's lock held: no signal handler can run."""
     if heavy(robot):
         ctypes.PyDLL(None).sleep(600)
     return 1.0
 
 
 def crashes_once(robot: pa.Robot, stand: pa.Stand) -> float:
+    """Kill the worker process for a heavy robot, once."""
     marker = Path(os.environ["STUDY_MARKER"])
     if heavy(robot) and not marker.exists():
         marker.touch()
@@ -47,9 +53,11 @@ def crashes_once(robot: pa.Robot, stand: pa.Stand) -> float:
 
 
 def process(robot: pa.Robot, stand: pa.Stand) -> float:
+    """Return the process number of the worker."""
     return float(os.getpid())
 
 
 def slow(robot: pa.Robot, stand: pa.Stand) -> float:
+    """Return the mass [kg] after 50 ms."""
     time.sleep(0.05)
     return robot.total_mass

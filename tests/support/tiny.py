@@ -1,4 +1,6 @@
-"""A robot of three joints: turning, bending and sliding; each file has them in another order."""
+"""Robot with a continuous joint, a hinge and a slide, whose files list the joints in different
+orders.
+"""
 
 from __future__ import annotations
 
@@ -69,5 +71,7 @@ TINY_MJCF = """
 
 
 class Files(NamedTuple):
+    """Paths of the URDF and the MJCF."""
+
     urdf: Path
     mjcf: Path

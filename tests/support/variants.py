@@ -1,4 +1,4 @@
-"""Pupper's variants, loaded once."""
+"""Variants of Pupper, each loaded once per process."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ BASES_FIRST = (*BASES, *(name for name in NAMES if name not in BASES))
 
 @cache
 def load(name: str, fixed_base: bool = False) -> pa.Robot:
+    """Return a variant of Pupper."""
     return pa.load_variant(name, fixed_base=fixed_base)
 
 
 @cache
 def stand_of(name: str) -> pa.Stand:
+    """Return the nominal stand of a variant."""
     return pa.solve_stand(load(name))
