@@ -1,8 +1,8 @@
-"""Model files as a CI job: audits the files that the command line names.
+"""Audit model files in CI.
 
-One sees each finding as an annotation that GitHub shows beside the line of the file; the exit
-status is 1 if one of them is an error. ``pupper-analysis audit FILE --format github`` does the same
-from a shell; as a script it can have rules of its own.
+Prints each finding as an annotation that GitHub shows at the line of the file; the exit status is 1
+if a finding is an error. ``pupper-analysis audit FILE --format github`` does the same from a shell;
+a script can have rules of its own.
 """
 
 import sys
@@ -10,11 +10,11 @@ import sys
 import pupper_analysis as pa
 
 LEVELS = {"error": "error", "warning": "warning", "note": "notice"}
-"""{severity: GitHub's word for it}"""
+"""{severity: level of the annotation}."""
 
 
 def main(paths: list[str]) -> int:
-    """Audits files, and returns the exit status."""
+    """Audit the files and return the exit status."""
     passed = True
     for path in paths:
         audit = pa.audit_model(path)

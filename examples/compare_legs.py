@@ -1,12 +1,13 @@
-"""How long may the legs be: one robot with legs of five lengths.
+"""Compare legs of five lengths on one robot.
 
-One sees that longer legs cost torque faster than they gain height: from the shortest to the longest
-the base rises by 82 %, and the greatest motor torque by 109 %.
+The output shows that the torque grows faster with the leg length than the height: from the shortest
+to the longest legs the base rises by 82 %, and the largest joint torque by 109 %.
 """
 
 import pupper_analysis as pa
 
 SCALES = (0.8, 1.0, 1.2, 1.4, 1.6)
+"""Leg lengths relative to those of v3."""
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
-"""Do a policy, its controller and the robot's model agree?
+"""Check that a policy, its controller and the model of the robot agree.
 
-One sees that the controller has another default angle at one knee, and the MJCF another kd.
+The output shows that the controller has another default angle at one knee, and the MJCF another kd.
 """
 
 from pathlib import Path

@@ -1,7 +1,7 @@
-"""Do my two models agree: and if not, which number in which file is to blame.
+"""Compare a URDF with an MJCF, and find the value that differs.
 
-One sees that the two files of Pupper's skeleton agree; then that its torso is made 10 % heavier in
-the URDF alone, and is found: with file, line and both values, and nothing else left to explain.
+The output shows that the two files of Pupper's skeleton agree. Then the torso is 10 % heavier in
+the URDF: the difference is found with file, line and both values, and explains all deviations.
 """
 
 import tempfile

@@ -1,8 +1,8 @@
-"""A robot of your own: a URDF, an MJCF, and the frames at the centres of its feet.
+"""Load a robot of your own: a URDF, an MJCF, and the frames at the centres of its feet.
 
-One sees the mass that both files agree on, what each motor holds as the robot stands, and whether
-the stand holds in MuJoCo. The two files are a variant of Pupper that is written to a folder first;
-put yours in their place.
+The output shows the mass, which is the same in both files, the torque of each motor in the nominal
+stand, and whether the stand holds in MuJoCo. The two files are a variant of Pupper that is written
+to a folder first; replace them by yours.
 """
 
 import tempfile
@@ -16,11 +16,11 @@ FEET = {
     "RR": "leg_back_r_3_foot_site",
     "RL": "leg_back_l_3_foot_site",
 }
-"""{what the foot is called here: its frame, a link of the URDF and a site of the MJCF}"""
+"""{name of the foot in the package: its frame, a link of the URDF and a site of the MJCF}."""
 
 
 def main() -> None:
-    """Load the robot, lets it stand, and prints what its motors hold."""
+    """Load the robot, solve its nominal stand, and print the torques of its motors."""
     with tempfile.TemporaryDirectory() as folder:
         urdf, mjcf = pa.pupper.write_variant(
             pa.pupper.VariantSpec(base="v3", leg_scale=1.1), Path(folder)

@@ -1,17 +1,18 @@
-"""From a squat to a file: a smooth path through stances, and the torques that it takes.
+"""Write a path for a real robot: a squat through three stances, with the torques that it requires.
 
-One sees how much of the motors the path uses, and how far inside the support polygon the
-zero-moment point stays; and finds squat.csv: time, joint positions and torques of every sample,
-with the units in the header, for a real robot to play.
+The output shows the largest motor utilisation of the path, and the smallest distance of the
+zero-moment point from the edge of the support polygon. squat.csv contains time, joint positions and
+torques of every sample, with units in the header.
 """
 
 import pupper_analysis as pa
 
 SECONDS = 2.0
+"""Duration of the path [s]."""
 
 
 def main() -> None:
-    """Squats by a fifth of the height and rises again."""
+    """Lower the base by a fifth of its height, raise it again, and write the path."""
     robot = pa.load_variant("v3")
     high = pa.StandTask()
     low = pa.StandTask(height=0.8 * robot.stand_height)

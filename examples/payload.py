@@ -1,18 +1,18 @@
-"""How much does it carry: the greatest mass on its back, and what gives way first.
+"""Compute the largest payload on the back, and the limit that determines it.
 
-One sees three limits: what the motors give, what the servos' stiffness holds up, and up to where
-the legs reach and the contacts bear it. Pupper v3's motors would carry 16 kg; its soft servos let
-it buckle under 6.0 kg.
+The output shows three limits: by the torque of the motors, by the stiffness of the servos, and by
+the reach of the legs and the contacts. The motors of Pupper v3 would carry 16 kg; with its soft
+servos it buckles under 6.0 kg.
 """
 
 import pupper_analysis as pa
 
 BACK = (0.0, 0.0, 0.08)
-"""Where the mass is, in the base's frame (m)."""
+"""Position of the payload's mass in the frame of the base [m]."""
 
 
 def main() -> None:
-    """Print the limits, and what the motors hold with half of the least one on the back."""
+    """Print the limits, and the motor utilisation with half of the payload on the back."""
     robot = pa.load_variant("v3")
     limit = pa.payload_limit(robot, point=BACK)
     for name in ("motors", "servos", "stance"):

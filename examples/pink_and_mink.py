@@ -1,6 +1,6 @@
 """Lower and turn a standing robot with Pink, with Mink, and with `solve_posture`.
 
-One sees how far both joint positions differ. To install them: pip install pin-pink mink daqp
+The output shows the differences in joint position. Install with: pip install pin-pink mink daqp
 """
 
 import mink

@@ -1,7 +1,7 @@
-"""How hard can it be pushed: the largest impulse, forward, left, back and right.
+"""Compute the largest impulse from which the robot recovers: forward, left, back and right.
 
-One sees that Pupper v3 is pushed over most easily in one direction, and how it then fails; and
-beside it the impulse that would tip it over if it were rigid.
+The output shows the impulse of each direction, the failure under a larger one, and for comparison
+the impulse that would tip a rigid robot over.
 """
 
 import math

@@ -1,7 +1,8 @@
 """Move the body of a standing robot: look at a point, and keep the CoM above the feet.
 
-One sees the residual of each task by Pinocchio and by MuJoCo, the largest motor utilisation of the
-posture, the largest straight push of a foot, and the task that a base at 0.4 m misses.
+The output shows the residual of each task by Pinocchio and by MuJoCo, the largest motor utilisation
+of the posture, the largest straight push of a foot, and the task that is not fulfilled with the
+base at 0.4 m.
 """
 
 import pupper_analysis as pa

@@ -1,7 +1,7 @@
-"""On a slope, on three legs: what the contacts carry, and what is out of reach.
+"""Stand on a slope and on three legs: the load of the contacts, and what is out of reach.
 
-One sees the stand uphill with a foot in the air, the load of each foot that carries and how much of
-its friction it uses; then a roll that no leg can follow is refused, with how far it could go.
+The output shows the load of each foot in contact and its friction utilisation, uphill with one foot
+in the air; then the error for a roll that no leg can follow, with the possible values.
 """
 
 import math
@@ -10,7 +10,7 @@ import pupper_analysis as pa
 
 
 def main() -> None:
-    """Stands on three legs on a slope of 5 degrees, and then asks for too much."""
+    """Solve a stand on three legs on a slope of 5 degrees, and one that is out of reach."""
     robot = pa.load_variant("v3")
     task = pa.StandTask(
         ground=pa.Ground(slope=math.radians(5)), swing={"FL": 0.02}, com="inside", com_margin=0.01

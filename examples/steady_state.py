@@ -1,14 +1,14 @@
-"""Why does it not stand where it is told to: servos sag, and the ground gives way.
+"""Predict where the robot comes to rest on its servos: servos and ground yield.
 
-One sees where Pupper v3 comes to rest on its own servos without feed-forward, predicted without a
-simulation and then simulated; and the least kp with which servos would still carry it.
+The output shows the height of Pupper v3 without feed-forward, predicted without a simulation and
+then simulated, and the least kp with which the servos carry it.
 """
 
 import pupper_analysis as pa
 
 
 def main() -> None:
-    """Predicts the steady state under the servos, simulates it, and softens the servos."""
+    """Predict and simulate the rest on servos; print the least stiffness that suffices."""
     robot = pa.load_variant("v3")
     stand = pa.stance.solve_stand_as_simulated(robot)
     print(f"commanded {1e3 * robot.stand_height:.2f} mm")

@@ -1,7 +1,7 @@
-"""What does a policy ask of the motors: a stand that balances by its hips, made here.
+"""Simulate a policy and its motor torques: a policy that balances with the hips, written here.
 
-One sees each motor's torque, and that a policy that was made to stand does not walk. Pupper's own,
-``launch/policy_latest.json`` of github.com/G-Levine/neural_controller, walks v3 at 0.47 m/s.
+The output shows the torque of the motors of a leg, and that a policy for standing does not walk. Pupper's
+own, ``launch/policy_latest.json`` of github.com/G-Levine/neural_controller, walks v3 at 0.47 m/s.
 """
 
 import json
@@ -13,10 +13,11 @@ from pupper_analysis.tools.walk.gait import simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
 
 POSE = [0.26, 0.0, -0.52, -0.26, 0.0, 0.52] * 2
+"""Default joint angles of the policy [rad]."""
 
 
 def make_policy(path: Path) -> Policy:
-    """Write one layer that meets leans to the side with the hips, as RTNeural's JSON."""
+    """Write a policy of one layer that corrects lateral tilt with the hips, in RTNeural's JSON."""
     weights = [[0.0] * 12 for _ in range(36)]
     weights[4] = [0.0, 0.2, 0.0] * 4  # the direction of gravity, to the left
     layer = {"type": "dense", "activation": "tanh", "weights": [weights, [0.0] * 12]}

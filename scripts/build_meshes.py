@@ -40,6 +40,7 @@ from trimesh.geometry import align_vectors
 from trimesh.transformations import translation_matrix
 
 DEFAULT_OUTPUT = Path(__file__).resolve().parents[1] / "mjcf" / "meshes"
+"""Folder of the meshes in this repository."""
 
 
 class BoltCircle(NamedTuple):
@@ -62,40 +63,83 @@ Z = np.array([0.0, 0.0, 1.0])
 
 # --- From the Pupper v3 model ------------------------------------------------------------- [m]
 TORSO_BOX_CENTRE = np.array([0.02146, 0.0, 0.03345])
+"""Centre of the torso's collision box in the base frame [m]."""
+
 TORSO_BOX_HALF_SIZE = np.array([0.129715, 0.04507, 0.06379])
+"""Half edge lengths of the torso's collision box [m]."""
+
 HIP_CENTRES_LEFT = np.array([[0.075, 0.0835, 0.0], [-0.075, 0.0725, 0.0]])
+"""Centres of the front and rear left hips in the base frame [m]."""
+
 KNEE_BACK, KNEE_DOWN = 0.0685, 0.0494  # knee from hip centre, base frame, angles at zero
 KNEE_HOUSING_RADIUS = 0.025
+"""Radius of the housing around the third motor [m]."""
+
 KNEE_HOUSING_HALF_LENGTH = 0.015
+"""Half length of that housing along y [m]."""
+
 FOOT_OUTWARD = 0.018
+"""Distance of the foot from the plane of the leg, along y of the calf frame [m]."""
+
 FOOT_DISTANCE = float(np.hypot(0.06231, 0.06216))
+"""Distance of the foot from the knee along z of the calf frame [m]."""
+
 FOOT_RADIUS = 0.01995
+"""Radius of the foot's ball [m]."""
 
 THIGH_LENGTH = float(np.hypot(KNEE_BACK, KNEE_DOWN))
+"""Distance of the knee from the hip centre in the plane of the leg [m]."""
+
 # Unit vectors of the base frame seen from the thigh frame: the second motor's axis, which points
 # back from the hip to the thigh, and "up".
 THIGH_BACK = np.array([-KNEE_DOWN, 0.0, KNEE_BACK]) / THIGH_LENGTH
 THIGH_UP = np.array([-KNEE_BACK, 0.0, -KNEE_DOWN]) / THIGH_LENGTH
 
 # --- Fineness ---------------------------------------------------------------------------------
-SECTIONS = 30  # facets around a motor can
-RECESS_SECTIONS = 18  # facets around the recess in a motor's face
-BOLT_SECTIONS = 6  # facets around a bolt hole
-FINE_BALL_RADIUS = 0.0055  # [m] from which a hull's edges are rounded more finely
-ARC_SEGMENTS = 2  # facets in a quarter of a rounded outline corner
-TOLERANCE = 0.0001  # [m] by which a surface may change to save triangles
-FAR = 0.1  # [m] beyond every part, for cutters that go right through
-OVERSHOOT = 0.001  # [m] by which a cutter sticks out of what it cuts
+SECTIONS = 30
+"""Facets around a motor can."""
+
+RECESS_SECTIONS = 18
+"""Facets around the recess in a motor's face."""
+
+BOLT_SECTIONS = 6
+"""Facets around a bolt hole."""
+
+FINE_BALL_RADIUS = 0.0055
+"""Radius [m] from which the edges of a hull are rounded with more facets."""
+
+ARC_SEGMENTS = 2
+"""Facets in a quarter of a rounded corner of an outline."""
+
+TOLERANCE = 0.0001
+"""Distance [m] by which a surface may change to save triangles."""
+
+FAR = 0.1
+"""Distance [m] beyond every part, for cutters that go right through."""
+
+OVERSHOOT = 0.001
+"""Distance [m] by which a cutter sticks out of what it cuts."""
 
 # --- Motor cans --------------------------------------------------------------------------- [m]
 CHAMFER = 0.0015
+"""Width of the chamfer at the rims of a motor can [m]."""
+
 FIN_GROOVE_WIDTH = 0.0020
+"""Width of a cooling groove [m]."""
+
 FIN_GROOVE_DEPTH = 0.0020
+"""Depth of a cooling groove [m]."""
+
 BOLT_RADIUS = 0.0014
+"""Radius of a bolt hole [m]."""
+
 BOLT_DEPTH = 0.0018
+"""Depth of a bolt hole [m]."""
 
 # Torso: all lengths in metres.
 SHELL_RADIUS = 0.012
+"""Radius of the shell's edges [m]."""
+
 # Ball centres of the shell: (x, y, z), each also at -y; rear, haunch, shoulder, chest.
 SHELL_BALLS = np.array(
     [
@@ -107,37 +151,72 @@ SHELL_BALLS = np.array(
 )  # fmt: skip
 SEAM_XS = (-0.038, 0.038)  # panel lines between haunches, belly and shoulders
 SEAM_WIDTH = 0.0014
+"""Width of a panel line of the shell [m]."""
+
 SEAM_DEPTH = 0.0012
+"""Depth of a panel line [m]."""
+
 VENT_XS = (-0.0165, -0.0055, 0.0055, 0.0165)
+"""x coordinates of the vents in the shell [m]."""
+
 VENT_RADIUS = 0.0022
+"""Half width of a vent [m]."""
+
 VENT_Z = 0.0390  # of the middle of a vent
 VENT_REACH, VENT_LEAN = 0.012, 0.0035  # from there to its upper end, along z and x
 VENT_DEPTH = 0.004
+"""Depth of a vent [m]."""
+
 BOSS_RADIUS = 0.0235  # the collar a hip can turns on
 
 HEAD_RADIUS = 0.010
+"""Radius of the head's edges [m]."""
+
 HEAD_BALLS = np.array(
     [
         [0.0940, 0.029, 0.034], [0.0940, 0.029, 0.066],
         [0.1310, 0.032, 0.026], [0.1260, 0.032, 0.069],
     ]
 )  # fmt: skip
+"""Centres of the balls of the head's hull [m], each also at -y."""
+
 DISPLAY_WIDTH, DISPLAY_HEIGHT, DISPLAY_CORNER = 0.060, 0.029, 0.010
+"""Width, height and corner radius of the display [m]."""
+
 DISPLAY_RISE = 0.007  # of the display's centre over the face's
 DISPLAY_DEPTH = 0.0025
+"""Depth of the display's recess in the face [m]."""
+
 EYE_APART, EYE_RADIUS, EYE_HEIGHT = 0.0155, 0.0088, 0.0022
+"""Distance of an eye from the middle, its radius and its height over the display [m]."""
+
 PUPIL_RADIUS, PUPIL_RISE = 0.0045, 0.0015
+"""Radius of a pupil, and its height over the eye's centre [m]."""
+
 SNOUT_RADIUS = 0.0054
+"""Radius of the snout's edges [m]."""
+
 SNOUT_HALF_WIDTH = 0.009
+"""Half width of the snout without its edges [m]."""
+
 SNOUT_DROP = 0.0165  # of the snout's centre below the face's
 SNOUT_REACH = 0.0045
+"""Distance of the snout's front balls from the face [m]."""
+
 LENS_RADIUS, LENS_DEPTH = 0.0036, 0.0015
+"""Radius and depth of the hole for the camera's lens [m]."""
+
 EAR_RADIUS = 0.0025
+"""Radius of the ears' edges [m]."""
+
 EAR_BALLS = np.array([[0.100, 0.036, 0.070], [0.122, 0.036, 0.072], [0.104, 0.031, 0.0930]])
+"""Centres of the balls of an ear's hull [m]."""
 
 PAD_RADIUS = 0.004  # battery cover on the back
 PAD_BALLS = np.array([[-0.078, 0.016, 0.052], [-0.074, 0.014, 0.070],
                       [0.062, 0.016, 0.052], [0.058, 0.014, 0.070]])  # fmt: skip
+"""Centres of the balls of the battery cover's hull [m], each also at -y."""
+
 # Rows as in rounded_bar.
 HANDLE_PATH = (
     (-0.0600, 0.0, 0.0680, 0.0042, 0.007),
@@ -145,42 +224,80 @@ HANDLE_PATH = (
     (0.0260, 0.0, 0.0915, 0.0042, 0.007),
     (0.0440, 0.0, 0.0680, 0.0042, 0.007),
 )
+"""Chain of the handle [m]; rows as in ``rounded_bar``."""
+
 TAIL_PATH = (
     (-0.0860, 0.0, 0.0480, 0.0054, 0.0),
     (-0.0985, 0.0, 0.0680, 0.005, 0.0),
     (-0.1020, 0.0, 0.0900, 0.004, 0.0),
 )
+"""Chain of the tail [m]; rows as in ``rounded_bar``."""
 
 # Hip: all lengths in metres.
 HIP_CAN_RADIUS = 0.026
+"""Radius of the first motor's can [m]."""
+
 HIP_CAN_INWARD = 0.022  # how far the can reaches towards the torso
 HIP_CAN_OUTWARD = 0.020
+"""Distance that the can reaches away from the torso [m]."""
+
 HIP_FINS = (0.0165, 0.0215, 0.0265)
+"""Positions of the grooves along the can [m]."""
+
 HIP_BOLTS = BoltCircle(8, 0.0195, 0.012)
+"""Bolts in the outer face of the can."""
+
 HIP_BADGE_RADIUS, HIP_BADGE_SUNK = 0.009, 0.0006  # the disc in the recess
 ROLL_CAN_RADIUS = 0.019
+"""Radius of the second motor's can [m]."""
+
 ROLL_CAN_HALF_LENGTH = 0.030
+"""Half length of the second motor's can along x [m]."""
+
 ROLL_BOLTS = BoltCircle(6, 0.013, 0.007)
+"""Bolts in the face of the second motor's can."""
 
 # Thigh: all lengths in metres.
 AXLE_RADIUS = 0.013  # bridges the hip and the cap, also when the thigh is stretched
 CAP_NEAR, CAP_FAR = 0.0305, 0.040  # along the second motor's axis
 CAP_RADIUS = 0.0185
+"""Radius of the cap on the second motor [m]."""
+
 CAP_BOLTS = BoltCircle(6, 0.0135)
+"""Bolts in the cap."""
+
 KNEE_FINS = (0.0102, 0.015, 0.0198)
+"""Positions of the grooves along the third motor's housing [m]."""
+
 KNEE_BOLTS = BoltCircle(6, 0.018, 0.0115)
+"""Bolts in the housing."""
+
 BAR_RADIUS = 0.005
+"""Radius of the edges of the thigh's bar [m]."""
+
 BAR_HALF_WIDTH = 0.011
+"""Half width of the bar along y [m]."""
+
 BAR_KNEE_CORNERS = ((-0.017, 0.0), (0.016, 0.008))  # back and up from the knee, angles at zero
 POCKET_DEPTH = 0.0035
+"""Depth of the pockets in both sides of the bar [m]."""
+
 POCKET_RIM = 0.0045
+"""Width of the bar's rim around a pocket [m]."""
+
 POCKET_GAP = 0.003  # between the pocket and the knee housing
 POCKET_CORNER = 0.003
+"""Corner radius of a pocket [m]."""
+
 HOLE_RIM = 0.0025  # of the pocket around the hole through the bar
 
 # Calf: all lengths in metres.
 DISC_RADIUS = 0.0225
+"""Radius of the disc on the knee [m]."""
+
 DISC_BOLTS = BoltCircle(6, 0.0165, 0.0095)
+"""Bolts in the disc."""
+
 DISC_NEAR, DISC_FAR = 0.0135, 0.0255  # y; the knee housing ends at 0.015
 # Rows as in rounded_bar, from the knee to the middle of the foot; the shank bows backwards.
 SHANK_PATH = (
@@ -190,11 +307,17 @@ SHANK_PATH = (
     (-0.0015, FOOT_OUTWARD, 0.0640, 0.0050, 0.0030),
     (0.0000, FOOT_OUTWARD, FOOT_DISTANCE - 0.0050, 0.0050, 0.0020),
 )
+"""Chain of the shank from the knee to the middle of the foot [m], curved backwards; rows as in
+``rounded_bar``."""
+
 SLOT = ((-0.0046, 0.0265), (-0.0046, 0.0420))  # (x, z) of its ends
 SLOT_RADIUS = 0.0034
+"""Half width of the slot through the shank [m]."""
+
 # Along z; the collar lies across the surface of the ball.
 COLLAR_NEAR, COLLAR_FAR = FOOT_DISTANCE - 1.25 * FOOT_RADIUS, FOOT_DISTANCE - 0.7 * FOOT_RADIUS
 COLLAR_RADIUS = 0.0115
+"""Radius of the collar [m]."""
 
 
 def place(mesh: Trimesh, axis: ArrayLike, at: ArrayLike = (0.0, 0.0, 0.0)) -> Trimesh:
@@ -203,11 +326,11 @@ def place(mesh: Trimesh, axis: ArrayLike, at: ArrayLike = (0.0, 0.0, 0.0)) -> Tr
 
 
 def rounded_hull(balls: ArrayLike, radius: ArrayLike) -> Trimesh:
-    """Convex hull of balls: a box-like shape with round edges.
+    """Return the convex hull of balls, a shape with round edges.
 
     Args:
         balls: Centres of the balls, shape (n, 3) [m].
-        radius: Their radius, one for all or one for each [m].
+        radius: Radius of all balls, or of each [m].
     """
     sphere = icosphere(subdivisions=2 if np.max(radius) >= FINE_BALL_RADIUS else 1).vertices
     surface = np.asarray(balls)[:, None] + np.reshape(radius, (-1, 1, 1)) * sphere
@@ -215,17 +338,17 @@ def rounded_hull(balls: ArrayLike, radius: ArrayLike) -> Trimesh:
 
 
 def both_sides(points: ArrayLike) -> np.ndarray:
-    """The points and their mirror images in the plane y = 0, shape (2 n, 3) [m]."""
+    """Return the points and their mirror images in the plane y = 0, shape (2 n, 3) [m]."""
     right = np.asarray(points)
     return np.vstack([right, right * [1, -1, 1]])
 
 
 def rounded_bar(path: ArrayLike, across: np.ndarray) -> Trimesh:
-    """A bar with round edges along a chain of points.
+    """Return a bar with round edges along a chain of points.
 
     Args:
-        path: One row (x, y, z, radius, half width) for each point of the bar's middle: the radius
-            is that of the edges, the half width runs from edge to edge without it [m].
+        path: A row (x, y, z, radius, half width) per point of the bar's middle [m]: the radius
+            is that of the edges, the half width is measured from edge to edge without it.
         across: Unit vector of the width.
     """
     middle, radius, half_width = np.split(np.asarray(path, dtype=float), [3, 4], axis=1)
@@ -236,12 +359,12 @@ def rounded_bar(path: ArrayLike, across: np.ndarray) -> Trimesh:
 
 
 def motor_can(radius: float, length: float, fins: Iterable[float] = ()) -> Trimesh:
-    """A motor housing along z from 0 to `length`, with chamfered rims and cooling grooves.
+    """Return a motor housing along z from 0 to ``length``, with chamfered rims and cooling grooves.
 
     Args:
         radius: Outer radius [m].
         length: Length along z [m].
-        fins: Where along z the middles of the grooves lie, in rising order [m].
+        fins: Position of the middle of each groove along z, in rising order [m].
     """
     profile = [(0.0, 0.0), (radius - CHAMFER, 0.0), (radius, CHAMFER)]
     for middle in fins:
@@ -255,7 +378,7 @@ def motor_can(radius: float, length: float, fins: Iterable[float] = ()) -> Trime
 
 
 def bolt_holes(bolts: BoltCircle, top: float) -> Trimesh:
-    """Cutter for a bolt circle in a face that looks along z, at the height `top` [m]."""
+    """Return the cutter for a bolt circle in a face towards z, at the height ``top`` [m]."""
     ends = np.array([[0, 0, top - BOLT_DEPTH], [0, 0, top + OVERSHOOT]])
     angles = 2 * np.pi * (np.arange(bolts.number) + 0.5) / bolts.number
     axes = bolts.circle * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
@@ -275,7 +398,7 @@ def prism(outline: Polygon, low: float, high: float) -> Trimesh:
 
 
 def tidied(mesh: Trimesh) -> Trimesh:
-    """The mesh without the slivers that booleans leave; no surface moves more than TOLERANCE."""
+    """Return the mesh without slivers of boolean operations; surfaces move at most TOLERANCE."""
     solid = Manifold(Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)))
     slim = solid.simplify(TOLERANCE).to_mesh()
     return Trimesh(slim.vert_properties, slim.tri_verts, process=False)
@@ -316,7 +439,7 @@ def build_collars() -> Trimesh:
 
 
 def build_head() -> Trimesh:
-    """Head with a display face, two eyes, a snout with a camera, and ears."""
+    """Build the head with a display face, two eyes, a snout with a camera, and ears."""
     head = rounded_hull(both_sides(HEAD_BALLS), HEAD_RADIUS)
     # The face's plane: y is its first direction, `up` its second and `out` its normal.
     up = HEAD_BALLS[3] * [1, 0, 1] - HEAD_BALLS[2] * [1, 0, 1]
@@ -327,6 +450,7 @@ def build_head() -> Trimesh:
     face[:3, :] = np.column_stack([Y, up, out, middle])
 
     def on_face(mesh: Trimesh, right: float, rise: float, lift: float) -> Trimesh:
+        """Move a mesh from the origin to a point of the face [m]: along y, upwards and outwards."""
         return mesh.apply_transform(face @ translation_matrix([right, rise, lift]))
 
     window = box(-DISPLAY_WIDTH / 2, -DISPLAY_HEIGHT / 2, DISPLAY_WIDTH / 2, DISPLAY_HEIGHT / 2)
@@ -368,7 +492,7 @@ def build_torso() -> Trimesh:
 
 
 def build_hip() -> Trimesh:
-    """Right hip: the can of the first motor along y, crossed by the second motor's along x."""
+    """Build a right hip: the first motor's can along y, and the second motor's along x."""
     length = HIP_CAN_INWARD + HIP_CAN_OUTWARD
     can = motor_can(HIP_CAN_RADIUS, length, HIP_FINS)
     badge = cylinder(
@@ -384,7 +508,7 @@ def build_hip() -> Trimesh:
 
 
 def build_thigh() -> Trimesh:
-    """Right thigh: a cap on the second motor, a pocketed bar, and the third motor's housing."""
+    """Build a right thigh: a cap on the second motor, a bar, and the third motor's housing."""
     knee = THIGH_LENGTH * Z
     cap = motor_can(CAP_RADIUS, CAP_FAR - CAP_NEAR)
     cap = difference([cap, bolt_holes(CAP_BOLTS, CAP_FAR - CAP_NEAR)])
@@ -422,7 +546,7 @@ def build_thigh() -> Trimesh:
 
 
 def build_calf() -> Trimesh:
-    """Right calf: the knee's disc, a tapered and bowed shank, and a collar on the foot's ball."""
+    """Build a right calf: the knee's disc, a tapered shank, and a collar on the foot's ball."""
     disc = motor_can(DISC_RADIUS, DISC_FAR - DISC_NEAR)
     disc = difference([disc, bolt_holes(DISC_BOLTS, DISC_FAR - DISC_NEAR)])
     place(disc, Y, at=DISC_NEAR * Y)
@@ -439,6 +563,7 @@ PARTS: dict[str, Callable[[], Trimesh]] = {
     "thigh": build_thigh,
     "calf": build_calf,
 }
+"""{name of the STL file: function that builds the part}."""
 
 
 @click.command()

@@ -111,17 +111,21 @@ def variant(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def robot(variant: str) -> pa.Robot:
+    """Robot of each variant in turn."""
     return load(variant)
 
 
 @pytest.fixture(scope="session")
 def stand(variant: str) -> pa.Stand:
+    """Nominal stand of each variant in turn."""
     return stand_of(variant)
 
 
 @pytest.fixture(scope="session")
 def tiny_files(tmp_path_factory: pytest.TempPathFactory) -> Files:
-    """A robot with a continuous and a sliding joint; each file has the joints in another order."""
+    """Files of a robot with a continuous and a sliding joint, which list the joints in different
+    orders.
+    """
     folder = tmp_path_factory.mktemp("tiny")
     files = Files(folder / "tiny.urdf", folder / "tiny.xml")
     files.urdf.write_text(TINY_URDF)
@@ -131,4 +135,5 @@ def tiny_files(tmp_path_factory: pytest.TempPathFactory) -> Files:
 
 @pytest.fixture(scope="session")
 def tiny(tiny_files: Files) -> pa.Robot:
+    """Robot of ``tiny_files``."""
     return pa.load_robot(urdf=tiny_files.urdf, mjcf=tiny_files.mjcf, feet=["foot"], as_is=True)

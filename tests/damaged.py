@@ -1,9 +1,9 @@
-"""Damaged files of every kind that a reader takes: each is read, or refused in one line.
+"""Check that damaged files of every kind are read, or rejected with a message of one line.
 
-    python tests/damaged.py 500       # of each kind (make fuzz does)
+A reader must end with a result or with an error of the package, within ``SECONDS`` of processor
+time and with at most ``MEMORY`` more memory than the process had. ::
 
-A reader ends with what it has read or with an error of the package's, within `SECONDS` of
-computing and `MEMORY` bytes more than the process had; anything else is a failure.
+    python tests/damaged.py 500       # files of each kind (make fuzz does the same)
 """
 
 from __future__ import annotations
@@ -40,17 +40,20 @@ from pupper_analysis.tools.study.study import Study
 from tests.support.robots import mjcf_text, quadruped, urdf_text
 
 SECONDS = 20
+"""Processor time [s] after which a reader counts as hanging."""
+
 MEMORY = 1_500_000_000
+"""Memory [bytes] that a reader may take in addition to that of the process."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of files.
+    """Kind of file that the package reads.
 
     Attributes:
-        name: Of a file.
-        sound: Its content.
-        read: What reads it; called with its path.
+        name: File name.
+        sound: Valid content.
+        read: Function that reads the file by its path.
     """
 
     name: str
@@ -59,17 +62,18 @@ class Kind:
 
 
 class Hang(BaseException):
-    """A reader has not ended in time."""
+    """Raised in a reader that has not ended in time."""
 
 
 def _csv(separator: str) -> bytes:
+    """Return a log of one joint as CSV with this separator."""
     header = separator.join(["time [ms]", "position.hip [deg]", "command.hip"])
     rows = [separator.join([str(5 * row), f"{0.1 * row}", f"{0.002 * row}"]) for row in range(120)]
     return "\n".join([header, *rows]).encode()
 
 
 def _bag(ending: str) -> bytes:
-    """The file of a bag with states, and commands."""
+    """Return the file of a ROS 2 bag with joint states and commands."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -96,6 +100,7 @@ def _bag(ending: str) -> bytes:
 
 
 def _stl() -> bytes:
+    """Return a binary STL of 20 random triangles."""
     corners = np.random.default_rng(0).normal(size=(20, 12)).astype("<f4")
     return bytes(80) + struct.pack("<I", 20) + b"".join(row.tobytes() + b"\0\0" for row in corners)
 
@@ -116,11 +121,13 @@ end_header
 3 0 1 2
 """
 _ONE_MESH = '<mujoco><asset><mesh name="m" file="{name}"/></asset><worldbody><body><joint/>'
+"""MJCF with one mesh, a format string with the attribute ``name``."""
+
 _ONE_MESH += '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
 
 
 def _read_mesh(path: Path) -> Any:
-    """Read a mesh as a conversion does, and an MJCF that has it."""
+    """Read a mesh as a conversion does, and an MJCF that refers to it."""
     readable = path.suffix in (".stl", ".obj")
     try:
         _ = read_mesh(path) if readable else convert_to_obj(path)
@@ -133,6 +140,7 @@ def _read_mesh(path: Path) -> Any:
 
 
 def _read_store(path: Path) -> Any:
+    """Read the request of the study in the folder of a file."""
     return Store(path.parent).read_request()
 
 
@@ -159,7 +167,7 @@ _BASELINE = b"""# known
 
 
 def _measured() -> tuple[Kind, ...]:
-    """What fit reads, which may have been dropped."""
+    """Return the kinds of files that ``fit`` reads, for a package with that tool."""
     from pupper_analysis.tools.fit.measurements.log import read_log
     from pupper_analysis.tools.fit.measurements.stands import read_stands
 
@@ -177,7 +185,7 @@ def _measured() -> tuple[Kind, ...]:
 
 @cache
 def kinds() -> tuple[Kind, ...]:
-    """All kinds of files."""
+    """Return all kinds of files."""
     return (
         *(_measured() if "fit" in own_tools() else ()),
         Kind(
@@ -196,7 +204,7 @@ def kinds() -> tuple[Kind, ...]:
 
 
 def damage(chance: random.Random, data: bytes) -> bytes:
-    """Return a file with one or several damages: of disks, of editors, and of who means harm."""
+    """Return the content with one or more random damages, as by disks, editors or attackers."""
     for _ in range(chance.choice([1, 1, 1, 2, 5])):
         at, to = sorted(chance.randrange(len(data) + 1) for _ in range(2))
         some = bytes(chance.randrange(256) for _ in range(chance.choice([1, 4, 8])))
@@ -221,11 +229,12 @@ def damage(chance: random.Random, data: bytes) -> bytes:
 
 
 _WORDS = (b"nan", b"1e999", b'"', b"[", b"{" * 3000, b"\n", b"\0", b"\xe4", b"::error::x", b"<a>")
+"""Texts that a damage inserts."""
 
 
 @contextmanager
 def _limits() -> Iterator[None]:
-    """Let no reader compute for long, or take much."""
+    """Limit the processor time and the memory of a reader."""
 
     def hang(_number: int, _frame: FrameType | None) -> None:
         raise Hang
@@ -244,7 +253,7 @@ def _limits() -> Iterator[None]:
 
 
 def problem_of(kind: Kind, data: bytes, folder: Path) -> str | None:
-    """Return what is wrong with how a file is read; None if nothing is."""
+    """Return what is wrong with how a file is read, or None."""
     path = folder / kind.name
     path.write_bytes(data)
     try:
@@ -264,7 +273,7 @@ def problem_of(kind: Kind, data: bytes, folder: Path) -> str | None:
 
 
 def problems_of(kind: Kind, count: int, seed: int, folder: Path) -> list[str]:
-    """Read a sound file and damaged ones; returns what is wrong, beginning with its number."""
+    """Read a valid file and ``count`` damaged ones; return each problem after kind and number."""
     for beside in kinds():  # which some name
         (folder / beside.name).write_bytes(beside.sound)
     kind.read(folder / kind.name)
@@ -278,7 +287,7 @@ def problems_of(kind: Kind, count: int, seed: int, folder: Path) -> list[str]:
 
 
 def main() -> None:
-    """Damages files, and says which were not refused as they should be."""
+    """Read damaged files of all kinds, and print each that is not rejected properly."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("count", nargs="?", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,15 +1,15 @@
-"""A fuzzer: spoilt files, odd names and odd arguments for every command, in one process.
+"""Fuzz every command in one process: damaged files, unusual names and unusual arguments.
 
-Whatever a command is given, it ends by itself within `SECONDS` with one of the documented statuses,
-without a traceback; it shows no character that acts on a terminal, and begins no line that a CI
-service obeys; it leaves every file whole; and it calls no MJCF sound, agreeing or holding that
-MuJoCo refuses. ::
+Whatever its input, a command must end by itself within ``SECONDS`` with a documented exit status
+and without a traceback. It must show no control character, print no line that a CI service
+executes, leave every file complete, and not accept an MJCF that MuJoCo rejects. ::
 
-    python tests/fuzz.py 20000            # as many inputs (make fuzz N=20000)
-    python tests/fuzz.py 500 --seed 1     # the same inputs as whoever gave that seed, as CI does
+    python tests/fuzz.py 20000            # number of inputs (make fuzz N=20000)
+    python tests/fuzz.py 500 --seed 1     # inputs of a seed, as in CI
     python tests/fuzz.py --again FILE     # one failure, as it was kept
 
-Failures are kept in build/fuzz; those that were mended are in tests/fuzz_seeds, which run as tests.
+Failures are kept in build/fuzz; failures that were repaired are in tests/fuzz_seeds and run as
+tests.
 """
 
 from __future__ import annotations
@@ -43,12 +43,15 @@ from hypothesis import strategies as st
 
 ROOT = Path(__file__).resolve().parent.parent
 KEPT = ROOT / "build" / "fuzz"
+"""Folder of the inputs that fail."""
 
 SECONDS = 20
-"""Of computing, after which a command hangs; of waiting five times as many: others compute, too."""
+"""Processor time [s] after which a command counts as hanging; the limit on elapsed time is five
+times as long, as other processes share the processor."""
 
 STATUSES = (0, 1, 2)
-"""Verified, not verified, bad input; 3, a bug, is what is looked for."""
+"""Documented exit statuses: verified, not verified, bad input. Status 3, an internal error, is a
+failure."""
 
 
 BEFORE = {
@@ -59,30 +62,30 @@ BEFORE = {
     "new.xml": b"<mujoco/>\n",
     "new.urdf": b"<robot/>\n",
 }
-"""What stands in every output file before the command runs: a result of its kind, or a model."""
+"""{output file: its content before the command runs}: a result of its kind, or a model."""
 
 STDIN = "stdin"
-"""The file that a command is given as standard input."""
+"""Name of the file that is the standard input of the command."""
 
 
 class Hang(BaseException):
-    """A command has not ended in time."""
+    """Raised in a command that has not ended in time."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One input.
+    """Input of one command.
 
     Attributes:
-        arguments: Of the command line.
-        files: {name: content} in the folder where it runs.
+        arguments: Arguments of the command line.
+        files: {name: content} of the folder in which the command runs.
     """
 
     arguments: tuple[str, ...]
     files: Mapping[str, bytes]
 
     def to_json(self) -> str:
-        """Return it as text: files as they are where they are UTF-8, else in base 64."""
+        """Return this input as JSON; contents that are not UTF-8 are in base 64."""
         files = {}
         for name, content in self.files.items():
             try:
@@ -93,7 +96,7 @@ class Case:
 
     @staticmethod
     def from_json(text: str) -> Case:
-        """Read what `to_json` has written."""
+        """Return the input that ``to_json`` has written."""
         said = json.loads(text)
         files = {
             name: content["text"].encode()
@@ -108,7 +111,7 @@ class Case:
 
 
 def problems(case: Case, folder: Path) -> Iterator[str]:
-    """Run a command in an empty folder; yields what it should not have done."""
+    """Run a command in an empty folder; yield each violation of the rules of this module."""
     for name, content in case.files.items():
         (folder / name).write_bytes(content)
     before = dict(case.files)
@@ -135,7 +138,7 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
 
 
 def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, float]:
-    """Run a command; returns its exit status, None if it hangs, and all that it printed."""
+    """Run a command; return exit status (None if it hangs), printed text and processor time [s]."""
     from pupper_analysis import cli
 
     def hang(_number: int, _frame: FrameType | None) -> None:
@@ -177,6 +180,7 @@ def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, flo
 
 
 def _shown(said: str, arguments: tuple[str, ...]) -> Iterator[str]:
+    """Yield control characters in the printed text, and lines that a CI service executes."""
     github = "github" in arguments
     joiner = "\u2060" if "markdown" in arguments else ""  # which keeps names from acting there
     for letter in sorted(set(said) - {"\n", joiner}):
@@ -192,6 +196,7 @@ def _shown(said: str, arguments: tuple[str, ...]) -> Iterator[str]:
 
 
 def _around(said: str, letter: str) -> str:
+    """Return the text around the first occurrence of a character."""
     place = said.index(letter)
     return said[max(0, place - 40) : place + 40]
 
@@ -199,6 +204,7 @@ def _around(said: str, letter: str) -> str:
 def _written(
     folder: Path, before: Mapping[str, bytes], arguments: tuple[str, ...]
 ) -> Iterator[str]:
+    """Yield files that are missing, incomplete, temporary, or changed without permission."""
     read = _checked(folder, arguments) if arguments else []
     for name, content in before.items():
         path = folder / name
@@ -236,13 +242,15 @@ def _written(
 
 
 def _no_constant(word: str) -> None:
+    """Reject NaN and infinity in JSON."""
     raise ValueError(f"{word} is in it")
 
 
 def _refused(folder: Path, case: Case) -> str | None:
-    """Return what MuJoCo has against an MJCF that a command was given, by MuJoCo's own reader.
+    """Return the error of MuJoCo's own reader for the MJCF that a command was given.
 
-    Unless ``--force --json robot.xml`` has written something else there, as it was asked to.
+    None if there is no error or no MJCF, or if the command has overwritten the file, as by
+    ``--force --json robot.xml``.
     """
     import mujoco
 
@@ -260,7 +268,7 @@ def _refused(folder: Path, case: Case) -> str | None:
 
 
 def _checked(folder: Path, arguments: tuple[str, ...]) -> list[str]:
-    """Return the MJCFs that ``check`` was to look at: a pair may have lost its own."""
+    """Return the MJCFs that ``check`` reads by its configuration; empty for other commands."""
     if arguments[0] != "check":
         return []
     try:
@@ -283,6 +291,7 @@ ABSURD = (
     *("1,5", "1_000", "\u0661", "1 2", "1 2 3 4 5 6 7", "a", "true", "-0", "1e5", "1e-9"),
     *("999999999999999999999", "../../etc", "%s%n", "\u00e9"),
 )
+"""Unusual numbers and texts as values of attributes and options."""
 
 NAMES = (
     *("", " ", "a b", "a/b", "../x", "a:b", "\n", "\u009b", "a\n::error::owned"),
@@ -291,11 +300,14 @@ NAMES = (
     *("[/]", "%s", "{0}", "--help", "\ufeff", "x" * 3000, "world", "base", "universe", "NaN"),
     *("root_joint", "__free__", "__root__", "null", "'", '"', "&", "]]>", "-->", "\U0001f980"),
 )
+"""Unusual names: empty, long, reserved, with control characters, markup or commands of CI
+services."""
 
 _REFERENCES = _words("""
 joint joint1 joint2 site body body1 body2 geom geom1 geom2 link mesh material class childclass
 tendon actuator objname file reftype refname name key texture hfield target refsite cranksite
 """)
+"""Attributes that are names or that refer to elements by name."""
 
 _RICH = """
 <default><default class="leg"><geom rgba="1 0 0 1"/></default></default>
@@ -312,17 +324,19 @@ _RICH = """
 <custom><numeric name="n" data="1 2"/><tuple name="t"><element objtype="body" objname="base"/>
 </tuple></custom>
 """
+"""Sections of an MJCF with many references between elements."""
 
 _ATTRIBUTE = re.compile(rb'([\w:]+)=(["\'])(.*?)\2', re.DOTALL)
 _ELEMENT = re.compile(rb"<(\w+)[^<>]*/>")
 
 
 def _attribute(chosen: re.Match[bytes], value: str) -> bytes:
+    """Return an attribute with another value, escaped for XML."""
     return chosen[1] + b"=" + quoteattr(value, {"\n": "&#10;"}).encode("utf-8", "surrogatepass")
 
 
 def _spoil_value(draw: st.DrawFn, text: bytes) -> bytes:
-    """Put something absurd, or a slip, in place of one value, or of one number of several."""
+    """Replace one value, or one number of a list, by an unusual value or by a plausible mistake."""
     found = list(_ATTRIBUTE.finditer(text))
     if not found:
         return text
@@ -341,7 +355,7 @@ def _spoil_value(draw: st.DrawFn, text: bytes) -> bytes:
 
 
 def _dangle(draw: st.DrawFn, text: bytes) -> bytes:
-    """Let one reference, or name, be another."""
+    """Replace one name, or one reference, by another."""
     found = [at for at in _ATTRIBUTE.finditer(text) if at[1].decode() in _REFERENCES]
     if not found:
         return text
@@ -352,6 +366,7 @@ def _dangle(draw: st.DrawFn, text: bytes) -> bytes:
 
 
 def _flip(draw: st.DrawFn, text: bytes) -> bytes:
+    """Invert up to six bits."""
     spoilt = bytearray(text)
     for _ in range(draw(st.integers(1, 6))):
         if spoilt:
@@ -360,11 +375,12 @@ def _flip(draw: st.DrawFn, text: bytes) -> bytes:
 
 
 def _cut(draw: st.DrawFn, text: bytes) -> bytes:
+    """Cut off the end."""
     return text[: draw(st.integers(0, len(text)))]
 
 
 def _element(draw: st.DrawFn, text: bytes) -> bytes:
-    """Drops an element, doubles it, moves it, or changes its tag."""
+    """Delete, duplicate or move an element, or change its tag."""
     found = list(_ELEMENT.finditer(text))
     if not found:
         return text
@@ -377,13 +393,14 @@ def _element(draw: st.DrawFn, text: bytes) -> bytes:
 
 
 def _drop(draw: st.DrawFn, text: bytes) -> bytes:
+    """Delete one attribute."""
     found = list(_ATTRIBUTE.finditer(text))
     chosen = draw(st.sampled_from(found)) if found else None
     return text[: chosen.start()] + text[chosen.end() :] if chosen else text
 
 
 def _wrap(draw: st.DrawFn, text: bytes) -> bytes:
-    """Put an element into others that an MJCF may have around it."""
+    """Put an element into another element, such as a frame or a body."""
     found = list(_ELEMENT.finditer(text))
     if not found:
         return text
@@ -395,6 +412,7 @@ def _wrap(draw: st.DrawFn, text: bytes) -> bytes:
 
 
 def _encode(draw: st.DrawFn, text: bytes) -> bytes:
+    """Encode the text otherwise than its declaration states, or as it states."""
     said = draw(st.sampled_from(["utf-8", "latin-1", "utf-16", "ascii", "nonsense", "utf-7"]))
     real = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1", "utf-32"]))
     letters = f'<?xml version="1.0" encoding="{said}"?>\n<!-- \u00e9 -->\n' + text.decode(
@@ -409,10 +427,12 @@ SPOIL: tuple[Callable[[st.DrawFn, bytes], bytes], ...] = (
     *(_element, _drop, _wrap) * 2,
     *(_flip, _cut, _encode),
 )
+"""Functions that damage a file; a function that occurs more often is drawn more often."""
 
 
 @functools.cache
 def _base_files() -> list[tuple[bytes, bytes]]:
+    """Return (URDF, MJCF) of small robots, also with many references."""
     from tests.support.robots import arm, mjcf_text, quadruped, urdf_text
 
     pairs = []
@@ -428,14 +448,14 @@ def _base_files() -> list[tuple[bytes, bytes]]:
 
 @functools.cache
 def _legged() -> tuple[bytes, bytes]:
-    """Return a pair that stands."""
+    """Return the URDF and the MJCF of Pupper's skeleton, which stands."""
     skeleton = ROOT / "urdf" / "pupper_skeleton.urdf", ROOT / "mjcf" / "pupper_skeleton.xml"
     return skeleton[0].read_bytes(), skeleton[1].read_bytes()
 
 
 @st.composite
 def spoilt_files(draw: st.DrawFn, pair: tuple[bytes, bytes] | None = None) -> dict[str, bytes]:
-    """Draw a URDF and an MJCF of one robot, one of which is spoilt, or both."""
+    """Draw the URDF and the MJCF of a robot, of which one or both are damaged."""
     urdf, mjcf = draw(st.sampled_from([*_base_files(), _legged()] if pair is None else [pair]))
     which = draw(st.sampled_from(["urdf", "mjcf", "mjcf", "both"]))
     for _ in range(draw(st.sampled_from([1, 1, 2, 3]))):
@@ -459,7 +479,7 @@ a,b centre inside FL=2cm FL=1e9 FL=nan FL =1 XX=1cm FL=1cm,2cm FL=0,0,0 = a=b *=
 1.1 1e-6 1kg
 """),
 )
-"""What is given to an option whose type says no more."""
+"""Values for options whose type allows any text."""
 
 _VALUES = {
     "--json": ("out.json", "-", "", "no/such/x.json", ".", "x" * 300, "robot.xml", "./robot.urdf"),
@@ -469,12 +489,12 @@ _VALUES = {
     "--take": ("urdf", "mjcf", "mjcf:*", "urdf:x", "1", "", "0", "urdf:1"),
     "--config": ("pupper-analysis.toml", "none.toml", "."),
 }
-"""{option: what is given}; to others what their types say."""
+"""{option: values to draw}; for other options ``options_of`` chooses by their type."""
 
 
 @functools.cache
 def options_of(command: str) -> dict[str, tuple[str, ...]]:
-    """Return {option of a command: what is given to it}; of a flag nothing."""
+    """Return {option of a command: values to draw}; none for a flag."""
     from pupper_analysis import cli
 
     found = {}
@@ -495,7 +515,7 @@ def options_of(command: str) -> dict[str, tuple[str, ...]]:
 
 
 def _options(draw: st.DrawFn, command: str, most: int, least: int = 0) -> list[str]:
-    """Draw some of a command's options, with what is given to them."""
+    """Draw between ``least`` and ``most`` options of a command, with values."""
     known = options_of(command)
     names = st.sampled_from(sorted(known))
     chosen = draw(st.lists(names, min_size=least, max_size=most, unique=True))
@@ -508,7 +528,7 @@ def _options(draw: st.DrawFn, command: str, most: int, least: int = 0) -> list[s
 
 @st.composite
 def on_files(draw: st.DrawFn) -> Case:
-    """Draw a command on spoilt files."""
+    """Draw a command on damaged files."""
     models = ["audit"] * 20 + ["crosscheck"] * 18 + ["sync"] * 10
     command = draw(st.sampled_from([*models, *["stand"] * 6, "payload"]))
     files = draw(spoilt_files(None if command in models else _legged()))
@@ -554,6 +574,7 @@ kp = { uniform = [20.0, 40.0] }
 ground_clearance = 0.0
 """,
 }
+"""{configuration file: valid content}."""
 
 _TOML_VALUES = (
     *("nan", "inf", "-1", "0", '""', "[]", "{}", "true", "1e400", "99999999999999999999"),
@@ -561,10 +582,11 @@ _TOML_VALUES = (
     *('"../x"', '"\\u202e"', '"\\n::error::owned"', "{ normal = [0, -1] }", "[[1]]", '"v3"'),
     "1979-05-27",
 )
+"""Unusual values of a TOML file."""
 
 
 def _spoil_toml(draw: st.DrawFn, text: bytes) -> bytes:
-    """Spoils a line or some bits of a TOML file."""
+    """Damage a line or some bits of a TOML file."""
     rows = text.decode("utf-8", "replace").split("\n")
     at = draw(st.integers(0, len(rows) - 1))
     name, equals, _ = rows[at].partition("=")
@@ -589,7 +611,7 @@ def _spoil_toml(draw: st.DrawFn, text: bytes) -> bytes:
 
 @st.composite
 def on_projects(draw: st.DrawFn) -> Case:
-    """Draw a command on several files, of which one or some are spoilt; or on standard input."""
+    """Draw a command on several files, some of them damaged, or on standard input."""
     command = draw(st.sampled_from(["diff", "diff", "check", "check", "convert", "study", "-"]))
     files = draw(spoilt_files())
     of = "audit" if command == "-" else command
@@ -622,7 +644,7 @@ def on_projects(draw: st.DrawFn) -> Case:
 
 @st.composite
 def on_variants(draw: st.DrawFn) -> Case:
-    """Draw a command with odd arguments."""
+    """Draw a command with unusual arguments on a variant of Pupper."""
     # A push is simulated for half a minute if nothing is wrong with its arguments.
     commands = ["stand"] * 5 + ["payload"] * 3 + ["workspace", "best", "path", "push", "analyze"]
     command = draw(st.sampled_from([*commands, "live"]))
@@ -645,7 +667,7 @@ def on_variants(draw: st.DrawFn) -> Case:
 
 
 def cases() -> st.SearchStrategy[Case]:
-    """Draw inputs: one in six is of arguments alone."""
+    """Draw inputs; one in six consists of arguments only."""
     return st.one_of(*[on_files()] * 4, on_projects(), on_variants())
 
 
@@ -653,13 +675,13 @@ def cases() -> st.SearchStrategy[Case]:
 
 
 def found_in(case: Case) -> list[str]:
-    """Run a case in a folder of its own; returns what is wrong."""
+    """Run an input in a temporary folder; return its problems."""
     with tempfile.TemporaryDirectory() as folder:
         return list(problems(case, Path(folder)))
 
 
 def chunk(seed: int, count: int, seconds: float) -> int:
-    """Run some inputs in this process; keeps those that fail. Returns how many ran."""
+    """Run inputs in this process and keep those that fail; return how many were run."""
     end = time.monotonic() + seconds
     ran = 0
     now = KEPT / f"running-{os.getpid()}.json"
@@ -690,7 +712,7 @@ def chunk(seed: int, count: int, seconds: float) -> int:
 
 
 def keep(case: Case, found: list[str]) -> None:
-    """Keep an input that fails, and says why."""
+    """Write an input that fails to ``KEPT``, and print its problems."""
     path = KEPT / f"{secrets.token_hex(4)}.json"
     path.write_text(json.dumps({**json.loads(case.to_json()), "found": found}, indent=1))
     print(f"{path.name}: {' '.join(case.arguments)[:120]!a}")
@@ -699,9 +721,15 @@ def keep(case: Case, found: list[str]) -> None:
 
 
 def run(count: int, seconds: float, seed: int, size: int = 250) -> int:
-    """Run inputs in processes of some hundred each; returns how many failed.
+    """Run inputs in processes of ``size`` inputs each; return how many failed.
 
-    A process that dies, or hangs in an engine, is a failure of the input that it was at.
+    A process that dies or hangs is a failure of the input that it was running.
+
+    Args:
+        count: Number of inputs.
+        seconds: Time after which no further process is started [s].
+        seed: Seed of the first process.
+        size: Inputs per process.
     """
     KEPT.mkdir(parents=True, exist_ok=True)
     kept = set(KEPT.glob("[!r]*.json"))
@@ -729,7 +757,7 @@ def run(count: int, seconds: float, seed: int, size: int = 250) -> int:
 
 
 def main() -> None:
-    """Run the fuzzer."""
+    """Run the fuzzer by its command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("count", nargs="?", type=int, default=2000)
     parser.add_argument("--seconds", type=float, default=1e9, help="stop after so long")

@@ -1,8 +1,9 @@
-"""What the package computed of its variants when `tests/data/recorded.json` was written.
+"""Numbers that the package computes for its variants, recorded in ``tests/data/recorded.json``.
 
-`python -m tests.recorded` writes the file anew: after a change that is meant to change numbers, and
-which says so in the changelog. Of each result every number is taken, whatever its fields are
-called; of a long array its products with three fixed vectors, which any of its elements changes.
+``python -m tests.recorded`` writes the file; do this after a change that is meant to change numbers
+and that the changelog describes. All numbers of a result are recorded, whatever their fields are
+called; an array with more than ``LONG`` elements is recorded as its products with three fixed
+vectors, which depend on every element.
 """
 
 from __future__ import annotations
@@ -26,44 +27,47 @@ from tests.support.variants import NAMES, load, stand_of
 FILE = Path(__file__).parent / "data" / "recorded.json"
 
 ENGINES = ("mujoco", "pin", "placo", "clarabel", "numpy", "scipy")
+"""Packages whose versions are recorded with the numbers."""
 
 ROUNDING = 1e-12
-"""Of what has one answer: the engines' closed forms, and equations solved to the last digits."""
+"""Relative tolerance of results with one answer: closed forms of the engines, and linear
+equations."""
 
 CONES = 1e-7
-"""Of what Clarabel finds where friction binds, or the peak is least: its gaps are 1e-11, and a
-minimum is as flat as their root. The least peak itself is within 1e-11."""
+"""Relative tolerance of what Clarabel finds where friction limits or a peak is minimised: its gaps
+are 1e-11, and the position of a minimum is as inexact as their square root. The least peak
+itself is within 1e-11."""
 
 EIGENVALUE = 1e-10
-"""Of the least stiffness: with OpenBLAS's kernels of other processors (``OPENBLAS_CORETYPE``:
-Haswell, Sandybridge) it is up to 1.6e-11 of itself off."""
+"""Relative tolerance of the least stiffness: with OpenBLAS kernels for other processors
+(``OPENBLAS_CORETYPE``: Haswell, Sandybridge) it differs by up to 1.6e-11."""
 
 STEPPED = 1e-8
-"""Of simulations: in two seconds the skeletons' makes 1e-9 N of a start that is 1e-16 m off."""
+"""Relative tolerance of simulations: within two seconds a difference of 1e-16 m in the initial
+state of a skeleton grows to 1e-9 N."""
 
 COARSE = {"ground_clearance/distance": 5e-12}
-"""Fields that were less exact when they were recorded: coal took a cylinder that is tilted by
-1e-10 rad for an upright one, whose edge is 2.5e-12 m higher."""
+"""{field: larger tolerance} of fields that were less exact when they were recorded: coal treated a
+cylinder tilted by 1e-10 rad as upright, whose edge is 2.5e-12 m higher."""
 
 LONG = 8
-"""More elements than that are multiplied, so that the file stays small."""
+"""Number of elements above which an array is recorded as products, which keeps the file small."""
 
 WORK = {"iterations", "evaluations", "rollouts", "simulated"}
-"""Fields that count what it took, and no number of the robot's."""
+"""Fields that count computations and are not recorded."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Something that is computed of a variant.
+    """Computation for a variant.
 
     Attributes:
-        compute: Of a robot and its nominal stand.
-        tolerance: How much the numbers may change, relative to the largest of their array, or to 1
-            (m, rad, N, kg) if that is more.
+        compute: Function of a robot and its nominal stand.
+        tolerance: Allowed change of a number, relative to the largest of its array, or to 1 (m,
+            rad, N, kg) if that is more.
         slow: Whether it takes too long for a quick test.
-        same_engines: Whether other versions of the engines may find other numbers, for a reason
-            that ``why`` tells.
-        why: That reason.
+        same_engines: Whether the numbers may differ with other versions of the engines.
+        why: Reason for ``same_engines``.
     """
 
     compute: Callable[[pa.Robot, pa.Stand], object]
@@ -74,7 +78,7 @@ class Job:
 
 
 def tilted(robot: pa.Robot) -> pa.StandTask:
-    """A task with something in each of its numbers, in reach of every variant."""
+    """Return a task that sets all its numbers, within reach of every variant."""
     return pa.StandTask(
         height=0.94 * robot.stand_height,
         roll=0.03,
@@ -88,19 +92,22 @@ def tilted(robot: pa.Robot) -> pa.StandTask:
 
 
 def gain_sweep(robot: pa.Robot, stand: pa.Stand) -> dict[str, object]:
-    """What is simulated; of modes that hardly grow a doubling time has few digits."""
+    """Return the fields of a sweep of servo gains without the modes.
+
+    The doubling time of a mode that hardly grows has few exact digits.
+    """
     found = pa.simulation.sweep_gains(robot, stand, kp=(5, 20), kd=(0.2, 0.5), duration=2.0)
     modes = ("lasts", "doubling_time", "damping_ratio")
     return {name: value for name, value in vars(found).items() if name not in modes}
 
 
 def three_legged(robot: pa.Robot) -> pa.StandTask:
-    """A task with a foot in the air."""
+    """Return a task with one foot in the air."""
     return pa.StandTask(swing={robot.contact_points[0]: 0.02}, com="inside", com_margin=0.005)
 
 
 def configuration(robot: pa.Robot, _: pa.Stand) -> dict[str, object]:
-    """Everything that a configuration says, at a state with all its elements in play."""
+    """Return all quantities of a configuration at a random state."""
     qpos, qvel = random_state(robot, 7)
     config = pa.Configuration(robot, qpos, qvel)
     qacc = np.sin(np.arange(robot.nv) + 1.0)
@@ -128,9 +135,12 @@ def configuration(robot: pa.Robot, _: pa.Stand) -> dict[str, object]:
 
 
 def statics(distribution: str) -> Callable[[pa.Robot, pa.Stand], object]:
-    """The forces of a distribution, on level ground, on a slope, and on three feet."""
+    """Return a function that computes a force distribution on level ground, on a slope and on three
+    feet.
+    """
 
     def compute(robot: pa.Robot, stand: pa.Stand) -> object:
+        """Return the static loads of three stands."""
         stands = (stand, *(pa.solve_stand(robot, task(robot)) for task in (tilted, three_legged)))
         return [pa.stance.stand_statics(robot, one, distribution=distribution) for one in stands]
 
@@ -138,35 +148,44 @@ def statics(distribution: str) -> Callable[[pa.Robot, pa.Stand], object]:
 
 
 def moving(robot: pa.Robot, stand: pa.Stand) -> object:
-    """The forces of a slow motion out of the nominal stand."""
+    """Return the forces of a slow motion at the nominal stand."""
     pace = np.arange(robot.nv)
     config = pa.Configuration(robot, stand.qpos, 0.05 * np.sin(pace))
     return pa.statics.inverse_dynamics(config, 0.3 * np.cos(pace))
 
 
 def checked(robot: pa.Robot, _: pa.Stand) -> object:
-    """What the engines agree in; what they differ by is rounding."""
+    """Return whether the engines agree, and the scale of each quantity; their differences are
+    rounding.
+    """
     check = pa.cross_check(robot, configurations=3)
     return {"passed": check.passed, "scales": {one.name: one.scale for one in check.quantities}}
 
 
 def squat(robot: pa.Robot) -> list[pa.StandTask]:
+    """Return the tasks of a path from the nominal stand to a lower one."""
     return [pa.StandTask(), pa.StandTask(height=0.93 * robot.stand_height, roll=0.02)]
 
 
 SEARCHED = "it is found by a search that ends within a tolerance"
+"""Reason for ``same_engines`` of a search."""
+
 SIMULATED = "a simulation rounds otherwise with another engine"
+"""Reason for ``same_engines`` of a simulation."""
 
 
 def verification(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
-    """But for its spectrum: a step's eigenvalues come from differences, to 1e-9 of 1."""
+    """Return the verification of a stand without ``creep`` and ``stability``.
+
+    The eigenvalues of a step come from differences, exact to 1e-9.
+    """
     found = pa.verify_stand(robot, stand, duration=2.0, nudged=0).to_dict()
     del found["creep"]  # of a settling of 2 s: it is tested where it is measured
     return {name: value for name, value in found.items() if name != "stability"}
 
 
 def payload(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
-    """What each bound lets a stance carry, and where: of a simulation there are other tests."""
+    """Return {bound: mass [kg]} of the payload search without simulations."""
     from pupper_analysis.tools.payload.limit import _PayloadSearch
 
     search = _PayloadSearch(robot, stand.task, find_place(robot, (0.01, 0.0, 0.05)), None, None)
@@ -210,10 +229,11 @@ JOBS = {
     ),
     "gain sweep": Job(gain_sweep, STEPPED, slow=True, same_engines=True, why=SIMULATED),
 }
+"""{name of a computation: how it is made and compared}."""
 
 
 def computed(name: str, job: str) -> dict[str, Any]:
-    """The numbers of a job for a variant; of a refusal, its own."""
+    """Return the numbers of a job for a variant, or those of its error."""
     try:
         return numbers(JOBS[job].compute(load(name), stand_of(name)))
     except pa.PupperAnalysisError as error:
@@ -221,13 +241,14 @@ def computed(name: str, job: str) -> dict[str, Any]:
 
 
 def numbers(result: object) -> dict[str, Any]:
-    """Every number of a result, {where: a number, or a list of numbers}."""
+    """Return {path of a field: number, or list of numbers} of a result."""
     found: dict[str, Any] = {}
     _walk("", orjson.loads(to_json(result)), found)
     return found
 
 
 def _walk(where: str, value: Any, found: dict[str, Any]) -> None:
+    """Add the numbers of a value and of its fields to ``found``."""
     if isinstance(value, dict):
         for name, inner in value.items():
             if name not in WORK:
@@ -246,7 +267,7 @@ def _walk(where: str, value: Any, found: dict[str, Any]) -> None:
 
 
 def _flat(value: list[Any]) -> list[float] | None:
-    """The numbers of an array of any depth, or None if it is none."""
+    """Return the numbers of a nested list as a flat list, or None if it is not an array."""
     try:
         array = np.array(value)
     except ValueError:  # rows of unequal length
@@ -258,17 +279,18 @@ def _flat(value: list[Any]) -> list[float] | None:
 
 
 def products(values: np.ndarray) -> list[float]:
-    """Products with three vectors, no two of whose elements are equal or zero."""
+    """Return the products of an array with three fixed vectors without equal or zero elements."""
     index = np.arange(len(values))
     return [float(values @ np.cos(index * pace + pace)) for pace in (0.1, 1.0, 2.6)]
 
 
 def setting() -> dict[str, str]:
-    """What the numbers depend on."""
+    """Return the versions of the engines, and the machine."""
     return {name: version(name) for name in ENGINES} | {"machine": platform.machine()}
 
 
 def main() -> None:
+    """Write the file of recorded numbers."""
     results = {name: {job: computed(name, job) for job in JOBS} for name in NAMES}
     FILE.parent.mkdir(exist_ok=True)
     FILE.write_bytes(orjson.dumps({"setting": setting(), "results": results}) + b"\n")
