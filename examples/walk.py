@@ -1,7 +1,8 @@
 """Simulate a policy and its motor torques: a policy that balances with the hips, written here.
 
-The output shows the torque of the motors of a leg, and that a policy for standing does not walk. Pupper's
-own, ``launch/policy_latest.json`` of github.com/G-Levine/neural_controller, walks v3 at 0.47 m/s.
+The output shows the torque of the motors of a leg, and that a policy for standing does not walk.
+Pupper's own, ``launch/policy_latest.json`` of github.com/G-Levine/neural_controller, walks v3 at
+0.47 m/s.
 """
 
 import json
