@@ -263,7 +263,7 @@ def estimate_parameters(
 
 
 class _QuadraticCost:
-    """Quadratic model of the cost about a parameter vector.
+    """Quadratic model of the cost (chi2 plus prior) about a parameter vector.
 
     Args:
         table: Parameters.

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ParameterKind:
-    """Kind of parameter, with a default prior.
+    """Kind of an estimated parameter (mass, kp, encoder offset, ...), with its default prior.
 
     The default standard deviation is the larger of ``share`` times the stated value and ``width``.
 
@@ -115,7 +115,7 @@ are listed with the robot.)"""
 
 @dataclass(frozen=True)
 class Parameter:
-    """Scalar that is estimated.
+    """Scalar of a robot or its surroundings that a fit estimates.
 
     Attributes:
         kind: Key of ``KINDS``.

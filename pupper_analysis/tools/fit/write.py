@@ -56,7 +56,7 @@ _FACTOR_KINDS = ("mass", "kp", "friction", "damping", "armature")
 
 @dataclass(frozen=True, eq=False)
 class FitFiles:
-    """Values that were written for a fit.
+    """Values of a fit as they were written to the robot's files.
 
     Attributes:
         models: Corrected URDF and MJCF.

@@ -41,7 +41,7 @@ def is_loopback(host: str) -> bool:
 
 
 class Access:
-    """Decides on the access of requests.
+    """Rules by which the page server allows or refuses requests: host, origin, token.
 
     Args:
         host: Address of the server.

@@ -43,7 +43,7 @@ LIFT_SLIDER = "lift"
 
 
 class Controls:
-    """Controls of a page.
+    """Sliders, fields and buttons of a page, with which the user requests a stance.
 
     Args:
         gui: viser's interface of the page.
@@ -470,7 +470,7 @@ CONTROL_BY_NAME = {
 
 @dataclass(frozen=True)
 class Range:
-    """Range of a slider, in the units of the page.
+    """Range, step and initial value of a slider, in the units of the page.
 
     Attributes:
         low: Lower bound.

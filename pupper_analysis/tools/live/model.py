@@ -39,7 +39,7 @@ PUSH_SECONDS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Immediate result of a state.
+    """Solved stance for a state of a page, or the reason why there is none.
 
     Attributes:
         state: Requested state.
@@ -64,7 +64,7 @@ class Answer:
 
 
 class StanceSolver:
-    """Solves the states of a robot. Several threads may call its methods.
+    """Solves the stances that a page requests. Several threads may call its methods.
 
     Args:
         robot: Robot.

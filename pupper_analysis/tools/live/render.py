@@ -202,7 +202,7 @@ _PHONE_STYLE = (
 
 @dataclass(frozen=True)
 class Translator:
-    """Translates texts into a single language.
+    """Translates texts of the catalogue and of documents into the language of a page.
 
     Attributes:
         code: ``"en"`` or ``"zh"``.

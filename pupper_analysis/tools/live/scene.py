@@ -164,7 +164,7 @@ _DISC_RADIUS, _DISC_REFERENCE_HEIGHT = 0.025, 0.13
 
 
 class RobotFigure:
-    """Drawn robot.
+    """Robot as drawn in the 3-D scene of a page.
 
     Args:
         scene: viser's scene of the page.
@@ -225,7 +225,7 @@ class RobotFigure:
 
 
 class Scene:
-    """3-D scene of a page.
+    """3-D scene of a page: stand, forces, torques, ghost and simulated figure.
 
     Args:
         scene: viser's scene of the page.

@@ -35,7 +35,7 @@ not tuned."""
 
 
 class ServeOptions(TypedDict, total=False):
-    """Options of the server.
+    """Options of the page server.
 
     Attributes:
         language: ``"en"`` or ``"zh"``.
@@ -124,7 +124,7 @@ class ServedPage:
 
 
 class Page(ServedPage):
-    """Page of stances.
+    """Page on which users request stances of a robot with sliders; see `ServedPage`.
 
     Args:
         robot: Robot.

@@ -147,7 +147,7 @@ _FRAME_PERIOD = 1 / 30
 
 
 class Session:
-    """Session of a browser.
+    """Session of a browser: solves, simulates and shows the stances that its user requests.
 
     Args:
         client: viser's client.

@@ -255,7 +255,7 @@ angles, and the leg angles on the displacement. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class PathPlace:
-    """A sample of the geometry of a path.
+    """Sample of the geometry of a path: stand, and derivatives by the path parameter.
 
     Attributes:
         segment: Segment of the path.

@@ -158,7 +158,7 @@ needs more, or no friction is sufficient, the failure is called tipping. Chosen,
 
 @dataclass(frozen=True, eq=False)
 class Bound(Result):
-    """Bound of a payload.
+    """Largest payload [kg] that one kind of failure permits: stance, motors, servos, simulation.
 
     Attributes:
         mass: Largest mass below the bound [kg]; infinite without a bound, or if the bound is larger
@@ -540,7 +540,7 @@ def _bisect_mass(
 
 @dataclass(frozen=True, eq=False)
 class _LoadedStand:
-    """Loaded stand; without a stand, the cause.
+    """Stand of a robot with a payload; without a stand, the cause.
 
     Attributes:
         robot: Robot with the payload; without a stand, the robot without payload.
@@ -559,7 +559,7 @@ class _LoadedStand:
 
 
 class _PayloadSearch:
-    """Search for the bounds of stance, motors and servos.
+    """Search for the payloads at which stance, motors and servos fail.
 
     Each ``find_..._failure`` method evaluates a mass [kg].
     """

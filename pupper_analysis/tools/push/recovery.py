@@ -437,7 +437,7 @@ def _find_push_limits(
 
 @dataclass(frozen=True, eq=False)
 class _LimitSearch:
-    """Search for the limits of all directions, at the same time.
+    """Search for the largest survived pushes in all directions, at the same time.
 
     Attributes:
         bench: Simulations of the stand.

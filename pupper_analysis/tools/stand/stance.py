@@ -236,7 +236,7 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
 
 @dataclass(frozen=True)
 class Preparation(Result):
-    """Preparation of a robot from two files.
+    """How a robot was prepared from its files: the passes, and what each pass changed.
 
     Attributes:
         name: Name of the robot.

@@ -157,7 +157,7 @@ class Design:
 
 @dataclass(frozen=True)
 class Metric:
-    """Metric.
+    """Named function of a design that fills a column of the table of a study.
 
     Attributes:
         name: Column of the table; a mapping of values fills the columns ``NAME.KEY``.

@@ -67,7 +67,7 @@ class Failures(Result):
 
 @dataclass(frozen=True)
 class MetricSummary(Result):
-    """Summary of a metric over all designs.
+    """Range, median and main effects of a metric over all designs of a study.
 
     Attributes:
         metric: Column of the metric.
@@ -95,7 +95,7 @@ class MetricSummary(Result):
 
 @dataclass(frozen=True, eq=False)
 class StudyOutcome(Result):
-    """Results of a study.
+    """Results of a study: summaries of metrics, failures, and the Pareto front.
 
     Attributes:
         robot: Robot as named in the study.

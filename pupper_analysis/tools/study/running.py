@@ -95,7 +95,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class ChunkOutcome:
-    """Results of a chunk.
+    """Table rows of the designs that a worker has evaluated, and the time that this took.
 
     Attributes:
         rows: A row per design.
@@ -261,7 +261,7 @@ signal."""
 
 @dataclass
 class Progress:
-    """Progress of a run.
+    """Progress of a run of a study: numbers of designs, and times.
 
     Attributes:
         total: Number of designs of the study; repetitions within a block are subtracted when found.
@@ -396,7 +396,7 @@ def _count_workers(executor: Executor | None) -> int | None:
 
 
 class StudyRun:
-    """Run of a study.
+    """Run of a study: distributes designs to workers, and stores the results.
 
     Args:
         work: Pickled `WorkDefinition`.

@@ -51,7 +51,7 @@ def require_library(library: str) -> None:
 
 
 class Store:
-    """Folder of a study.
+    """Folder in which a study stores its definition and results.
 
     Args:
         folder: Path of the folder.

@@ -46,7 +46,7 @@ _QUANTILE_FUNCTIONS: Mapping[str, Callable[[float, float, Array], Array]] = {
 
 @dataclass(frozen=True)
 class Variable:
-    """Values of a variable of a study.
+    """Values of a variable of a study: a list, or a distribution.
 
     Attributes:
         kind: ``values`` (all equally likely), ``linspace``, or a distribution: ``uniform`` or

@@ -40,7 +40,7 @@ from pupper_analysis.tools.sync.plan import (
 
 @dataclass(frozen=True)
 class Unmended(Result):
-    """Difference that remains.
+    """Difference between a URDF and an MJCF that a sync has left, with the reason.
 
     Attributes:
         difference: Name: ``link base: mass``.
@@ -55,7 +55,7 @@ class Unmended(Result):
 
 @dataclass(frozen=True, eq=False)
 class Sync(Result):
-    """Result of making two files agree.
+    """Result of making a URDF and an MJCF agree: written changes, remaining differences.
 
     Attributes:
         differences: All differences, in the order of repair.

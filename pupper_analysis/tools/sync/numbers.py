@@ -417,7 +417,7 @@ def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
 
 
 class NumberChanges:
-    """Target trees of both robots.
+    """Requested numbers of links and joints, and the resulting target trees of both files.
 
     Args:
         both: Robots, in the URDF's link frames.

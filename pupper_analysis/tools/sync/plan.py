@@ -58,7 +58,7 @@ _UNWRITTEN_REASONS = {
 
 
 class UnwrittenCause(StrEnum):
-    """Kind of reason for a difference that remains."""
+    """Kind of reason why a difference between a URDF and an MJCF remains."""
 
     NOT_CHOSEN = "not chosen"
     NOT_STATED = "not stated"
@@ -74,7 +74,7 @@ class UnwrittenCause(StrEnum):
 
 @dataclass(frozen=True)
 class Edit(Result):
-    """Changed attribute.
+    """Change of an attribute of an XML element, written or planned.
 
     Attributes:
         file: File.
@@ -95,7 +95,7 @@ class Edit(Result):
 
 @dataclass(frozen=True, eq=False)
 class Files:
-    """Two files and the options of the matching.
+    """A URDF and an MJCF, and the options by which their elements are matched.
 
     Attributes:
         urdf: Path of the URDF.
@@ -112,7 +112,7 @@ class Files:
 
 @dataclass(eq=False)
 class Plan:
-    """Planned changes.
+    """Planned changes of a URDF and an MJCF, and differences that remain, with reasons.
 
     Attributes:
         files: Files and options.
@@ -303,7 +303,7 @@ within the top folder of the other model."""
 
 @dataclass(frozen=True)
 class FileLayout:
-    """Files of a model, and paths in another folder.
+    """Files of a model, and their paths in a copy of the model in an output folder.
 
     No path in the files is changed: the other folder repeats the folders around the files as far as
     relative paths require.

@@ -36,7 +36,7 @@ ones."""
 
 @dataclass(frozen=True, eq=False)
 class UsdFile:
-    """Opened USD file.
+    """Opened USD file: stage, and prims of its bodies and joints by name.
 
     Attributes:
         path: File.

@@ -277,7 +277,7 @@ _SINGLE_PRECISION_RTOL: Final = 2.0**-24
 
 
 class MassOrigin(StrEnum):
-    """Origin of a body's mass."""
+    """Origin of a body's mass in a USD file: stated, or derived from shapes."""
 
     STATED = "stated"
     """Mass, CoM and inertia are stated."""
@@ -291,7 +291,7 @@ class MassOrigin(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class BodyMass:
-    """Mass properties of a body.
+    """Mass properties of a body in a USD file, and their origin.
 
     Attributes:
         inertial: Inertial; None if unknown.
@@ -703,7 +703,7 @@ precision. Chosen, not tuned."""
 
 @dataclass(frozen=True)
 class StageUnits:
-    """Units of a stage.
+    """Units of length, mass and derived quantities of a USD stage, in SI units.
 
     Attributes:
         length: Length unit [m].
@@ -740,7 +740,7 @@ def read_units(stage: Any) -> StageUnits:
 
 @dataclass(frozen=True, eq=False)
 class PrimPlacement:
-    """Pose and scale of a prim.
+    """Pose and scale of a prim of a USD stage.
 
     Attributes:
         pose: Pose in the stage's axes [m].

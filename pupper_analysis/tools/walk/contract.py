@@ -61,7 +61,7 @@ BY_FRAME, BY_TERM = "by-frame", "by-term"
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Term of an observation.
+    """Term of a policy's observation, such as joint positions, with a scale.
 
     Attributes:
         name: A key of `TERM_SIZES`.

@@ -128,7 +128,7 @@ class Gait(Result):
 
 @dataclass(frozen=True, eq=False)
 class Walk(Result):
-    """Gaits of a policy on a robot.
+    """Gaits of a policy on a robot: an evaluated run per seed.
 
     Attributes:
         name: Name of the robot.

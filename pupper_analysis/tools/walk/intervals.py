@@ -202,7 +202,7 @@ class TrackedInterval(Result):
 
 @dataclass(frozen=True, eq=False)
 class TrackedIntervals(Result):
-    """Intervals of all varied quantities.
+    """Intervals of all varied quantities within which a policy tracks the command.
 
     Attributes:
         name: Name of the robot.

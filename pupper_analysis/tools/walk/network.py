@@ -130,7 +130,7 @@ def lstm(
 
 @dataclass(frozen=True)
 class Node:
-    """Operation of a network.
+    """Operation of a policy's network, with named inputs and outputs.
 
     Attributes:
         name: Name of the layer, for messages.

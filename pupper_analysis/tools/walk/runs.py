@@ -52,7 +52,7 @@ slower, is evaluated. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Definition of a run.
+    """Definition of a simulated run: model, command, seed, push, delay.
 
     Attributes:
         model: Simulated model.
@@ -75,7 +75,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Result of a case.
+    """Result of a simulated run: states, controls, fall.
 
     Attributes:
         case: Definition of the run.

@@ -61,7 +61,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Columns:
-    """Content of a file of measurements.
+    """Content of a CSV file of measurements, in SI units.
 
     Attributes:
         source: Path of the file.

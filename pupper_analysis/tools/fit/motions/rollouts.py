@@ -68,7 +68,7 @@ velocity. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Part of a log without jumps of the clock.
+    """Part of a log of joint motions without jumps of the clock.
 
     Attributes:
         time: Sample times from the start of the run, shape (n,) [s].

@@ -29,7 +29,7 @@ the colon, which return a `Bridge` and an `Operator`."""
 
 
 class Operator(Protocol):
-    """Person beside the robot."""
+    """Person beside the robot who sets it up for each stand of a recording."""
 
     def prepare(
         self, stand: PlannedStand, loads: Mapping[str, Array], instructions: Sequence[str]
@@ -58,7 +58,7 @@ class Operator(Protocol):
 
 
 class Bridge(Protocol):
-    """Connection to a robot, with joints in actuator order.
+    """Connection to a robot that sends joint commands and reads positions, in actuator order.
 
     Attributes:
         ramps: True if commands move the robot, and are therefore ramped and checked.

@@ -84,7 +84,7 @@ fraction of the nominal height, with which a planned stand is accepted. Chosen, 
 
 @dataclass(frozen=True)
 class Recording(Result):
-    """Result of a recording.
+    """Result of recording the stands of a plan with a robot.
 
     Attributes:
         name: Robot name.

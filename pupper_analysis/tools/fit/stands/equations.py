@@ -76,7 +76,7 @@ Go1 and MEVIUS, which carry any fraction of the friction."""
 
 @dataclass(frozen=True)
 class StandNoise:
-    """Standard deviations of the noise in a stand.
+    """Standard deviations of the noise in a stand: encoders, ground, contact moments, friction.
 
     Attributes:
         encoder: Joint position [rad].

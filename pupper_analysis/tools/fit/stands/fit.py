@@ -54,7 +54,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JointResidual(Result):
-    """Residual of a joint in a stand.
+    """Error of a measured joint position in a stand, and its significance.
 
     Attributes:
         stand: Stand name.
@@ -566,7 +566,7 @@ tuned."""
 
 @dataclass(frozen=True, eq=False)
 class _StandProblem:
-    """Robot, stands, parameters and expected noise of a fit.
+    """Robot, measured stands, parameters and expected noise, from which parameters are fitted.
 
     Attributes:
         robot: Robot.

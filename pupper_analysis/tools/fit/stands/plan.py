@@ -58,7 +58,7 @@ _CANDIDATES_PER_STAND = 6
 
 @dataclass(frozen=True)
 class PlannedStand(Result):
-    """Stand of a plan.
+    """Stand that a plan of measurements requests: joint commands, feet in the air, added mass.
 
     Attributes:
         name: Stand name.

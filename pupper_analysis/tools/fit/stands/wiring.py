@@ -31,7 +31,7 @@ first, or second if an encoder offset is large as well."""
 
 @dataclass(frozen=True)
 class Wiring:
-    """Assignment of measured columns to joints, with signs.
+    """Assignment of measured columns to joints, with signs, for robots with exchanged plugs.
 
     Attributes:
         order: Column from which each joint's values are taken, shape (nu,).
