@@ -459,6 +459,7 @@ def add_servos(spec: mujoco.MjSpec, robot: Robot, joints: set[str], kp: float | 
             name=f"servo_{joint}", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
         servo.set_to_position(kp=float(servos.kp[place]))
+        servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
         servo.biasprm[2] = -float(servos.kd[place])
         limit = next((one.upper for one in robot.efforts if one.joint == joint), None)
         if limit and math.isfinite(limit):
