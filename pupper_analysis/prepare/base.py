@@ -141,7 +141,7 @@ def place_base_frame(
         int(model.jnt_qposadr[model.body_jntadr[body]]),
     )
     keys = sorted(range(model.nkey), key=lambda key: model.key(key).name != "home")
-    # Of a file without keyframes it is where the bodies are written.
+    # Without keyframes: the initial state.
     start_rotation = (
         rotation_from_quaternion(model.key_qpos[keys[0], address + 3 : address + 7])
         if keys

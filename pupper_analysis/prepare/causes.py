@@ -381,7 +381,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
             names = " and ".join(_name_elements(model, _OBJECT_TYPE.mjOBJ_BODY, pair))
             yield from _yield_if_any(
                 "exclude", (names,), "exclude_signature", number
-            )  # 0: world and itself
+            )  # 0: the world with itself
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:

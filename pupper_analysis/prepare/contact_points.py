@@ -390,7 +390,7 @@ def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
         on = points[height > height.max() - _SOLE_ATOL] + np.outer(
             radii[height > height.max() - _SOLE_ATOL], normal
         )
-        # The sole has the foot's lowest point, or one that is as good as it.
+        # The sole contains the foot's lowest point, or a point at nearly this height.
         if (on @ down).max() < end - _SOLE_ATOL:
             continue
         sizes = np.linalg.svd(on - on.mean(axis=0), compute_uv=False)[:2] if len(on) > 1 else [0, 0]
@@ -405,10 +405,10 @@ def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
     """Yield the outward normals (3,) of the nearly level facets, or of the edge, of a hull."""
     middle = surface.mean(axis=0)
     spread = surface - middle
-    # All axes, also of one or two points; of many not their n x n matrix of the other side.
+    # All three axes, also for one or two points; no n x n matrix for many points.
     _, sizes, axes = np.linalg.svd(spread, full_matrices=len(spread) < 3)
     rank = int((sizes > 1e-6).sum())
-    if rank == 1:  # points on a line: as level as the line can lie
+    if rank == 1:  # points on a line: the most level normal
         normal = down - (down @ axes[0]) * axes[0]
         length = float(np.linalg.norm(normal))
         if length > math.cos(_MAX_SOLE_TILT):

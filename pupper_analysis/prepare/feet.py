@@ -100,7 +100,9 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
         return []
     spans = np.array([data.xipos[ends[root]].mean(axis=0) - data.xpos[root] for root in ends])
     lengths = np.linalg.norm(spans, axis=1, keepdims=True)
-    along = (spans / np.maximum(lengths, _MIN_LIMB_LENGTH)).mean(axis=0)  # all limbs count alike
+    along = (spans / np.maximum(lengths, _MIN_LIMB_LENGTH)).mean(
+        axis=0
+    )  # equal weight of all limbs
     axis = int(np.argmax(np.abs(along)))
     sign = float(np.sign(along[axis]))
     if np.abs(along[axis]) < _MIN_DIRECTION_COSINE or (axis == 2 and sign < 0):

@@ -96,7 +96,7 @@ class PublishedModel:
         base = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.mj_base)
         return cls(
             model, _find_ground_height(model), max(base, 0), drives
-        )  # one that is held may be the world
+        )  # a fixed base may be the world
 
     @property
     def floating(self) -> bool:
@@ -171,7 +171,7 @@ def with_requested_gains(
     added = []
     for index, name in enumerate(robot.joint_names):
         stiffness, damping = float(drive.kp[index]), float(drive.kd[index])
-        if stiffness == 0:  # the joint follows others
+        if stiffness == 0:  # a dependent joint
             continue
         kind, actuators = published.drives[index], list_joint_actuators(model, model.joint(name).id)
         if kind in _NOT_POSITION_SERVOS or len(actuators) != 1:

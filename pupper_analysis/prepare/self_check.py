@@ -248,7 +248,7 @@ def _find_loading_causes(
         abs(computed.torque_error - similar.torque_error) <= TORQUE_RTOL for similar in similar_runs
     ):
         return ()
-    # Forty modules, which hardly a verdict needs.
+    # Imports forty modules, which few verdicts need.
     from pupper_analysis.robot.compare.compare import compare_files
 
     with contextlib.suppress(PupperAnalysisError):

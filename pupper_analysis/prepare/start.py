@@ -112,7 +112,7 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
         weight = float(model.body_subtreemass[base] * np.linalg.norm(model.opt.gravity))
         level = (
             float(np.abs(data.xmat[base][6:]).max()) > 1 - _LEVEL_COSINE_ATOL
-        )  # see ``place_base_frame``
+        )  # the z axis may be horizontal: see ``place_base_frame``
         if level and abs(carried - weight) < _WEIGHT_RTOL * weight:
             found[model.key(key).name or f"keyframe {key + 1}"] = depth
     return found
@@ -421,13 +421,13 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
             length = float(np.linalg.norm(out))
             aside = math.hypot(*out[:2])
             if not _MIN_SIDE_DISTANCE * length < aside < _MAX_SIDE_DISTANCE * length:
-                way = (
+                outward = (
                     out
                     if aside > _MIN_SIDE_DISTANCE * length
                     else hip - np.mean([*feet.values()], axis=0)
                 )
-                targets[foot] = hip + _TARGET_SIDE_DISTANCE * length * way / max(
-                    math.hypot(*way[:2]), 1e-9
+                targets[foot] = hip + _TARGET_SIDE_DISTANCE * length * outward / max(
+                    math.hypot(*outward[:2]), 1e-9
                 )
             drops.append(float(hip[2]) - _TARGET_FOOT_DEPTH * length)
     for foot, place in targets.items():
@@ -521,7 +521,7 @@ def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None
     try:
         robot.check_bodies()
         goal, found = make_goal(robot, task, {}), None
-    except PupperAnalysisError:  # the margin leaves nothing of a joint's range, or no body is so
+    except PupperAnalysisError:  # empty joint range, or an invalid body
         return None
     first = [pose if task.ik_seed is None else np.array(task.ik_seed)]
     guesses: Iterable[Array] = itertools.chain(first, _yield_bent_legs(robot, goal, pose))
@@ -688,7 +688,7 @@ def find_start_pose(
                     zip(robot.joint_names, clip_to_limits(robot, pose).tolist(), strict=True)
                 )
                 against += _list_objections(robot, name, pose)
-                sunk[name] = depth  # straight legs are then a little bent, and not singular
+                sunk[name] = depth  # bends straight legs slightly, so that they are not singular
     for name, pose in standing.items():
         home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
         at_home = _set_start_pose(robot, home, sunk.get(name, 0.0))
@@ -709,7 +709,7 @@ def find_start_pose(
     low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
     middle = (low + high) / 2
     found = search_start(robot, [*poses, middle])
-    if found is None:  # refused are then the pose that the file asks for, and why that is none
+    if found is None:  # keep the pose of the keyframe, and report why it is rejected
         kept = _copy_start_pose(whole, replace(at_home, nominal=home)) if standing else whole
         return kept, [diagnose("no-start-pose"), *against, *report_sideways_limbs(whole)]
     height = Quantity(found.stand_height, "m")

@@ -93,7 +93,7 @@ def find_carrying_hulls(
     gaps, depths = dict[str, float](), dict[str, float]()
     for foot in feet:
         if len(foot.points) != 1 or foot.name not in stand.depths:
-            continue  # a sole is flat: what is beside it is above it
+            continue  # other shapes are above a flat sole
         own, depth = foot.points[0].geom, stand.depths[foot.name]
         others = [geom for geom in list_ground_geoms(model, foot.body) if geom != own]
         bottom = compute_lowest_height(model, data, [own])
@@ -118,7 +118,7 @@ def find_carrying_hulls(
         soft = GroundLaw.of_contact(robot, name)
         load = soft.force(depths[name])
         shares.append(soft.force(gap + GroundLaw.of_contact(hulled, name).depth(load)) / load)
-    if np.mean(shares) > _MAX_FOOT_SHARE:  # one decision for all feet: like limbs stay alike
+    if np.mean(shares) > _MAX_FOOT_SHARE:  # one decision for all feet, so that legs remain equal
         return None
     message = diagnose(
         "hulls-carry-instead-of-feet",

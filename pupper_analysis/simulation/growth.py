@@ -152,7 +152,7 @@ def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
     small, large = (NUDGE_ANGLE, NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
     if not modes[0].without_dry_friction:
         return [small]
-    # A limit cycle ends growth: with the larger nudge it may begin beyond.
+    # A limit cycle ends growth; the larger nudge may start outside of it.
     return [small, large] if any(mode.shakes for mode in modes) else [large]
 
 

@@ -115,7 +115,7 @@ class StandReference:
         low = min((feet[foot][2] - robot.contact_radius[foot] for foot in feet), default=0.0)
         com_offset = base_rotation.T @ (com - qpos[:3])
         com_height = float(com[2] - low)
-        if robot.welds:  # it stands on what is bolted, which may be above it
+        if robot.welds:  # the welded part may be above the base
             com_height = float(np.linalg.norm(com - qpos[:3])) + robot.stand_height
         return cls(
             robot,

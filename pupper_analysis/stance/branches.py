@@ -403,7 +403,7 @@ class _Descent:
                 ends[index, end] = data.oMi[joint].homogeneous[:3]
         placed = ends[:, self._rows]  # (k, f, 3, 4) poses of the last joints
         places = (placed[..., :3] @ self._points + placed[..., 3:])[..., 0]
-        # Pinocchio's columns are of the point at the world's origin: v = v_0 + omega x p.
+        # Pinocchio's columns are for the point at the world's origin: v = v_0 + omega x p.
         rates = columns[:, :, :3] - cross_matrices(places) @ columns[:, :, 3:]
         return places - targets, rates * self._moves[:, None]
 

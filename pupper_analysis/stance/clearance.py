@@ -356,7 +356,7 @@ class ClearanceShapes:
         given.
         """
         robot, model = self.robot, self.robot.pin_model
-        feet: dict[str, str] = {}  # by joint
+        feet: dict[str, str] = {}  # {joint: foot}
         flat = {"" for point in robot.welds.values() if point is None}  # the base is welded
         for foot, frame in robot.contact_frames.items():
             number = model.getFrameId(frame, pin.FrameType.BODY)

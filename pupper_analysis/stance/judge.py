@@ -202,7 +202,7 @@ class Stand(Pictured, Tabular):
         """Return a copy of this stand with another task, which the stand must satisfy as well."""
         other = replace(
             self, task=task.replace_unchecked(ground=self.task.ground)
-        )  # with its planes
+        )  # the ground includes planes of feet
         other._statics.extend(self._statics)
         attach_robot(other, vars(self).get("_robot"))
         return other

@@ -291,7 +291,7 @@ class _Search:
                 for joints in random_postures(goal, _NUM_RANDOM_GUESSES)
             )
         closest = self.best_stand()
-        if closest.foot_error < _CLOSE_MISS:  # elsewhere there may be no obstacle
+        if closest.foot_error < _CLOSE_MISS:  # with a larger error, no clearance is the obstacle
             yield from islice(
                 displaced_initial_guesses(self.shapes, goal, closest.qpos), _MAX_DISPLACED_GUESSES
             )

@@ -155,8 +155,8 @@ def find_interval(
         default_guesses_only: Search from `default_initial_guesses` only, not in all IK branches.
     """
     low, high = (
-        _find_limit(robot, start, direction, way, enough, default_guesses_only)
-        for way in (-1.0, 1.0)
+        _find_limit(robot, start, direction, sign, enough, default_guesses_only)
+        for sign in (-1.0, 1.0)
     )
     return Interval(low, high)
 
@@ -207,7 +207,7 @@ def _find_limit(
             step, shortest = _RESTART_RATIO * first, 0.0  # beyond a gap
         else:
             step /= 2
-    while value != first_value and not try_value(value):  # reachable by a search of its own
+    while value != first_value and not try_value(value):  # must be reachable without a nearby stand
         value = first_value + sign * max(0.0, abs(value - first_value) - least)
         least *= 2
     return value

@@ -427,7 +427,7 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
     )
 
 
-# A URDF as an MJCF in memory, before anything is added.
+# Conversion of a URDF in memory, before the preparation adds elements.
 
 
 MIN_FREE_BASE_LIMBS = 2

@@ -400,7 +400,7 @@ class UrdfShapes:
                 return [("sphere", {"radius": write_numbers(size[0])}, placed)]
             case "box":
                 return [("box", {"size": write_numbers(2 * size)}, placed)]
-            case "cylinder" | "capsule":  # a URDF has no capsule: their sum is the same
+            case "cylinder" | "capsule":  # a URDF has no capsule: cylinder and two spheres
                 radius = write_numbers(size[0])
                 tube = {"radius": radius, "length": write_numbers(2 * size[1])}
                 ends = (-size[1], size[1]) if shape.kind == "capsule" else ()
@@ -422,7 +422,7 @@ class UrdfShapes:
         mesh = int(model.geom_dataid[geom])
         name = str(model.mesh(mesh).name)
         if name not in self._files:
-            lost = self._lost.get(name)  # MuJoCo does not tell the folder of an <attach>ed model
+            lost = self._lost.get(name)  # the folder of an <attach>ed model is unknown
             self.left.append(diagnose("mesh-without-file", subject=("mesh", name), file=lost))
             return []
         if name in self._add_body:
@@ -461,7 +461,7 @@ def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
     return path if path.is_file() else None
 
 
-# One robot of an MJCF that may hold more.
+# Selection of one robot in an MJCF with several.
 
 
 def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:

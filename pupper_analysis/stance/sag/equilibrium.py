@@ -670,7 +670,7 @@ class SagEquilibrium:
         """
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stack_forces(guess), None
-        residuals: list[float] = []  # the same in the robot's units
+        residuals: list[float] = []  # scaled residual of each iteration
         for _ in range(_MAX_ITERATIONS):
             residual = self.apply_welds(qpos, self.residual(qpos, forces))
             residuals.append(self.units.max_residual(residual, n, self._force_rows))
