@@ -212,6 +212,7 @@ def _make_type_tests(function: Any) -> dict[str, Callable[[Any], bool]]:
 
 
 _NUMBER_TYPES: dict[Any, Any] = {float: Real, int: Integral}
+"""{annotated type: abstract type of the accepted numbers, which includes NumPy's}."""
 
 _TYPE_NAMES: dict[Any, str] = {
     float: "a number",
@@ -226,6 +227,7 @@ contains the translations."""
 
 
 _BOOLEAN_TYPES = (bool, np.bool_)
+"""Types of Booleans, which are not accepted as numbers."""
 
 
 def _union_members(hint: Any) -> tuple[Any, ...]:

@@ -135,12 +135,22 @@ def _has_measurements(file: BinaryIO) -> bool:
 RESULTS_KIND: Final = Kind(
     "JSON result", match_prefix(f'{{\n  "generator": "{GENERATOR_NAME} '), suffixes=(".json",)
 )
+"""JSON file with results, recognised by the generator in its first entry."""
+
 PAGE_KIND: Final = Kind("report page", _is_page, suffixes=(".html", ".htm"))
+"""HTML report of this package."""
+
 PICTURE_KIND: Final = Kind("figure", _is_picture, suffixes=(".png",))
+"""PNG figure of this package."""
+
 ANIMATION_KIND: Final = Kind("animation", _is_animation, suffixes=(".gif", ".mp4"))
+"""Animation of this package: GIF or MP4."""
+
 STAND_TABLE: Final = Kind(
     "table of a stand", match_prefix("joint,position (rad),torque (N m),"), suffixes=(".csv",)
 )
+"""CSV file with positions and torques of the joints in a stand."""
+
 PLAN_KIND: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
 """CSV file with a row per stand to be measured, written by ``fit --plan``. A new plan may replace a
 plan without measurements. A plan that contains measurements is never replaced, not even with
@@ -153,6 +163,8 @@ RECORD_KIND: Final = Kind(
 """
 
 OFFSETS_KIND: Final = Kind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
+"""CSV file with the fitted offset of each joint."""
+
 MODEL_KIND: Final = Kind("model")
 """Model file. Users edit models, so an existing model is replaced only with ``force``."""
 
@@ -179,6 +191,8 @@ EDITED_KIND: Final = Kind("model", _match_any, edits=True)
 """Model file that the run reads and writes in place."""
 
 SAMPLES_KIND: Final = Kind("table of samples", match_prefix("# Samples of a fitted robot."))
+"""CSV file with the samples of a fitted robot, recognised by its first line."""
+
 FIT_FOLDER: Final = Folder(
     {
         "fit.json": RESULTS_KIND,

@@ -28,13 +28,17 @@ FORMATS_GROUP = "pupper_analysis.formats"
 """Group of entry points for formats of other Python packages: ``name = "its_package"``."""
 
 _TOOLS_FOLDER = Path(__file__).parents[1] / "tools"
+"""Folder of the tools of this package."""
 
 HELP_HEADINGS = ("Files", "Stance", "Design", "Real robot", "Look", "Other tools")
 """Headings in the order of ``--help``. A tool with another heading, or none, is listed under the
 last."""
 
 _FIRST_LINE = re.compile(r'\A[rR]?"""(.+?)(?:"""|\n)')
+"""Pattern of the first line of a module's docstring."""
+
 _HEADING_PATTERN = re.compile(r'^HELP_HEADING = "(.+)"$', re.MULTILINE)
+"""Pattern of the constant in a module that selects its heading in ``--help``."""
 
 
 class Tool(NamedTuple):
@@ -159,7 +163,8 @@ def detect_format(data: bytes) -> Format | None:
 
 
 _COMMON_SUFFIXES = ("", ".urdf", ".xml", ".mjcf", ".xacro")
-"""Suffixes of URDF and MJCF files. The list of formats, which takes time to load, is not needed."""
+"""Suffixes of URDF and MJCF files, and no suffix. Their files are recognised without the list of
+all formats, which takes time to load."""
 
 
 @cache

@@ -18,7 +18,10 @@ DOWNWARD_GRAVITY = (0.0, 0.0, -EARTH_GRAVITY)
 """Gravitational acceleration, shape (3,) [m/s^2], expressed in the world frame."""
 
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
+"""{unit of an angle: factor to rad}."""
+
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+"""{unit of a length: factor to m}."""
 
 UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
     "angle": _ANGLES,

@@ -107,6 +107,7 @@ class LazyGroup(click.Group):
 __all__ = ["EXIT_BAD_INPUT", "find_command", "group", "main", "run"]
 
 DEBUG_OPTION = "--debug"
+"""Option of all commands that prints the traceback of an unexpected error."""
 
 GC_THRESHOLDS = 200_000, 2, 2
 """Thresholds of Python's garbage collector. With the defaults, loading a command runs 170

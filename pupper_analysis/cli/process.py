@@ -140,7 +140,8 @@ class ProcessEnding:
 
 
 RAISE_INTERVAL = 0.3
-"""Time [s] after which `ProcessEnded` is raised again if a callback has suppressed it. Chosen."""
+"""Time [s] after which `ProcessEnded` is raised again if a callback has suppressed it. Chosen, not
+tuned."""
 
 _active_endings: list[ProcessEnding] = []
 

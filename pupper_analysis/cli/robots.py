@@ -40,6 +40,8 @@ VARIANT_OPTIONS = (
         "--torso-mass-scale", type=float, metavar="T", help="Scale the torso's mass by T; e.g. 1.5."
     ),
 )
+"""Options for a scaled variant: base model and scales."""
+
 DETECTION_OPTIONS = (
     click.option(
         "--foot",
@@ -85,6 +87,7 @@ FILE_OPTIONS = (
     shared.file_option("--mjcf", help="MJCF of your own robot, if not given as ROBOT."),
     *DETECTION_OPTIONS,
 )
+"""Options for the files of a robot, and for what is detected in these files."""
 
 
 def _is_model_file(path: Path) -> bool:

@@ -42,6 +42,8 @@ EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
 """Exit statuses of all commands."""
 
 CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+"""Settings of click for all commands: names of the help option, and width of the help
+[characters]."""
 
 package_option = click.option(
     "--package",
@@ -352,6 +354,7 @@ class ModelFile(click.Path):
 
 
 MODEL_FILE = ModelFile()
+"""Type of a command-line parameter that is a model file, or ``-`` for standard input."""
 
 
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:

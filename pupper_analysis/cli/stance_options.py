@@ -51,9 +51,13 @@ if TYPE_CHECKING:
 AS_IS_OPTION = click.option(
     "--as-is", is_flag=True, help="Add no servos to the MJCF and change no collision shapes."
 )
+"""Option that adds no servos and keeps the collision shapes."""
+
 PAYLOAD_OPTIONS: tuple[Callable[[Command], Command], ...] = tuple(
     make_option(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")
 )
+"""Options for mass and position of a payload."""
+
 GAIN_OPTIONS = (
     click.option(
         "--kp",
@@ -63,6 +67,8 @@ GAIN_OPTIONS = (
     ),
     click.option("--kd", multiple=True, metavar="[JOINTS=]NMS", help=ROBOT_FIELDS["kd"].help),
 )
+"""Options for stiffness and damping of the servos."""
+
 SERVO_OPTIONS = (
     *GAIN_OPTIONS,
     click.option(
@@ -90,6 +96,7 @@ SERVO_OPTIONS = (
         ),
     ),
 )
+"""Options for servo gains, and for MuJoCo's integrator, time step and friction cone."""
 
 EFFORT_OPTION = click.option(
     "--effort",
@@ -100,8 +107,10 @@ EFFORT_OPTION = click.option(
         "the files (N m; N of a slide); e.g. 3, '*knee*=35'. Repeatable."
     ),
 )
+"""Option for the torque limits of joints."""
 
 OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
+"""Options for format and extent of the printed output."""
 
 
 @dataclass(frozen=True)

@@ -226,21 +226,34 @@ class ElementAttribute:
 
 
 _CONTACT_WORDS: Final = ("solref", "solimp", "margin", "gap")
+"""Contact parameters that geoms and contact pairs of an MJCF have in common."""
+
 _UNITS_BY_WORD: Final = {"margin": "m", "gap": "m", "timestep": "s", "gravity": "m/s^2"}
+"""{attribute of an MJCF: unit}; other attributes have no unit here."""
+
 _GEOM_WORDS: Final = (
     "friction", "condim", *_CONTACT_WORDS, "contype", "conaffinity", "priority", "solmix",
     "adhesion", "surfacevel",
 )  # fmt: skip
+"""Attributes of a geom that are compared."""
+
 _PAIR_WORDS: Final = ("friction", "solreffriction", *_CONTACT_WORDS, "adhesion")
+"""Attributes of a contact pair that are compared."""
+
 _OPTION_WORDS: Final = (
     "timestep", "integrator", "cone", "solver", "jacobian", "impratio", "iterations", "tolerance",
     "ls_iterations", "ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations",
     "ccd_tolerance", "sdf_initpoints", "sdf_iterations", "sleep_tolerance", "magnetic", "o_margin",
     "o_solref", "o_solimp", "o_friction", "disableactuator",
 )  # fmt: skip
+"""Attributes of MuJoCo's options that are compared."""
+
 _KEY_WORDS: Final = ("qpos", "qvel", "act", "ctrl", "mpos", "mquat", "plastic", "time")
+"""Attributes of a keyframe that are compared."""
 
 _LIMIT_WORDS: Final = ("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "margin")
+"""Constraint parameters of a joint that are compared."""
+
 _CONSTRAINT_WORDS: Final = {
     "joint": zip(
         (*_LIMIT_WORDS, "actuatorgravcomp"),
@@ -260,6 +273,7 @@ _CONSTRAINT_WORDS: Final = {
                      "actearly", "delay", "history", "cranklength")
     ),
 }  # fmt: skip
+"""{tag: pairs of an attribute that is compared and its array in MuJoCo's model}."""
 
 ELEMENT_ATTRIBUTES: Final = (
     *(

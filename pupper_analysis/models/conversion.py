@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
 _FREE_JOINT_NAME = "__free__"
+"""Name of the free joint of a model with a free base."""
 
 
 class MujocoTree:

@@ -37,28 +37,40 @@ _UNSUPPORTED_COUNTS: Final = {
 # common name of both; a mapping is {field of the spec: array of the model without the prefix}.
 
 _BODY_FIELDS: Final = ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")
+"""Fields of a body that are copied from the arrays ``body_`` of the model."""
+
 _JOINT_FIELDS: Final = {
     **{name: name for name in ("type", "pos", "axis", "range", "margin", "group")},
     **{name: name for name in ("actfrcrange", "actgravcomp", "limited", "actfrclimited")},
     "solref_limit": "solref",
     "solimp_limit": "solimp",
 }
+"""{field of a joint: suffix of the array ``jnt_`` from which it is copied}."""
+
 _DOF_FIELDS: Final = {
     "armature": "armature",
     "frictionloss": "frictionloss",
     "solref_friction": "solref",
     "solimp_friction": "solimp",
 }
+"""{field of a joint: suffix of the array ``dof_`` from which it is copied}."""
+
 _GEOM_FIELDS: Final = (
     *("type", "size", "pos", "quat", "contype", "conaffinity", "condim", "priority", "friction"),
     *("solmix", "solref", "solimp", "margin", "gap", "group", "rgba", "surfacevel", "adhesion"),
 )
+"""Fields of a geom that are copied from the arrays ``geom_`` of the model."""
+
 _SITE_FIELDS: Final = ("type", "size", "pos", "quat", "group", "rgba")
+"""Fields of a site that are copied from the arrays ``site_`` of the model."""
+
 _ACTUATOR_FIELDS: Final = (
     *("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm", "trntype", "gear"),
     *("ctrlrange", "forcerange", "actrange", "ctrllimited", "forcelimited", "actlimited"),
     *("actearly", "cranklength", "group", "armature", "ctrlspec", "delay"),
 )
+"""Fields of an actuator that are copied from the arrays ``actuator_`` of the model."""
+
 _TENDON_FIELDS: Final = {
     **{name: name for name in ("range", "limited", "actfrcrange", "actfrclimited", "margin")},
     **{name: name for name in ("frictionloss", "armature", "group", "rgba", "width")},
@@ -68,17 +80,25 @@ _TENDON_FIELDS: Final = {
     "solref_friction": "solref_fri",
     "solimp_friction": "solimp_fri",
 }
+"""{field of a tendon: suffix of the array ``tendon_`` from which it is copied}."""
+
 _EQUALITY_FIELDS: Final = ("type", "objtype", "data", "solref", "solimp")
+"""Fields of an equality constraint that are copied from the arrays ``eq_`` of the model."""
+
 _PAIR_FIELDS: Final = ("solref", "solimp", "solreffriction", "friction", "margin", "gap")
+"""Fields of a contact pair that are copied from the arrays ``pair_`` of the model."""
+
 _KEY_FIELDS: Final = ("time", "qpos", "qvel", "act", "ctrl", "mpos", "mquat")
 """Fields of a keyframe that are copied from the arrays ``key_`` of the model."""
 
 _GEOM_WRAPS: Final = (mujoco.mjtWrap.mjWRAP_SPHERE.value, mujoco.mjtWrap.mjWRAP_CYLINDER.value)
+"""Wrapping objects of tendons that refer to a geom."""
 
 _IMU_SENSORS: Final = (
     mujoco.mjtSensor.mjSENS_GYRO.value,
     mujoco.mjtSensor.mjSENS_ACCELEROMETER.value,
 )
+"""Sensors that are copied with their sites."""
 
 _COMPARED_PREFIXES: Final = (
     *("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat"),

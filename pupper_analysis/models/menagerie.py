@@ -19,6 +19,7 @@ MENAGERIE_FOLDER: Final = "mujoco_menagerie"
 """Name of a clone, and prefix of names, as in ``mujoco_menagerie/unitree_go2``."""
 
 _NAME: Final = re.compile(r"[a-z0-9_]+")
+"""Pattern of the name of a robot."""
 
 _MAX_NAME_LENGTH: Final = 200
 """Largest number of characters of a name. Chosen, not tuned: file systems permit 255."""

@@ -116,6 +116,7 @@ def parse_spec(path: Path) -> mujoco.MjSpec:
 
 
 _INCLUDE_ELEMENT = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
+"""Pattern of an ``<include>`` with its file."""
 
 
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
@@ -154,6 +155,7 @@ _NAN_FREE_FIELDS = (
 """Fields in which infinity is valid, such as ranges and gains, but NaN is not."""
 
 _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
+"""{prefix of a model's array: tag of the element}, where both differ."""
 
 
 def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
@@ -210,6 +212,7 @@ _EQUALITY_OBJECTS = {
     mujoco.mjtEq.mjEQ_FLEXVERT.value: mujoco.mjtObj.mjOBJ_FLEX,
     mujoco.mjtEq.mjEQ_FLEXSTRAIN.value: mujoco.mjtObj.mjOBJ_FLEX,
 }
+"""{type of an equality: type of its objects}, where the former determines the latter."""
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:
@@ -255,6 +258,7 @@ class _WarningSuppressor:
 
 
 _WARNING_SUPPRESSOR = _WarningSuppressor()
+"""Shared suppressor of warnings, which counts the blocks that use it."""
 
 
 @contextmanager

@@ -138,6 +138,7 @@ def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
 _FLAT_MESH_ERROR: Final = re.compile(
     r"mesh volume is too small: (.*?) \. Try setting inertia to shell"
 )
+"""Pattern of MuJoCo's error about a mesh without volume."""
 
 
 def flat_mesh(error: BaseException) -> str | None:
@@ -253,6 +254,7 @@ _MAX_PRODUCTS: Final = (
 exhaust the memory. The tag "*" represents each tag. Chosen, not tuned."""
 
 _SECTION_TAGS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
+"""Sections of an MJCF whose elements are found by section and name, whatever their tags."""
 
 
 class IncludeTree:
@@ -396,6 +398,7 @@ class IncludeTree:
 
 
 _HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
+"""Pattern of a hexadecimal number."""
 
 
 def _check_sizes(path: Path, element: etree._Element) -> None:
@@ -720,6 +723,7 @@ def mjcf_of_text(path: Path, text: str, assets: Mapping[str, bytes]) -> MjcfFile
 
 
 _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
+"""Exceptions of MuJoCo's parser and compiler for invalid models."""
 
 
 def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:

@@ -193,6 +193,7 @@ class MultibodyTree:
 
 
 _PINOCCHIO_ATTRIBUTES = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.pinocchio)
+"""Joint parameters that a Pinocchio model contains."""
 
 
 def from_pinocchio(
@@ -293,6 +294,8 @@ def _find_links(model: pin.Model) -> dict[int, str]:
 
 
 _BODY_FIELDS = ("mass", "com", "inertia")
+"""Kinds of differences that are fields of `TreeBody`."""
+
 _JOINT_FIELDS = {
     **{kind: kind for kind in ("position", "rotation", "axis", "parent")},
     "type": "slides",

@@ -83,6 +83,7 @@ def _check_joints(model: pin.Model, source: str) -> bool:
 
 
 _FREE_FLYER: Final = "JointModelFreeFlyer"
+"""Pinocchio's name of a free joint."""
 
 
 def _read_motion(model: pin.Model, index: int) -> Array:

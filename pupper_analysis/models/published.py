@@ -57,6 +57,7 @@ def is_pointer(path: Path) -> bool:
 
 
 _PACKAGE_NAME: Final = re.compile(rb"<name>\s*([\w.-]+)\s*</name>")
+"""Pattern of the name in a ``package.xml``."""
 
 _MAX_MANIFEST_BYTES: Final = 65536
 """Number of bytes of a ``package.xml`` in which the name is searched. Chosen, not tuned."""
@@ -88,6 +89,7 @@ DESCRIPTION_PREFIX: Final = "robot_descriptions:"
 """Prefix of the name of a description, as in ``robot_descriptions:go2_mj_description``."""
 
 _DESCRIPTION_NAME: Final = re.compile(r"[a-z0-9_]+")
+"""Pattern of the name of a description, behind the prefix."""
 
 XACRO_SUFFIX: Final = ".xacro"
 """Suffix of xacro files."""
@@ -98,6 +100,7 @@ class _NotCachedError(Exception):
 
 
 _BARE_DESCRIPTION: Final = re.compile(r"[a-z0-9_]+_description")
+"""Pattern of a description that is accepted without the prefix."""
 
 PACKAGE_PREFIX: Final = "package://"
 """Prefix of a file of a ROS package, as in ``package://go2_description/urdf/go2.urdf``."""
@@ -288,6 +291,7 @@ def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[N
 
 
 _XACRO_ARGUMENT: Final = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)")
+"""Pattern of the declaration of a xacro argument, with its name."""
 
 
 def _check_xacro_arguments(path: Path, files: Iterable[Path], given: Mapping[str, str]) -> None:

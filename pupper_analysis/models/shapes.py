@@ -312,7 +312,7 @@ class Shape:
 
         Args:
             circle: Unit vectors (n, 2), the sampled points of ellipses.
-            globe: Unit vectors (n, 3), the sampled points of ellipsoids.
+            globe: Points (n, 3) that represent the unit sphere in ellipsoids.
 
         Returns:
             Centres, shape (n, 3) [m], in the frame of the body; None if the extent is unknown
@@ -331,9 +331,10 @@ class Shape:
 
     @property
     def points(self) -> Array | None:
-        """Points (n, 3) [m] in the frame of the body, with approximately the hull of the shape.
+        """Points (n, 3) [m] in the frame of the body, whose hull approximates the shape.
 
-        None if the extent is unknown.
+        A ball or an ellipsoid is replaced by its bounding box, an ellipse by a polygon with 16
+        corners. None if the extent is unknown.
         """
         centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
         if centres is None or self.minkowski_terms is None or not self.minkowski_terms.ball:
@@ -342,7 +343,10 @@ class Shape:
 
     @cached_property
     def collision(self) -> coal.CollisionGeometry:
-        """Shape in coal. The kind must be in ``NUM_SIZES``, and a mesh must be known."""
+        """Collision geometry of the shape for the library coal.
+
+        The kind must be in ``NUM_SIZES``, and a mesh must be known.
+        """
         match self.kind, self.size:
             case "sphere", (r,):
                 return coal.Sphere(r)
@@ -362,12 +366,17 @@ class Shape:
 
 
 _SPHERE_POINTS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+"""Vectors (26, 3) from the centre of a cube of half length 1 to its corners, edges and faces."""
+
 _SPHERE_POINTS /= np.linalg.norm(_SPHERE_POINTS, axis=1, keepdims=True)
 _CIRCLE_POINTS = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])
+"""Unit vectors (16, 2) at equal angles, the sampled points of an ellipse."""
 
 _SAMPLE_VECTORS = np.concatenate(
     [np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))]
 )
+"""Vectors (66, 3) before normalisation: both directions of each axis, and 60 random vectors."""
+
 COMPARISON_DIRECTIONS = _SAMPLE_VECTORS / np.linalg.norm(_SAMPLE_VECTORS, axis=1, keepdims=True)
 """Directions (66, 3) in which the extents of two shapes are compared: the axes and 60 random
 directions, so that rotations of a box or a cylinder are detected."""

@@ -16,12 +16,20 @@ _SIDE_WORDS = (
     *(("fl", "fr"), ("rl", "rr"), ("hl", "hr"), ("bl", "br"), ("lf", "rf"), ("lh", "rh")),
     *(("L", "R"), ("l", "r")),
 )
+"""(left, right) words in names of joints and links."""
+
 _OPPOSITE_SIDE = {a: b for left, right in _SIDE_WORDS for a, b in ((left, right), (right, left))}
+"""{word of a side: word of the opposite side}."""
+
 _FULL_WORD = re.compile("left|right|Left|Right|LEFT|RIGHT")
+"""Pattern of a written-out side, which has priority over abbreviations."""
+
 _SIDE_PATTERN = re.compile(
     rf"(?<![A-Za-z])({'|'.join(sorted(_OPPOSITE_SIDE, key=len, reverse=True))})(?![A-Za-z])"
     "|^[LR](?=[A-Z][a-z])"
 )
+"""Pattern of a side's word without a letter on either side, or of L or R at the start before a
+capitalised word."""
 
 ASYMMETRIC_PART_NAME = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
 """Names of parts that are not mounted as mirror images of each other."""

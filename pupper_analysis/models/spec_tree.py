@@ -431,6 +431,8 @@ _FREE_BASE_JOINTS: Final = (
     [*_THREE_SLIDES, JointKind.BALL],
     [*_THREE_SLIDES, *[JointKind.HINGE] * 3],
 )
+"""Types of the joints that together move a base freely: three slides, then a ball or three hinges.
+"""
 
 
 def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diagnostic | None:

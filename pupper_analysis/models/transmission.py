@@ -20,8 +20,10 @@ Array = NDArray[np.float64]
 
 
 _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
+"""Transmissions of actuators that act on a single joint, in a compiled model."""
 
 _SCALAR_JOINT_KINDS = (int(JointKind.HINGE), int(JointKind.SLIDE))
+"""Types of joints with a single coordinate."""
 
 
 def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
@@ -82,6 +84,7 @@ def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 _WRAPS_JOINT = mujoco.mjtWrap.mjWRAP_JOINT.value
+"""Type of a part of a fixed tendon: a joint."""
 
 
 @dataclass(frozen=True)

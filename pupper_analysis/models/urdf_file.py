@@ -223,7 +223,10 @@ MAX_LINKS: Final = 2000
 """Largest number of links of a URDF; a file with more is refused. Chosen, to bound the time."""
 
 _JOINT_TYPES: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+"""Valid types of a joint."""
+
 _INERTIA_ATTRIBUTES: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Required attributes of ``<inertia>``."""
 
 
 _NUM_VALUES: Final[Mapping[str, Mapping[str, int]]] = {
@@ -289,6 +292,7 @@ _KNOWN_TAGS: Final = frozenset(
         "material",
     )
 )
+"""Tags that are validated; other elements are ignored."""
 
 
 def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:

@@ -32,6 +32,7 @@ _EXPRESSION: Final = re.compile(r"\$[{(]")
 """Start of a xacro expression, ``${...}`` or ``$(...)``."""
 
 _FIND: Final = re.compile(r"^\$\(find\s+([\w.-]+)\)/")
+"""Pattern of ``$(find NAME)/`` at the start of a path."""
 
 _MAX_INCLUDE_DEPTH: Final = 10
 """Largest depth of a chain of included xacro files that is followed. Chosen, to bound the time."""

@@ -31,14 +31,21 @@ from types import MappingProxyType
 from pupper_analysis.base.tools import other_packages, own_packages
 
 LANGUAGES = ("en", "zh")
+"""Languages of all catalogue texts: English and Chinese."""
 
 _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
+"""Pattern of the header line of a TOML table."""
+
 _LINE_ENTRY = re.compile(r'^"?([^"\n]+?)"? = (\{ en = .*\})$', re.MULTILINE)
+"""Pattern of an entry on one line: key and inline table with the text per language."""
+
 _TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE = "terms.toml", "texts.toml", "meanings.toml"
 LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
 """Files with a line per entry."""
 
 _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
+"""Folder of the catalogue files."""
+
 _TABLES_BY_FILE = {_TERMS_FILE: "terms", _TEXTS_FILE: "texts", _MEANINGS_FILE: "meanings"}
 """{catalogue file: table for entries of the same kind in a file ``words.toml``}. Each tool (a
 subpackage of ``pupper_analysis.tools``, or a package of another distribution) has its texts in such

@@ -187,6 +187,7 @@ class Phrase(str):
 
 
 UNLIMITED = Term("unlimited")
+"""Word for an infinite limit."""
 
 
 NOT_STATED = Term("not stated")
@@ -223,7 +224,10 @@ _SEPARATORS = {
     "en": {",": ", ", ";": "; ", "or": " or ", ",or": ", or ", "and": " and "},
     "zh": {",": "、", ";": "；", "or": "或", ",or": "，或 ", "and": "和"},  # noqa: RUF001
 }
+"""{language: {separator in a list format: its text}}."""
+
 _OMITTED_ITEMS = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {left} 个"}  # noqa: RUF001
+"""{language: template for a list that is cut off, with the number of the other items}."""
 
 
 def fill_template(template: str, values: Mapping[str, Any], language: str) -> str:

@@ -114,7 +114,7 @@ class Joint:
 
     @property
     def unit(self) -> str:
-        """Unit of the joint coordinate."""
+        """Unit of the joint coordinate, rad or m."""
         return "m" if self.kind == SLIDE_JOINT else "rad"
 
 
