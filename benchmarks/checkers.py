@@ -225,6 +225,7 @@ def _read_attributes(element: etree._Element) -> list[tuple[str, list[str | floa
 
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+"""Pattern of a decimal number."""
 
 
 COLUMNS = (

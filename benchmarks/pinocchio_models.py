@@ -26,6 +26,7 @@ PATTERNS = (
     "mjlab/asset_zoo/robots/*/xmls/*.xml",
     "robosuite/models/assets/robots/*/robot.xml",
 )
+"""Patterns of the MJCF files in the installed packages."""
 
 INERTIA_RTOL = 1e-6
 """Largest error of the joint-space inertia, relative to its largest entry, that counts as none."""

@@ -43,6 +43,7 @@ import sys, pupper_analysis as pa
 robot = pa.load_robot(sys.argv[1])
 print(robot.pin_model.nv, robot.nu)
 """
+"""Program that loads a robot with this package."""
 
 _BARE = """
 import sys
@@ -57,6 +58,7 @@ else:
     import mujoco
     mujoco.MjModel.from_xml_path(sys.argv[1])
 """
+"""Program that loads a model with Pinocchio or MuJoCo alone."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ import runpy, sys
 sys.argv[0] = "pupper-analysis"
 runpy.run_module("pupper_analysis", run_name="__main__")
 """
+"""Program that runs a command of this package."""
 
 
 def measure_process(code: str, *arguments: str) -> Use:

@@ -191,6 +191,7 @@ def scaled(factor: float) -> Callable[[float], float]:
 
 
 GROUND = '<geom name="ground"'
+"""Text at which the floor of an MJCF begins."""
 
 EDITS: dict[str, Edit] = {
     "keyframe ctrl in degrees": mjcf_all("ctrl", math.degrees),
@@ -277,6 +278,7 @@ EDITS: dict[str, Edit] = {
     "elliptic cone": mjcf_text("<option ", '<option cone="elliptic" '),
     "elliptic cone, impratio 100": mjcf_text("<option ", '<option cone="elliptic" impratio="100" '),
 }
+"""{description of a mistake: function that makes it}."""
 
 
 def write_robot(seed: int, folder: Path, edit: str | None = None) -> tuple[Path, Path] | None:

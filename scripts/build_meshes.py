@@ -71,7 +71,9 @@ TORSO_BOX_HALF_SIZE = np.array([0.129715, 0.04507, 0.06379])
 HIP_CENTRES_LEFT = np.array([[0.075, 0.0835, 0.0], [-0.075, 0.0725, 0.0]])
 """Centres of the front and rear left hips in the base frame [m]."""
 
-KNEE_BACK, KNEE_DOWN = 0.0685, 0.0494  # knee from hip centre, base frame, angles at zero
+KNEE_BACK, KNEE_DOWN = 0.0685, 0.0494
+"""Distance of the knee behind and below the hip centre in the base frame, angles at zero [m]."""
+
 KNEE_HOUSING_RADIUS = 0.025
 """Radius of the housing around the third motor [m]."""
 
@@ -90,10 +92,12 @@ FOOT_RADIUS = 0.01995
 THIGH_LENGTH = float(np.hypot(KNEE_BACK, KNEE_DOWN))
 """Distance of the knee from the hip centre in the plane of the leg [m]."""
 
-# Unit vectors of the base frame seen from the thigh frame: the second motor's axis, which points
-# back from the hip to the thigh, and "up".
 THIGH_BACK = np.array([-KNEE_DOWN, 0.0, KNEE_BACK]) / THIGH_LENGTH
+"""Axis of the second motor in the thigh frame, from the hip to the thigh: unit vector, backwards
+in the base frame."""
+
 THIGH_UP = np.array([-KNEE_BACK, 0.0, -KNEE_DOWN]) / THIGH_LENGTH
+"""Unit vector of the base frame's z axis in the thigh frame."""
 
 # --- Fineness ---------------------------------------------------------------------------------
 SECTIONS = 30
@@ -140,7 +144,6 @@ BOLT_DEPTH = 0.0018
 SHELL_RADIUS = 0.012
 """Radius of the shell's edges [m]."""
 
-# Ball centres of the shell: (x, y, z), each also at -y; rear, haunch, shoulder, chest.
 SHELL_BALLS = np.array(
     [
         [-0.0955, 0.020, 0.000], [-0.0955, 0.024, 0.026], [-0.0920, 0.016, 0.048],
@@ -149,7 +152,11 @@ SHELL_BALLS = np.array(
         [0.0980, 0.018, -0.002], [0.1000, 0.024, 0.024], [0.0960, 0.016, 0.050],
     ]
 )  # fmt: skip
-SEAM_XS = (-0.038, 0.038)  # panel lines between haunches, belly and shoulders
+"""Ball centres of the shell [m]: (x, y, z), each also at -y; rear, haunch, shoulder, chest."""
+
+SEAM_XS = (-0.038, 0.038)
+"""x coordinates of the panel lines between haunches, belly and shoulders [m]."""
+
 SEAM_WIDTH = 0.0014
 """Width of a panel line of the shell [m]."""
 
@@ -162,12 +169,17 @@ VENT_XS = (-0.0165, -0.0055, 0.0055, 0.0165)
 VENT_RADIUS = 0.0022
 """Half width of a vent [m]."""
 
-VENT_Z = 0.0390  # of the middle of a vent
-VENT_REACH, VENT_LEAN = 0.012, 0.0035  # from there to its upper end, along z and x
+VENT_Z = 0.0390
+"""Height of the middle of a vent [m]."""
+
+VENT_REACH, VENT_LEAN = 0.012, 0.0035
+"""Distance from there to the vent's upper end, along z and x [m]."""
+
 VENT_DEPTH = 0.004
 """Depth of a vent [m]."""
 
-BOSS_RADIUS = 0.0235  # the collar a hip can turns on
+BOSS_RADIUS = 0.0235
+"""Radius of the collar on which a hip can turns [m]."""
 
 HEAD_RADIUS = 0.010
 """Radius of the head's edges [m]."""
@@ -183,7 +195,9 @@ HEAD_BALLS = np.array(
 DISPLAY_WIDTH, DISPLAY_HEIGHT, DISPLAY_CORNER = 0.060, 0.029, 0.010
 """Width, height and corner radius of the display [m]."""
 
-DISPLAY_RISE = 0.007  # of the display's centre over the face's
+DISPLAY_RISE = 0.007
+"""Height of the display's centre over the face's [m]."""
+
 DISPLAY_DEPTH = 0.0025
 """Depth of the display's recess in the face [m]."""
 
@@ -199,7 +213,9 @@ SNOUT_RADIUS = 0.0054
 SNOUT_HALF_WIDTH = 0.009
 """Half width of the snout without its edges [m]."""
 
-SNOUT_DROP = 0.0165  # of the snout's centre below the face's
+SNOUT_DROP = 0.0165
+"""Depth of the snout's centre below the face's [m]."""
+
 SNOUT_REACH = 0.0045
 """Distance of the snout's front balls from the face [m]."""
 
@@ -212,12 +228,13 @@ EAR_RADIUS = 0.0025
 EAR_BALLS = np.array([[0.100, 0.036, 0.070], [0.122, 0.036, 0.072], [0.104, 0.031, 0.0930]])
 """Centres of the balls of an ear's hull [m]."""
 
-PAD_RADIUS = 0.004  # battery cover on the back
+PAD_RADIUS = 0.004
+"""Radius of the edges of the battery cover on the back [m]."""
+
 PAD_BALLS = np.array([[-0.078, 0.016, 0.052], [-0.074, 0.014, 0.070],
                       [0.062, 0.016, 0.052], [0.058, 0.014, 0.070]])  # fmt: skip
 """Centres of the balls of the battery cover's hull [m], each also at -y."""
 
-# Rows as in rounded_bar.
 HANDLE_PATH = (
     (-0.0600, 0.0, 0.0680, 0.0042, 0.007),
     (-0.0460, 0.0, 0.0915, 0.0042, 0.007),
@@ -237,7 +254,9 @@ TAIL_PATH = (
 HIP_CAN_RADIUS = 0.026
 """Radius of the first motor's can [m]."""
 
-HIP_CAN_INWARD = 0.022  # how far the can reaches towards the torso
+HIP_CAN_INWARD = 0.022
+"""Distance that the can reaches towards the torso [m]."""
+
 HIP_CAN_OUTWARD = 0.020
 """Distance that the can reaches away from the torso [m]."""
 
@@ -247,7 +266,9 @@ HIP_FINS = (0.0165, 0.0215, 0.0265)
 HIP_BOLTS = BoltCircle(8, 0.0195, 0.012)
 """Bolts in the outer face of the can."""
 
-HIP_BADGE_RADIUS, HIP_BADGE_SUNK = 0.009, 0.0006  # the disc in the recess
+HIP_BADGE_RADIUS, HIP_BADGE_SUNK = 0.009, 0.0006
+"""Radius of the disc in the recess, and its depth below the can's face [m]."""
+
 ROLL_CAN_RADIUS = 0.019
 """Radius of the second motor's can [m]."""
 
@@ -258,8 +279,12 @@ ROLL_BOLTS = BoltCircle(6, 0.013, 0.007)
 """Bolts in the face of the second motor's can."""
 
 # Thigh: all lengths in metres.
-AXLE_RADIUS = 0.013  # bridges the hip and the cap, also when the thigh is stretched
-CAP_NEAR, CAP_FAR = 0.0305, 0.040  # along the second motor's axis
+AXLE_RADIUS = 0.013
+"""Radius of the axle [m], which connects hip and cap, also if the thigh is stretched."""
+
+CAP_NEAR, CAP_FAR = 0.0305, 0.040
+"""Ends of the cap along the second motor's axis [m]."""
+
 CAP_RADIUS = 0.0185
 """Radius of the cap on the second motor [m]."""
 
@@ -278,18 +303,23 @@ BAR_RADIUS = 0.005
 BAR_HALF_WIDTH = 0.011
 """Half width of the bar along y [m]."""
 
-BAR_KNEE_CORNERS = ((-0.017, 0.0), (0.016, 0.008))  # back and up from the knee, angles at zero
+BAR_KNEE_CORNERS = ((-0.017, 0.0), (0.016, 0.008))
+"""Corners of the bar at the knee [m]: backwards and upwards from the knee, angles at zero."""
+
 POCKET_DEPTH = 0.0035
 """Depth of the pockets in both sides of the bar [m]."""
 
 POCKET_RIM = 0.0045
 """Width of the bar's rim around a pocket [m]."""
 
-POCKET_GAP = 0.003  # between the pocket and the knee housing
+POCKET_GAP = 0.003
+"""Distance between a pocket and the knee housing [m]."""
+
 POCKET_CORNER = 0.003
 """Corner radius of a pocket [m]."""
 
-HOLE_RIM = 0.0025  # of the pocket around the hole through the bar
+HOLE_RIM = 0.0025
+"""Width of the pocket around the hole through the bar [m]."""
 
 # Calf: all lengths in metres.
 DISC_RADIUS = 0.0225
@@ -298,8 +328,9 @@ DISC_RADIUS = 0.0225
 DISC_BOLTS = BoltCircle(6, 0.0165, 0.0095)
 """Bolts in the disc."""
 
-DISC_NEAR, DISC_FAR = 0.0135, 0.0255  # y; the knee housing ends at 0.015
-# Rows as in rounded_bar, from the knee to the middle of the foot; the shank bows backwards.
+DISC_NEAR, DISC_FAR = 0.0135, 0.0255
+"""Ends of the disc along y [m]; the knee housing ends at 0.015."""
+
 SHANK_PATH = (
     (0.0000, 0.0190, 0.0000, 0.0046, 0.0155),
     (-0.0045, 0.0190, 0.0260, 0.0046, 0.0085),
@@ -310,12 +341,15 @@ SHANK_PATH = (
 """Chain of the shank from the knee to the middle of the foot [m], curved backwards; rows as in
 ``rounded_bar``."""
 
-SLOT = ((-0.0046, 0.0265), (-0.0046, 0.0420))  # (x, z) of its ends
+SLOT = ((-0.0046, 0.0265), (-0.0046, 0.0420))
+"""Ends (x, z) of the slot in the shank [m]."""
+
 SLOT_RADIUS = 0.0034
 """Half width of the slot through the shank [m]."""
 
-# Along z; the collar lies across the surface of the ball.
 COLLAR_NEAR, COLLAR_FAR = FOOT_DISTANCE - 1.25 * FOOT_RADIUS, FOOT_DISTANCE - 0.7 * FOOT_RADIUS
+"""Ends of the collar along z [m], across the surface of the foot's ball."""
+
 COLLAR_RADIUS = 0.0115
 """Radius of the collar [m]."""
 

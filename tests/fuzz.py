@@ -327,7 +327,10 @@ _RICH = """
 """Sections of an MJCF with many references between elements."""
 
 _ATTRIBUTE = re.compile(rb'([\w:]+)=(["\'])(.*?)\2', re.DOTALL)
+"""Pattern of an XML attribute: name, quotation mark and value."""
+
 _ELEMENT = re.compile(rb"<(\w+)[^<>]*/>")
+"""Pattern of an XML element without children, with its tag."""
 
 
 def _attribute(chosen: re.Match[bytes], value: str) -> bytes:

@@ -25,6 +25,7 @@ from tests.support.states import random_state
 from tests.support.variants import NAMES, load, stand_of
 
 FILE = Path(__file__).parent / "data" / "recorded.json"
+"""File of the recorded numbers."""
 
 ENGINES = ("mujoco", "pin", "placo", "clarabel", "numpy", "scipy")
 """Packages whose versions are recorded with the numbers."""

@@ -19,17 +19,29 @@ from pupper_analysis.robot.robot import Robot
 G = 9.81
 """Gravitational acceleration [m/s^2]."""
 
-UPPER, FORE, SLIDE = 0.4, 0.3, 0.1  # m: of the links, and of the slide at zero
-MASSES = {"turn": 3.0, "upper": 2.0, "fore": 1.0, "hand": 0.5}  # kg
-CENTRES = {"upper": 0.15, "fore": 0.2}  # m, of the links' coms from their joints
-EFFORTS = {"a_turn": 5.0, "shoulder": 30.0, "elbow": 9.0, "b_slide": 12.0}  # N m, N
+UPPER, FORE, SLIDE = 0.4, 0.3, 0.1
+"""Lengths of upper arm and forearm, and distance of the tip from the hand's frame [m]."""
+
+MASSES = {"turn": 3.0, "upper": 2.0, "fore": 1.0, "hand": 0.5}
+"""{link: mass [kg]}."""
+
+CENTRES = {"upper": 0.15, "fore": 0.2}
+"""{link: distance of its CoM from its joint [m]}; others are at the joint."""
+
+EFFORTS = {"a_turn": 5.0, "shoulder": 30.0, "elbow": 9.0, "b_slide": 12.0}
+"""{joint: torque or force limit [N m, N]}."""
+
 RANGES = {
     "a_turn": (-3.0, 3.0),
     "shoulder": (-2.0, 0.5),
     "elbow": (0.2, 2.4),
     "b_slide": (0.0, 0.2),
 }
+"""{joint: lower and upper limit [rad, m]}."""
+
 STIFFNESS = {"a_turn": 50.0, "shoulder": 800.0, "elbow": 300.0, "b_slide": 900.0}
+"""{joint: stiffness of its servo [N m/rad, N/m]}."""
+
 ORDER = ("elbow", "b_slide", "shoulder", "a_turn")
 """Joints in the order of the actuators."""
 

@@ -140,6 +140,7 @@ FEATURES: dict[str, Edit] = {
     "a keyframe's ctrl of another pose": commanded("1.3 0.1 -1.75 0"),
     "a keyframe's ctrl 1e9": commanded("1.3 0.1 1e9 0"),
 }
+"""{description: edit of the arm's MJCF}."""
 
 
 def files(folder: Path, edit: Edit) -> tuple[Path, Path]:

@@ -9,8 +9,13 @@ from typing import NamedTuple
 from tests.support.repository import ROOT
 
 SHARED, SCENE, BODY = "pupper_v3_shared.xml", "pupper_v3.xml", "pupper_v3_body.xml"
+"""Files of the MJCF of v3 in ``mjcf/``: what all scenes include, the scene, and the robot."""
+
 _CONTACT = 'solimp="0.015 1 0.015"'
+"""Text of the contact softness in the shared file."""
+
 _FOOT = '"collision" type="sphere" size="0.01995"'
+"""Text of a foot's collision geom."""
 
 
 class Edit(NamedTuple):

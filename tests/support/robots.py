@@ -28,7 +28,10 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 
 NOTHING = (0.0, 0.0, 0.0)
+"""Zero vector."""
+
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
+"""Quaternion (w, x, y, z) without rotation."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import pupper_analysis
 from tests.support.repository import ROOT
 
 PACKAGE = Path(pupper_analysis.__file__).parent
+"""Folder of the package."""
 
 
 def _floors() -> list[list[str]]:

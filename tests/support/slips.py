@@ -14,6 +14,7 @@ import numpy as np
 from tests.support import legged
 
 Slip = Callable[[str, np.random.Generator], str]
+"""Function that makes a mistake in the text of an MJCF, in a place that a generator chooses."""
 
 
 def standing(folder: Path, **options: object) -> legged.Pair:

@@ -101,12 +101,14 @@ def run(shift: float, *, passed: bool) -> Stub:
 
 
 SERVOS = ServosUsed(ServoSource.FILE, (5.0, 6.0), (0.1, 0.1))
+"""Servos of two motors, from the model file."""
 
 
 ORIGINS = (
     EffortStatement.of("URDF", "joint", "one", "effort", (-3.3, 3.3)),
     EffortStatement.of("MJCF", "actuator", "two", "forcerange", (-4.4, 4.4)),
 )
+"""Origins of two torque limits."""
 
 
 def joint(name: str, shift: float) -> Stub:
@@ -196,6 +198,7 @@ ANALYSIS: Any = Stub(
     verified=False,
     failures=(problem("it leans"),),
 )
+"""Result of ``analyze`` with all optional parts."""
 
 
 def row(name: str, shift: float, **changes: Any) -> Any:
@@ -237,6 +240,7 @@ def pushes(shift: float) -> Stub:
 
 
 KNOWN = {"joint_names": ("hip", "knee"), "unknown_limits": (), "peak_torques": None}
+"""Fields of a push result with known torque limits."""
 
 
 def pushed(name: str, shift: float, depth: float) -> Any:
@@ -258,7 +262,10 @@ STAND: Any = Stub(
     ground_clearance=Stub(distance=0.0111),
     self_clearance=Stub(distance=0.0222),
 )
+"""Stand on rigid ground."""
+
 SUNK = {"depths": {"FR": 0.00311, "RL": 0.00422}, "qpos": np.array([0.0, 0.0, 0.1031])}
+"""Fields of a stand on soft ground."""
 
 
 def stance(**changes: Any) -> Any:

@@ -7,13 +7,17 @@ from functools import cache
 import pupper_analysis as pa
 
 NAMES = tuple(pa.VARIANTS)
+"""Names of all variants."""
 
 
 SKELETON_NAMES = tuple(name for name in NAMES if not name.startswith("v3"))
+"""Names of the variants of the skeleton."""
 
-BASES = {"original": "pupper_skeleton", "v3": "pupper_v3"}  # variant: name of its files
+BASES = {"original": "pupper_skeleton", "v3": "pupper_v3"}
+"""{variant without scaling: stem of its model files}."""
 
 BASES_FIRST = (*BASES, *(name for name in NAMES if name not in BASES))
+"""Names of all variants, those without scaling first."""
 
 
 @cache
