@@ -340,7 +340,7 @@ def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
     size, full = 2 * models[0].nv + models[0].na, mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 
     def growth(model: mujoco.MjModel, start: np.ndarray) -> list[np.ndarray]:
-        """The spectrum of a step, with dry friction and without: what a cell is judged by."""
+        """Return the eigenvalues of the linearised time step, with dry friction and without."""
         data, found = mujoco.MjData(model), []
         mujoco.mj_setState(model, data, start, full)
         data.ctrl[:] = command

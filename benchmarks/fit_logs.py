@@ -272,8 +272,13 @@ def fit_with_sysid(
         mujoco.mj_setConst(made, mujoco.MjData(made))
         return made
 
-    def off(x: np.ndarray, one: Log) -> np.ndarray:
-        """Return what is off of vectors (n, m): (m, samples, joints)."""
+    def simulate_errors(x: np.ndarray, one: Log) -> np.ndarray:
+        """Return simulated minus measured joint positions (m, samples - 1, nu) [rad].
+
+        Args:
+            x: Parameter vectors as columns, shape (n, m).
+            one: Log.
+        """
         models, data, every = [build(own) for own in x.T], mujoco.MjData(model), INTERVAL / TICK
         at.set_state(data, one.position[0])
         start = np.tile(sysid.create_initial_state(model, data.qpos, data.qvel), (len(models), 1))
@@ -287,7 +292,7 @@ def fit_with_sysid(
         return left
 
     def residual(x: np.ndarray, _: object) -> tuple[list[np.ndarray], None, None]:
-        found = off(x.reshape(len(stated), -1), log)
+        found = simulate_errors(x.reshape(len(stated), -1), log)
         found = found.reshape(len(found), -1).T
         return [found if x.ndim > 1 else found[:, 0]], None, None
 
@@ -300,7 +305,13 @@ def fit_with_sysid(
     counts = np.repeat([True, friction, True, True], robot.nu)
     inside = (np.abs(x - truth) <= half)[counts]
     kp_off = round(100 * float(np.median(np.abs(x[: robot.nu] / planted.kp - 1))), 2)
-    return rms_mrad(off(x[:, None], other)), int(inside.sum()), len(inside), kp_off, spent
+    return (
+        rms_mrad(simulate_errors(x[:, None], other)),
+        int(inside.sum()),
+        len(inside),
+        kp_off,
+        spent,
+    )
 
 
 def make_row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace) -> Row:

@@ -138,7 +138,7 @@ def main(folder: Path, each: bool, pairs: bool, match: str, seed: int) -> None:
 
 
 def print_each(folder: Path, match: str) -> None:
-    """Print what becomes of each file alone."""
+    """Print a row per file: verdict, times and torques of the robot of this file alone."""
     print("| file | mass (kg) | verdict | load (s) | with 12 s (s) | torques | forces |")
     print("|---|---|---|---|---|---|---|")
     for model in sorted(path for path in folder.rglob("*") if path.suffix in (".urdf", ".xml")):
@@ -147,7 +147,7 @@ def print_each(folder: Path, match: str) -> None:
 
 
 def print_pairs(folder: Path, match: str, seed: int) -> None:
-    """Print how far robots of one file are from those of both."""
+    """Print a row per pair: differences of the robots of one file from the robot of both files."""
     print(
         "\n| URDF | MJCF | crosscheck | mass (kg) | URDF alone | MJCF alone | both | URDF | MJCF |"
     )

@@ -47,7 +47,7 @@ def list_files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def describe(model: pin.Model, expected: tuple[float, int], error: float) -> str:
-    """The numbers of a model, with those that differ from MuJoCo's marked."""
+    """Return mass and degrees of freedom of a model, with deviations from MuJoCo marked."""
     mass = float(sum(inertia.mass for inertia in list(model.inertias)[1:]))
     equal = abs(mass - expected[0]) <= MASS_RTOL * expected[0]
     parts = [f"{mass:.3f} kg" + ("" if equal else " (wrong)")]
@@ -58,7 +58,7 @@ def describe(model: pin.Model, expected: tuple[float, int], error: float) -> str
 
 
 def joint_inertia(model: pin.Model, q: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Rows and columns of the mass matrix of some joints with one degree of freedom."""
+    """Return rows and columns of the mass matrix of some joints with one degree of freedom."""
     upper = pin.crba(model, model.createData(), q)
     mass = np.triu(upper) + np.triu(upper, 1).T
     dofs = [model.joints[model.getJointId(name)].idx_v for name in names]
@@ -66,7 +66,7 @@ def joint_inertia(model: pin.Model, q: np.ndarray, names: Sequence[str]) -> np.n
 
 
 def compare(name: str, path: Path) -> tuple[str, str, str, str]:
-    """One row: file, MuJoCo, raw Pinocchio, pupper_analysis."""
+    """Return the row of a robot: file, and descriptions by MuJoCo, Pinocchio and this package."""
     model = mujoco.MjModel.from_xml_path(str(path))
     moving = model.body_weldid != 0
     expected = float(model.body_mass[moving].sum()), int(model.nv)

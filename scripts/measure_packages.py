@@ -16,7 +16,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pupper_analysis"
-# Kinds of tokens that make no line a code line.
 NON_CODE_TOKENS = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -26,6 +25,7 @@ NON_CODE_TOKENS = {
     tokenize.ENCODING,
     tokenize.ENDMARKER,
 }
+"""Types of tokens that do not make a line a code line."""
 
 
 def count_code_lines(text: str) -> int:

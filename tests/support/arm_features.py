@@ -39,14 +39,17 @@ def commanded(ctrl: str) -> Edit:
 
 
 def _inertials_of_geoms(text: str) -> str:
+    """Replace the inertials of the MJCF by spheres."""
     return re.sub(r"<inertial[^>]*/>", '<geom size="0.05"/>', text)
 
 
 def _thousandfold(text: str) -> str:
+    """Multiply the stiffness of the servos by 1000."""
     return re.sub(r'kp="(\d+)\.0"', r'kp="\g<1>000"', text)
 
 
 def _motors(text: str) -> str:
+    """Replace the servos by torque motors."""
     return re.sub(r'<position (joint="\w+") kp="[\d.]+" kv="20"/>', r"<motor \1/>", text)
 
 

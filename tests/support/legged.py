@@ -226,9 +226,7 @@ def from_the_ground(pair: Pair, by: float) -> Pair:
 
 
 def planar(pair: Pair) -> Pair:
-    """Fix the roll joints of a quadruped, and put its base's CoM at y = 2 µm: legs as those of Solo
-    8.
-    """
+    """Fix the roll joints of a quadruped, and put the base's CoM at y = 2 µm, as in Solo 8."""
     return aside(held(pair, "_roll"), 2e-6)
 
 
@@ -354,6 +352,7 @@ def _joint(
 
 
 def _written(folder: Path, urdf: str, mjcf: str) -> Pair:
+    """Write URDF and MJCF."""
     pair = Pair(folder / "robot.urdf", folder / "robot.xml")
     pair.urdf.write_text(urdf)
     pair.mjcf.write_text(mjcf)

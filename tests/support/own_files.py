@@ -72,6 +72,7 @@ def write(folder: Path, text: str) -> None:
 
 
 def _write_stances(folder: Path, text: str) -> None:
+    """Write the stance files and the files of names that a block names."""
     (folder / "crouch.toml").write_text("height = '12cm'\n")
     if "legs.toml" in text:
         shutil.copy(ROOT / "examples/legs.toml", folder)
@@ -281,6 +282,7 @@ def _write_log(path: Path, seconds: float = 4.0) -> None:
 
 
 def _write_policy(path: Path) -> None:
+    """Write a policy for trotting as JSON, or as ONNX with its TOML file."""
     from tests.tools.walk import made
 
     if path.exists():

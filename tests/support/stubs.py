@@ -370,7 +370,7 @@ def best() -> Any:
 
 
 def workspace() -> Any:
-    """Return the interval of the base's pose in three coordinates."""
+    """Return the intervals of three coordinates of the base's pose."""
     intervals = {
         "height": Stub(low=0.0911, high=0.1922),
         "roll": Stub(low=math.radians(-13.3), high=math.radians(14.4)),
