@@ -98,7 +98,7 @@ def _make_stand_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
         watch.stop("of PlaCo: as many programmes alone")
         shapes.kinematics.update(point.qpos)
         watch.stop("of the errors: where com and feet are")
-        shapes.lowest_part(shapes.kinematics, goal.task.ground, goal.targets, goal.depths)
+        shapes.find_lowest_part(shapes.kinematics, goal.task.ground, goal.targets, goal.depths)
         watch.stop("of the errors: how high all parts are")
         pa.Stand(**vars(stand))
         watch.stop("of the errors: a Stand that is there already")

@@ -301,7 +301,7 @@ def _locate_link(
     return int(robot.mj_model.body_weldid[body]), place
 
 
-def with_feet(
+def add_contact_frames(
     robot: Robot, feet: Sequence[Foot], replaced: Mapping[str, Diagnostic] | None = None
 ) -> Description:
     """Return the description of a robot with an added frame at each contact point, in both files.

@@ -20,7 +20,11 @@ from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
 )
-from pupper_analysis.prepare.own_run import as_loaded, describe_import_failure, simulate_fixed_base
+from pupper_analysis.prepare.own_run import (
+    describe_import_failure,
+    get_loaded_robot,
+    simulate_fixed_base,
+)
 from pupper_analysis.prepare.self_check import (
     compare_as_published,
     explain_own_run,
@@ -86,7 +90,7 @@ def judge_simulation(
             both given, or if the ground cannot be added (``build_on_ground``).
     """
     robot = stand.check(robot)
-    servos, loaded = find_servos_used(robot, kp, kd), as_loaded(robot)
+    servos, loaded = find_servos_used(robot, kp, kd), get_loaded_robot(robot)
     keyframe_run = explain_own_run(robot)
     if not (loaded.floating or stand.stance_feet):
         keyframe_run = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
@@ -258,7 +262,7 @@ def describe_missing_masses(robot: Robot) -> Diagnostic | None:
 
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return messages about errors and assumptions in a robot's files, for its verdicts."""
-    loaded = as_loaded(robot)
+    loaded = get_loaded_robot(robot)
     messages = [note for note in loaded.notes if note.code in _FILE_ERROR_CODES]
     joint_names, model = np.array(loaded.joint_names), loaded.mj_model
     dofs = model.jnt_dofadr[[model.joint(name).id for name in joint_names]]

@@ -76,7 +76,7 @@ _MAX_RESTING_SPEED = 5e-3
 ANYmal B that creep apart move at 1e-3; robots that shake oscillate with 2e-2 or more."""
 
 
-def as_loaded(robot: Robot) -> Robot:
+def get_loaded_robot(robot: Robot) -> Robot:
     """Return the robot as loaded from its files: without later changes, or contacts of a task."""
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
@@ -91,7 +91,7 @@ def own_run(robot: Robot) -> OwnRun | None:
         returns None, or if the file fixes the base. See ``simulate_model_from_keyframe`` for
         further cases.
     """
-    return as_loaded(robot).compute_once(_simulate_from_keyframe)
+    return get_loaded_robot(robot).compute_once(_simulate_from_keyframe)
 
 
 def get_published_model(robot: Robot) -> mujoco.MjModel | None:
@@ -123,7 +123,7 @@ def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
 
     Also empty for a robot with an MJCF, whose URDF is not imported.
     """
-    found = as_loaded(robot).compute_once(_import_urdf)
+    found = get_loaded_robot(robot).compute_once(_import_urdf)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
 
 

@@ -42,12 +42,12 @@ from pupper_analysis.prepare import (
 from pupper_analysis.prepare.base import free_base, place_base_frame, remove_free_joint_friction
 from pupper_analysis.prepare.feet import (
     Foot,
+    add_contact_frames,
     find_feet,
     find_named_foot,
     has_ellipsoids,
     have_contact_points_moved,
     report_sideways_limbs,
-    with_feet,
 )
 from pupper_analysis.prepare.joints import (
     check_motors,
@@ -439,13 +439,13 @@ def _find_feet(draft: Draft) -> PassOutput:
     messages = [notes.report_feet(footless, feet, given=names is not None)]
     balls = {} if draft.request.as_is else notes.report_balls(footless, feet)
     messages += dict.fromkeys(balls.values())
-    robot = build_robot(with_feet(footless, feet, balls))
+    robot = build_robot(add_contact_frames(footless, feet, balls))
     for _ in range(_MAX_ELLIPSOID_FITS):
         joints = _solve_nominal_joints(draft, robot) if has_ellipsoids(footless, feet) else None
         new_feet = feet if joints is None else _find_requested_feet(footless, names, [joints])
         if not have_contact_points_moved(feet, new_feet):
             break
-        feet, robot = new_feet, build_robot(with_feet(footless, new_feet, balls))
+        feet, robot = new_feet, build_robot(add_contact_frames(footless, new_feet, balls))
     return replace(draft, built=robot, footless=footless, feet=tuple(feet)), messages
 
 
@@ -496,7 +496,7 @@ def _use_hulls_as_feet(draft: Draft) -> PassOutput:
     own = draft.robot.description.foot_geoms
     kept = {foot.name for foot in draft.feet if foot in feet}
     soft = tuple(geom for name, (geom, _) in own.items() if name not in kept)
-    described = with_feet(draft.footless, feet, balls).with_additions(
+    described = add_contact_frames(draft.footless, feet, balls).with_additions(
         DisabledContacts(message, soft)
     )
     sunk = start.compute_resting_depths(draft.mjcf.model)

@@ -31,7 +31,7 @@ from pupper_analysis.prepare.causes import (
     list_soft_servos,
 )
 from pupper_analysis.prepare.own_run import (
-    as_loaded,
+    get_loaded_robot,
     get_published_model,
     own_run,
     simulate_model_from_keyframe,
@@ -116,7 +116,7 @@ def compare_as_published(
     if robot.published is None or robot.published.is_unchanged:
         return None
     gains = (kp, kd) if servos.source is ServoSource.GIVEN else None
-    loaded = as_loaded(robot)
+    loaded = get_loaded_robot(robot)
     if not (loaded.floating or stand.stance_feet):  # in a posture
         return _compare_in(loaded, stand, gains)
     if robot.published.loaded is not None or robot.welds or not stand.task.ground.level:
@@ -403,7 +403,7 @@ def explain_own_run(robot: Robot) -> OwnRun | None:
     The result is cached per loaded robot; None in the cases of `own_run`. No causes are searched
     for a file with a servo whose stiffness is zero or negative.
     """
-    return as_loaded(robot).compute_once(_own_run_explained)
+    return get_loaded_robot(robot).compute_once(_own_run_explained)
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:
@@ -463,7 +463,7 @@ def name_remaining_cause(
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
     """Return the file's servos as a cause, if the file stands with stiffer servos."""
-    loaded = as_loaded(robot)
+    loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
     if model is None or not loaded.floating:
         return ()

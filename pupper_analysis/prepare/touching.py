@@ -21,7 +21,12 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.additions import ContactExclusion, DisabledContacts
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.contact_points import compute_lowest_height, find_contact_points
-from pupper_analysis.prepare.feet import Foot, count_joints_to_base, list_ground_geoms, with_feet
+from pupper_analysis.prepare.feet import (
+    Foot,
+    add_contact_frames,
+    count_joints_to_base,
+    list_ground_geoms,
+)
 from pupper_analysis.robot.build import build_robot, with_additions
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
@@ -112,7 +117,7 @@ def find_carrying_hulls(
     if not changed:
         return None
     new = tuple(changed.get(foot.name, foot) for foot in feet)
-    hulled = build_robot(with_feet(footless, new, notes.report_balls(footless, new)))
+    hulled = build_robot(add_contact_frames(footless, new, notes.report_balls(footless, new)))
     shares = []
     for name, gap in gaps.items():
         soft = GroundLaw.of_contact(robot, name)

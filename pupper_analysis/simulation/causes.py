@@ -124,7 +124,9 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
     return [diagnose("contacts-rattle", share=variation, impratio=impratio)]
 
 
-def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, float]:
+def compute_creep_speeds(
+    robot: Robot, stand: Stand, prediction: GravityCompensation
+) -> dict[str, float]:
     """Compute the creep speed of each contact point in MuJoCo's friction: {point: |f_t| / c [m/s]}.
 
     f_t is the predicted tangential force [N], and c the viscosity [N s/m] of ``GroundLaw`` at the
@@ -146,7 +148,7 @@ def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) ->
 
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
     """Report the contact point with the largest creep speed, if above ``MAX_CREEP_SPEED``."""
-    speeds = creep_speeds(robot, stand, prediction)
+    speeds = compute_creep_speeds(robot, stand, prediction)
     foot = max(speeds, key=speeds.__getitem__, default="")
     if not speeds.get(foot, 0.0) > MAX_CREEP_SPEED:
         return []

@@ -417,7 +417,7 @@ class ContactRecord:
     feet_settled: dict[str, Array]
     lifted: dict[str, float] = field(default_factory=dict)
 
-    def foot_drops(self, stand: Stand) -> dict[str, Array]:
+    def compute_foot_drops(self, stand: Stand) -> dict[str, Array]:
         """Compute target minus settled position of the contact points of a stand.
 
         Returns:

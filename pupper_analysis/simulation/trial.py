@@ -23,7 +23,7 @@ from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.causes import MAX_CREEP_SPEED, creep_speeds
+from pupper_analysis.simulation.causes import MAX_CREEP_SPEED, compute_creep_speeds
 from pupper_analysis.simulation.rollout import StandStart, check_stand, make_stand_start, roll_out
 from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.stance.stand import Stand
@@ -319,7 +319,7 @@ class _FailureConditions:
         self.held, self.stand, self.robot = held, stand, robot
         self.timestep = float(held.drive.model.opt.timestep)
         self.sampler = monitor.ContactSampler(robot, held.drive.model)
-        self.creeps = creep_speeds(robot, stand, held.prediction)
+        self.creeps = compute_creep_speeds(robot, stand, held.prediction)
         self.efforts = robot.effort_ranges * (1 - 1e-9)
         self.names = np.array(robot.joint_names)
         self.lower, self.upper = _free_joint_limits(robot, stand)

@@ -465,7 +465,7 @@ def _compare_with_prediction(
     this scale is larger.
     """
     timestep = float(drive.model.opt.timestep)
-    states, settled, drops = run.states, run.last, record.foot_drops(stand)
+    states, settled, drops = run.states, run.last, record.compute_foot_drops(stand)
     resting = monitor.base_heights(robot, settled)
     base_height = float(resting.mean())
     height_loss = float(stand.qpos[2]) - base_height if robot.floating else 0.0

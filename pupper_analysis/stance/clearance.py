@@ -162,7 +162,7 @@ class ClearanceShapes:
         never |= {links[pair.one, pair.other] for pair in near if pair.distance <= 0}
         return _to_index_pairs(pair for pair in checked if links[pair] not in never)
 
-    def closest_links(self, qpos: Array) -> Clearance | None:
+    def find_closest_links(self, qpos: Array) -> Clearance | None:
         """Return the smallest distance between collision shapes of links that are not neighbours.
 
         Args:
@@ -171,12 +171,12 @@ class ClearanceShapes:
         Returns:
             Distance [m] and both links; None if there are no such pairs.
         """
-        for pair in self.nearest_pairs(qpos, 1):
+        for pair in self.find_nearest_pairs(qpos, 1):
             links = self.shapes[pair.one].link, self.shapes[pair.other].link
             return Clearance(pair.distance, links)
         return None
 
-    def nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
+    def find_nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
         """Return the nearest pairs of collision shapes on links that are not neighbours.
 
         Args:
@@ -229,9 +229,9 @@ class ClearanceShapes:
             most: Maximum number of pairs.
 
         Returns:
-            Shape (n, nv) [m per m or rad], for the n pairs of `nearest_pairs` in their order.
+            Shape (n, nv) [m per m or rad], for the n pairs of `find_nearest_pairs` in their order.
         """
-        found = self.nearest_pairs(at.qpos, most)
+        found = self.find_nearest_pairs(at.qpos, most)
         rates = np.zeros((len(found), self.robot.nv))
         for row, (one, other, near) in zip(rates, found, strict=True):
             ends = (one, near.getNearestPoint1(), -1), (other, near.getNearestPoint2(), 1)
@@ -240,7 +240,7 @@ class ClearanceShapes:
                 row += sign * (near.normal @ moved)
         return rates
 
-    def lowest_part(
+    def find_lowest_part(
         self,
         at: Kinematics,
         ground: Ground,
@@ -257,15 +257,15 @@ class ClearanceShapes:
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
-            Smallest of the `part_heights`; None if these are empty.
+            Smallest of the `measure_part_heights`; None if these are empty.
         """
-        heights = self.part_heights(at, ground, targets, depths)
+        heights = self.measure_part_heights(at, ground, targets, depths)
         if not heights:
             return None
         lowest = min(heights)
         return Clearance(lowest, (self.parts[heights.index(lowest)].shape.link,))
 
-    def part_heights(
+    def measure_part_heights(
         self,
         at: Kinematics,
         ground: Ground,
@@ -308,7 +308,7 @@ class ClearanceShapes:
         """Return the Jacobian of the heights of ``parts`` above the ground by qvel, shape (n, nv).
 
         The lowest point of a part is treated as fixed to the link. The arguments are those of
-        `part_heights`.
+        `measure_part_heights`.
         """
         there = self.move_to(at.qpos)
         if self._is_floorless(ground):

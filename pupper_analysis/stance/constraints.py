@@ -296,7 +296,9 @@ class GroundClearance(Constraint):
         Parts are the collision shapes that are no feet, in the order of ``ClearanceShapes.parts``.
         Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
         """
-        heights = self._shapes.part_heights(at, goal.task.ground, goal.rigid_targets, goal.depths)
+        heights = self._shapes.measure_part_heights(
+            at, goal.task.ground, goal.rigid_targets, goal.depths
+        )
         return np.array(heights) - goal.task.ground_clearance + CLEARANCE_TOLERANCE / 2
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
@@ -308,7 +310,7 @@ class GroundClearance(Constraint):
 
         None without such parts or without ground.
         """
-        return self._shapes.lowest_part(at, goal.task.ground, goal.rigid_targets, goal.depths)
+        return self._shapes.find_lowest_part(at, goal.task.ground, goal.rigid_targets, goal.depths)
 
 
 class SelfClearance(Constraint):
@@ -321,7 +323,7 @@ class SelfClearance(Constraint):
 
         Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
         """
-        pairs = self._shapes.nearest_pairs(at.qpos, _NUM_NEAREST_PAIRS)
+        pairs = self._shapes.find_nearest_pairs(at.qpos, _NUM_NEAREST_PAIRS)
         least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
         return np.array([pair.distance for pair in pairs]) - least
 
@@ -331,7 +333,7 @@ class SelfClearance(Constraint):
 
     def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:
         """Return the smallest distance [m] between links that are not neighbours; None if none."""
-        return self._shapes.closest_links(at.qpos)
+        return self._shapes.find_closest_links(at.qpos)
 
 
 def _has_fixed_com_on_planes(goal: Goal) -> bool:

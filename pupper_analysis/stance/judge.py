@@ -31,7 +31,7 @@ from pupper_analysis.stance.constraints import (
     TASK_TOLERANCE,
     evaluate_constraints,
 )
-from pupper_analysis.stance.problem import Goal, feet_centre, raise_feet
+from pupper_analysis.stance.problem import Goal, feet_centre, remove_penetration
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import list_grips, prescribed_forces
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -193,10 +193,10 @@ class Stand(Pictured, Tabular):
         """Targets of the sphere centres, with which steps and planes of feet are located.
 
         {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
-        penetration is removed (`raise_feet`). Otherwise these are the ``foot_targets``, since the
-        position of a level step does not depend on the penetration.
+        penetration is removed (`remove_penetration`). Otherwise these are the ``foot_targets``,
+        since the position of a level step does not depend on the penetration.
         """
-        return raise_feet(self.task.ground, self.foot_targets, self.depths, self.normals)
+        return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
         """Return a copy of this stand with another task, which the stand must satisfy as well."""
@@ -399,7 +399,7 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
         return False
     qpos = shapes.robot.home.copy()
     qpos[:7] = 0.0, 0.0, goal.height, *goal.base_quaternion
-    heights = shapes.part_heights(shapes.move_to(qpos), Ground(), {}, goal.depths)
+    heights = shapes.measure_part_heights(shapes.move_to(qpos), Ground(), {}, goal.depths)
     parts = zip(heights, shapes.parts, strict=True)
     own = [height for height, part in parts if not part.shape.joint]
     return min(own, default=math.inf) < goal.task.ground_clearance - CLEARANCE_TOLERANCE

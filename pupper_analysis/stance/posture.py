@@ -67,7 +67,7 @@ class Posture(Result):
     requested_joints: tuple[str, ...]
 
 
-def check_held(robot: Robot) -> None:
+def check_fixed_base(robot: Robot) -> None:
     """Check that the base of a robot is fixed to the world; raise an error otherwise.
 
     Raises:
@@ -103,7 +103,7 @@ def find_posture(
             couplings cannot be closed.
         UnknownNameError: If a joint or the keyframe is unknown; the message lists the known names.
     """
-    check_held(robot)
+    check_fixed_base(robot)
     ranges = joint_ranges(robot)
     qpos, name = default_positions(robot, keyframe)
     source = PostureSource.MIDDLE if name is None else PostureSource.KEYFRAME
@@ -155,6 +155,6 @@ def held_stand(robot: Robot, posture: Posture) -> Stand:
     Raises:
         ConfigurationError: If the base is free, or an argument has another type.
     """
-    check_held(robot)
+    check_fixed_base(robot)
     stand = Stand(task=StandTask(), qpos=posture.qpos, robot=robot.fingerprint)
     return attach_robot(stand, robot)

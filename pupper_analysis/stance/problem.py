@@ -58,7 +58,7 @@ direction of the largest one, above which the robot can move the CoM in this dir
 are a microradian off level permit less. Chosen, not tuned."""
 
 
-def has_spare_joints(robot: Robot) -> bool:
+def has_redundant_joints(robot: Robot) -> bool:
     """Return True if the robot has redundant joints while the base and all feet keep their poses.
 
     Degrees of freedom are counted: 6 of the base, and those that `_FIXED_COORDINATES` lists for the
@@ -185,10 +185,10 @@ class Goal:
         """Targets of the sphere centres, with which steps and planes of feet are located.
 
         {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
-        penetration is removed (`raise_feet`). Otherwise these are the ``targets``, since the
-        position of a level step does not depend on the penetration.
+        penetration is removed (`remove_penetration`). Otherwise these are the ``targets``,
+        since the position of a level step does not depend on the penetration.
         """
-        return raise_feet(self.task.ground, self.targets, self.depths, self.normals)
+        return remove_penetration(self.task.ground, self.targets, self.depths, self.normals)
 
     @property
     def com_is_free(self) -> bool:
@@ -287,7 +287,7 @@ def _build_goal(
             [places[foot] - robot.contact_radius[foot] * out[foot] for foot in stance_feet]
         ).reshape(-1, 3)
         deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
-        targets = freeze_arrays(sink_feet(robot, places, deep, out))
+        targets = freeze_arrays(add_penetration(robot, places, deep, out))
         contact_by_foot = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
         normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
         grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
@@ -675,7 +675,7 @@ def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
     return {point: out[point] for point in robot.contact_points}
 
 
-def sink_feet(
+def add_penetration(
     robot: Robot,
     targets: Mapping[str, Array],
     depths: Mapping[str, float],
@@ -703,7 +703,7 @@ def sink_feet(
     return sunk
 
 
-def raise_feet(
+def remove_penetration(
     ground: Ground,
     targets: Mapping[str, Array],
     depths: Mapping[str, float],

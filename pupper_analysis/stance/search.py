@@ -32,7 +32,7 @@ from pupper_analysis.stance.branches import (
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, make_constraints
 from pupper_analysis.stance.judge import Stand, evaluate_stand, is_base_in_ground
-from pupper_analysis.stance.problem import Goal, has_spare_joints
+from pupper_analysis.stance.problem import Goal, has_redundant_joints
 from pupper_analysis.stance.programme import StanceProgram
 from pupper_analysis.stance.solver import SearchContext, SolverResult
 
@@ -248,7 +248,7 @@ class _Search:
         best = self.best_stand()
         if best.solved or (self._is_base_in_ground and self.reached):
             return best
-        if not self.goal.com_is_free and not (self.reached and has_spare_joints(self.robot)):
+        if not self.goal.com_is_free and not (self.reached and has_redundant_joints(self.robot)):
             return best
         if self.goal.com_is_free:
             reach = support_radius(self.goal) + bound_com_shift(self.robot, best.qpos, self.found)

@@ -22,7 +22,7 @@ from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.judge import Stand, attach_robot
-from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
+from pupper_analysis.stance.problem import Goal, has_redundant_joints, make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import (
     minimise_foot_errors,
@@ -209,7 +209,7 @@ def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Arra
         goal: Goal.
         before: Configurations (nq,) of up to four previous stands, the latest first.
     """
-    if not before or has_spare_joints(context.robot) or _depends_on_start(goal):
+    if not before or has_redundant_joints(context.robot) or _depends_on_start(goal):
         return None
     weights, last = _EXTRAPOLATION_WEIGHTS[len(before)], before[0]
     ahead = weights[0] * last

@@ -450,7 +450,7 @@ class _PinocchioBody:
 
     def self_clearances(self) -> Array:
         """Return the smallest distances (n,) [m] of links that are not neighbours, ascending."""
-        pairs = self._collision.shapes.nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
+        pairs = self._collision.shapes.find_nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
         return np.array([pair.distance for pair in pairs])
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
@@ -494,7 +494,7 @@ class _MujocoBody(_PinocchioBody):
         In ascending order.
         """
         shapes, model = self._collision.shapes, self._robot.mj_model
-        pairs = shapes.nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
+        pairs = shapes.find_nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
         found = [
             mujoco.mj_geomDistance(
                 model,

@@ -213,9 +213,9 @@ def test_twenty_threads_at_once() -> None:
 
 
 def test_clearance_is_equal_without_in_memory_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = ClearanceShapes(load("v3")).closest_links(stand_of("v3").qpos)
+    one = ClearanceShapes(load("v3")).find_closest_links(stand_of("v3").qpos)
     monkeypatch.delattr(os, "memfd_create", raising=False)
-    assert ClearanceShapes(load("v3")).closest_links(stand_of("v3").qpos) == one
+    assert ClearanceShapes(load("v3")).find_closest_links(stand_of("v3").qpos) == one
 
 
 def test_mujoco_warnings_are_silent_until_the_last_context_ends() -> None:

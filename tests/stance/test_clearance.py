@@ -74,7 +74,7 @@ def test_lowest_part_above_slope_and_steps_equals_mujoco(name: str) -> None:
     for seed in range(40):
         qpos, _ = random_state(robot, seed)
         qpos[:3] = 0.05 * np.tanh(qpos[:3]) + (0, 0, 0.3)
-        found = shapes.lowest_part(shapes.move_to(qpos), ground, feet, {})
+        found = shapes.find_lowest_part(shapes.move_to(qpos), ground, feet, {})
         expected = min(ground_distances(there, qpos))
         assert found is not None
         if expected > 0:  # of shapes in each other the two libraries give other depths
@@ -108,7 +108,7 @@ def test_distance_of_the_closest_links_equals_mujoco(name: str) -> None:
     neighbours = {pair for pair, gap in pairs(home).items() if gap <= 0}
     for seed in range(10):
         qpos, _ = random_state(robot, seed)
-        found = shapes.closest_links(qpos)
+        found = shapes.find_closest_links(qpos)
         assert found is not None
         gaps = {
             p: gap for p, gap in pairs(evaluate_mujoco(robot, qpos)).items() if p not in neighbours
@@ -168,7 +168,7 @@ def test_height_jacobian_equals_central_differences(name: str, ground: pa.Ground
                 moved = qpos.copy()
                 moved[index] += step
                 ends.append(
-                    np.array(shapes.part_heights(shapes.move_to(moved), ground, places, {}))
+                    np.array(shapes.measure_part_heights(shapes.move_to(moved), ground, places, {}))
                 )
             rates_found = (ends[0] - ends[1]) / 2e-4
             np.testing.assert_allclose(rates[:, column], rates_found, atol=2e-3)

@@ -108,7 +108,7 @@ def test_lowest_part_above_steps_equals_mujocos_distance(robot: pa.Robot) -> Non
             mujoco.mj_geomDistance(model, data, int(fixed), geom, FAR, None)
             for fixed, geom in itertools.product(still, geoms)
         )
-        found = shapes.lowest_part(shapes.move_to(qpos), ground, places, {})
+        found = shapes.find_lowest_part(shapes.move_to(qpos), ground, places, {})
         assert found is not None
         if expected > 0:
             seen += 1
@@ -130,7 +130,7 @@ def test_link_distances_equal_those_of_mujoco_hulls(robot: pa.Robot) -> None:
             for one, two in itertools.combinations(touching(model), 2)
             if pair_of(model, one, two) not in neighbours
         )
-        found = shapes.closest_links(qpos)
+        found = shapes.find_closest_links(qpos)
         assert found is not None
         if expected > 0:
             seen += 1

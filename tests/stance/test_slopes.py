@@ -236,8 +236,8 @@ def test_clearance_from_a_wall_equals_mujoco() -> None:
     with borrow(robot, SearchContext) as context:
         shapes = context.shapes
         at = shapes.move_to(stand.qpos)
-        heights = shapes.part_heights(at, ground, stand.rigid_targets, {})
-        flat = shapes.part_heights(at, pa.Ground(), {}, {})
+        heights = shapes.measure_part_heights(at, ground, stand.rigid_targets, {})
+        flat = shapes.measure_part_heights(at, pa.Ground(), {}, {})
     assert (np.array(walled) < flat).sum() >= 2
     np.testing.assert_allclose(heights, np.minimum(walled, flat), atol=1e-6)
     assert stand.ground_clearance is not None

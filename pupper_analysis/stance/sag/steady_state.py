@@ -239,21 +239,21 @@ class HomotopyPath:
         when = diagnose("as-it-stands-fed")
         self.solution = self._solve_contacts(Solution(qpos, forces), when, exact)
 
-    def follow(self, goal: float) -> None:
+    def follow(self, fraction: float) -> None:
         """Move along the path of equilibria until a fraction of the feed-forward is removed.
 
         The step of the fraction is adaptive.
 
         Args:
-            goal: Fraction of the feed-forward to remove, 0 (none) to 1 (all).
+            fraction: Fraction of the feed-forward to remove, 0 (none) to 1 (all).
 
         Raises:
             NoEquilibriumError: If no equilibrium continues the path before this fraction, or if
                 contacts change too often.
         """
         step = 1.0
-        while self.share < goal:
-            wanted = min(self.share + step, goal)
+        while self.share < fraction:
+            wanted = min(self.share + step, fraction)
             found = self._solve_at(wanted)
             if found is not None and step > _MAX_UNCHECKED_STEP and self.linearise(found)[1] <= 0:
                 # A long step may end on another branch.

@@ -672,7 +672,7 @@ class _PayloadSearch:
             shapes = context.shapes
             # No depths: these would exempt parts from the penetration of the feet.
             geometry = shapes.move_to(stand.qpos), stand.task.ground, stand.rigid_targets
-            lowest = shapes.lowest_part(*geometry, {})
+            lowest = shapes.find_lowest_part(*geometry, {})
         return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
     def find_motor_failure(self, mass: float) -> FailureCause:
