@@ -94,7 +94,7 @@ def draw_stands(robot: pa.Robot, count: int, seed: int) -> list[pa.Stand]:
     random, stands = np.random.default_rng(seed), []
     while len(stands) < count:
         task = random_task(robot, random)
-        if not task.ground.level:
+        if not task.ground.is_level:
             continue
         try:
             stand = pa.stance.solve_stand_on_soft_ground(robot, task, explain=False)

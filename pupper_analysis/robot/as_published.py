@@ -119,7 +119,7 @@ class JointOff:
 
 @dataclass(frozen=True)
 class Cause:
-    """Element of the MJCF, or change on loading, that causes a deviation from the prediction.
+    """Element of the MJCF, or change on loading, that causes a deviation from equilibrium.
 
     Attributes:
         code: Code; see ``present.verdict.describe_cause``.
@@ -240,7 +240,7 @@ class OwnRun(BodyMotion):
 
 @dataclass(frozen=True)
 class PublishedRun:
-    """Simulation of the unmodified MJCF from a predicted state, compared with the prediction.
+    """Simulation of the unmodified MJCF from a computed equilibrium, compared with this state.
 
     Attributes:
         feedforward: Whether the commands include feed-forward; otherwise positions only.
@@ -283,7 +283,7 @@ class PublishedRun:
 
 @dataclass(frozen=True)
 class Published:
-    """Deviations of the published MJCF from the prediction.
+    """Deviations of the published MJCF from the computed equilibrium.
 
     Attributes:
         runs: Simulations.

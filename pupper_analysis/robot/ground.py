@@ -97,7 +97,7 @@ class Ground:
         object.__setattr__(self, "heights", FrozenDict(values))
 
     @property
-    def level(self) -> bool:
+    def is_level(self) -> bool:
         """Whether the ground is the plane z = 0 everywhere."""
         return self.slope == 0 and not any((*self.heights.values(), *self._planes))
 

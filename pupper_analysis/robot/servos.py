@@ -69,7 +69,7 @@ class Servos:
     integrator: str
 
     @property
-    def implicit(self) -> bool:
+    def is_implicit(self) -> bool:
         """True for an implicit integrator: servo damping acts on the velocity after the step."""
         return self.integrator.startswith("implicit")
 

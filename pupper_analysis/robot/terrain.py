@@ -53,10 +53,10 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     Raises:
         ModelError: If the MJCF has not enough unused bits of ``contype``.
     """
-    if ground.level and not robot.welds:
+    if ground.is_level and not robot.welds:
         return robot
     spec = robot.description.mjcf.copy()
-    if not ground.level:
+    if not ground.is_level:
         _add_ground(robot, spec, ground, places)
     _add_welds(robot, spec)
     return replace(rebuild_robot(robot, mjcf=spec), fingerprint=robot.fingerprint)

@@ -66,7 +66,7 @@ class Contacts:
     grips: Array = field(default_factory=lambda: np.zeros(0))
 
     @functools.cached_property
-    def level(self) -> bool:
+    def is_level(self) -> bool:
         """True if all normals point upward (within `BALANCE_TOLERANCE`)."""
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
 
@@ -92,7 +92,9 @@ class Contacts:
         if self.welds:
             grip_points = config.foot_centres([str(point) for point in self.welds.values()])
             grips = np.column_stack([grip_points, self.grips / self.weight])
-        if self.level and self.stated is None and grips is None:  # the usual case, without a cache
+        if (
+            self.is_level and self.stated is None and grips is None
+        ):  # the usual case, without a cache
             corners = tuple([(a, b) for a, b, _ in points.tolist()])
         else:
             friction = self.friction.tolist()

@@ -410,7 +410,7 @@ def _iterate_viscosities(
     the last forces are returned. On level ground the viscosities have no influence, and ``forces``
     is returned. None if an iteration finds no feasible forces.
     """
-    if carrying.level:
+    if carrying.is_level:
         return forces
     friction = carrying.friction
     scale = np.abs(forces).max()

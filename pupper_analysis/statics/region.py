@@ -100,7 +100,7 @@ def support_region(
     if not carrying.feet:
         raise ConfigurationError("contacts", diagnose("region-without-contacts"))
     points = carrying.points(config)
-    is_level = carrying.level and carrying.stated is None
+    is_level = carrying.is_level and carrying.stated is None
     if is_level and not torque_limits:
         found = support_corners(points, carrying.normals, ())
     else:

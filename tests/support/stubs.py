@@ -450,7 +450,7 @@ def files() -> Any:
         only_urdf=("tail",),
         only_mjcf=("head",),
     )
-    for name in ("unexplained", "main_problem"):
+    for name in ("unexplained_differences", "main_problem"):
         setattr(found, name, vars(FilesCompared)[name].fget(found))
     return found
 

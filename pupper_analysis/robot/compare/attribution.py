@@ -126,7 +126,9 @@ def explain_differences(
     differences.sort(key=lambda difference: difference.rank)
     return Explanation(
         differences=tuple(differences),
-        deviations={name: relative_error.relative(name, urdf[name], mjcf[name]) for name in urdf},
+        deviations={
+            name: relative_error.relative_deviation(name, urdf[name], mjcf[name]) for name in urdf
+        },
         residual=residual,
         complete=all(value <= MAX_RESIDUAL for value in residual.values()),
         notes=tuple(
@@ -150,7 +152,8 @@ def _compute_residual(
     the linear solver. A missing force exceeds this bound.
     """
     residual = {
-        name: relative_error.relative(name, patched[name], reduced[name]) for name in patched
+        name: relative_error.relative_deviation(name, patched[name], reduced[name])
+        for name in patched
     }
     mass, name = patched["mass matrix"], "forward dynamics"
     accelerations = patched[name]

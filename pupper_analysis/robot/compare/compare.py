@@ -385,7 +385,7 @@ class FilesCompared(Tabular):
     same_robot: bool
 
     @property
-    def unexplained(self) -> list[list[Difference]]:
+    def unexplained_differences(self) -> list[list[Difference]]:
         """Differences without a cause, grouped by kind and values."""
         explained = {index for cause in self.causes for index in cause.differences}
         groups: dict[tuple[str, str, str], list[Difference]] = {}
@@ -399,7 +399,7 @@ class FilesCompared(Tabular):
     @property
     def main_problem(self) -> Diagnostic:
         """Diagnostic of the problem to repair first; if there is none, of the agreement."""
-        causes, groups = self.causes, self.unexplained
+        causes, groups = self.causes, self.unexplained_differences
         if causes and causes[0].is_reported_first:
             return causes[0].diagnostic
         if self.parts:

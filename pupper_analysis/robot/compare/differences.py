@@ -311,7 +311,7 @@ class RelativeError:
         values = self.one[name] if np.isfinite(self.one[name]).all() else self.two[name]
         return max(float(np.abs(values).max()), lower_bound)
 
-    def relative(self, name: str, first: Array, second: Array) -> float:
+    def relative_deviation(self, name: str, first: Array, second: Array) -> float:
         """Return the largest deviation between two arrays of a quantity, relative to its ``scale``.
 
         Args:
@@ -338,9 +338,9 @@ class RelativeError:
         """
         effects = {}
         for name, values in after.items():
-            relative = self.relative(name, values, before[name])
+            relative = self.relative_deviation(name, values, before[name])
             if relative > 1e-12:  # rounding
-                total = self.relative(name, self.one[name], self.two[name])
+                total = self.relative_deviation(name, self.one[name], self.two[name])
                 # The fraction is undefined if the total is a rounding error.
                 fraction = relative / total if 1e-9 < total < math.inf else math.inf
                 effects[name] = Effect(relative * self.scale(name), relative, fraction)

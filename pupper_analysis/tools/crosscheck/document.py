@@ -234,7 +234,7 @@ def _format_file_name(path: str) -> doc.Name:
 
 def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
     """Yield the blocks of the document, the difference to repair first at the top."""
-    causes, groups = comparison.causes, comparison.unexplained
+    causes, groups = comparison.causes, comparison.unexplained_differences
     files = {"urdf-file": comparison.urdf, "mjcf-file": comparison.mjcf}
     named = tuple(text(label, file=doc.Name(file)) for label, file in files.items())
     yield doc.Lines(named, detail=True)

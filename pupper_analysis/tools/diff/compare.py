@@ -260,7 +260,9 @@ class _Comparison:
             if self.differences or combined:
                 self.differences += find_changed_compiler_settings(old_file, new_file)
         patched = trial.evaluate_tree(apply_changes(first, second, VERSION_NAMES))
-        residual = {name: judge.relative(name, patched[name], after[name]) for name in patched}
+        residual = {
+            name: judge.relative_deviation(name, patched[name], after[name]) for name in patched
+        }
         holding = trial.compute_holding_torques(first), trial.compute_holding_torques(second)
         self.differences.sort(key=lambda difference: difference.rank)
         return ModelDiff(
@@ -270,7 +272,9 @@ class _Comparison:
             changes=tuple(map(self._make_change, self.differences)),
             mass=(_sum_mass(first), _sum_mass(second)),
             torques={name: (holding[0][name], holding[1][name]) for name in first.joints},
-            deviations={name: judge.relative(name, before[name], after[name]) for name in before},
+            deviations={
+                name: judge.relative_deviation(name, before[name], after[name]) for name in before
+            },
             residual=residual,
             complete=all(value <= MAX_RESIDUAL for value in residual.values()),
             combined=combined,

@@ -135,7 +135,7 @@ def path_commands(
     torques = CubicSpline(path.time, motors)(np.minimum(starts, end))
     # MuJoCo's velocity is the difference of positions over a step. Servo damping acts on the
     # velocity at the start of the step or, with an implicit integrator, at its end.
-    damped = times if drive.implicit else starts
+    damped = times if drive.is_implicit else starts
     places = [np.clip(moments, 0.0, end) for moments in (damped - timestep, damped)]
     rates = (spline(places[1]) - spline(places[0]))[:, joints] / timestep
     ahead = spline(np.minimum(starts, end))[:, joints] + rates * drive.kd / drive.kp
@@ -488,7 +488,7 @@ def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic
     dofs = 1 + model.nq + public.qvel_index[robot.nv - robot.nu :]
     target = plan.ctrl[:, model.actuator_ctrladr[public.actuator_index]] / drive.gear
     position = before[:, 1 + public.qpos_index[joints]]
-    velocity = (states if drive.implicit else before)[:, dofs]
+    velocity = (states if drive.is_implicit else before)[:, dofs]
     unlimited = drive.kp * (target - position) - drive.kd * velocity
     limited = model.actuator_forcelimited[public.actuator_index].astype(bool)
     ranges = model.actuator_forcerange[public.actuator_index] * drive.gear[:, None]

@@ -131,7 +131,7 @@ def test_causes_are_ordered_by_their_effect(tmp_path: Path) -> None:
     for mjcf, said in ((limit, "mass and inertia of thigh0"), (heavy, "link base: mass")):
         comparison = compared(pair(tmp_path, mjcf))
         assert len(comparison.causes) == 1
-        assert len(comparison.unexplained) > 0
+        assert len(comparison.unexplained_differences) > 0
         assert headline(comparison).startswith(f"DISAGREE: {said}")
 
 
