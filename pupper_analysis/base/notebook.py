@@ -131,7 +131,7 @@ def _sequence_html(values: Sequence[object]) -> str:
 
 
 def _lines_html(lines: Sequence[str]) -> str:
-    """Join HTML lines; after ``MAX_SHOWN_ROWS`` lines only the number of lines is stated."""
+    """Join HTML lines; after ``MAX_SHOWN_ROWS`` lines, only the number of further lines is stated."""
     if not lines:
         return _NOTHING
     hidden = len(lines) - MAX_SHOWN_ROWS

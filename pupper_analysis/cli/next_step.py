@@ -28,9 +28,10 @@ _OUTPUT_PARAMETERS = ("everything", "style", "force")
 def complete_command(step: NextStep | None) -> str:
     """Return the command line of a next step, for the robot of the running command.
 
-    The line contains the typed robot, and the typed options that both commands have and that
-    specify no output. It is empty without a step, if no such command is installed, if the typed
-    files do not suffice for the next command, and if a typed file is standard input.
+    The line contains the typed robot, unless the step names files, and the typed options that both
+    commands have and that specify no output. It is empty without a step or a running command, if no
+    such command is installed, if the typed files do not suffice for the next command, and if a
+    typed file is standard input.
 
     Args:
         step: Next step.

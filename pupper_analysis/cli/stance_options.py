@@ -249,7 +249,7 @@ class RobotAndTask:
 
 
 def _refuse_file_options(selections: Sequence[str | VariantSpec | RobotFiles]) -> None:
-    """Refuse options for files if only variants are selected."""
+    """Refuse ``--as-is``, an option for files, if only variants are selected."""
     variants = [selection for selection in selections if not isinstance(selection, RobotFiles)]
     if len(variants) == len(selections):
         names = [

@@ -48,8 +48,9 @@ def write_urdf_of_model(
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: If the model has a joint of another type, several free flyers, a sliding joint
-            without limits, or a shape that a URDF cannot state.
+        ModelError: If the model has a joint of another type, several free flyers, a free
+            flyer that is not the only joint at the root, a sliding joint without limits, or a shape
+            that a URDF cannot state.
     """
     floating = _check_joints(model, source)
     writer = _Writer(model, floating, source)

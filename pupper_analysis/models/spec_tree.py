@@ -485,8 +485,8 @@ def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
 def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
     """Return the body of the world with the most joints in its subtree, if it is a free base.
 
-    Its own joints must be three slides, and three hinges or a ball, without actuator, spring or
-    name in ``stated``; further joints must follow. None otherwise.
+    Its own joints must be three slides, and three hinges or a ball, with axes in all directions and
+    without actuator, spring or name in ``stated``; further joints must follow. None otherwise.
     """
     joint_type = mujoco.mjtObj.mjOBJ_JOINT
     bodies = list(spec.worldbody.bodies)

@@ -178,7 +178,8 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
 
     Several actuators are classified together: if an actuator is ``WRONG_SIGN``, the sum of the
     stiffnesses decides between this type and ``SERVO``; otherwise the first type in
-    ``_TYPE_PRIORITY`` is returned.
+    ``_TYPE_PRIORITY`` is returned. Without an actuator, the type is ``TENDON`` if an actuator acts
+    on a fixed tendon of the joint, and else ``NONE``.
 
     Args:
         model: Unmodified model of the MJCF.

@@ -230,7 +230,8 @@ def _stated_values(
 ) -> dict[str, float]:
     """Return {kind: value} of the joint parameters that the file specifies, including defaults.
 
-    A zero counts only if the joint or a default class contains the attribute.
+    Finite limits count. Of the other parameters, a zero counts only if the joint or a default class
+    contains the attribute.
     """
     values = {
         attribute.kind: limits[attribute.field]

@@ -184,7 +184,7 @@ and are not supported."""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
-    """Return the convex hull of an STL or OBJ file; None if the file cannot be read.
+    """Return the convex hull of an existing STL or OBJ file; None for other or invalid files.
 
     The vertices are in the file's unit of length, which a URDF takes as metres, without the scale
     of a ``<mesh>``.
