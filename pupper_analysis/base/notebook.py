@@ -106,7 +106,7 @@ def _number_text(value: float) -> str:
 
 
 def _array_html(values: np.ndarray[Any, Any]) -> str:
-    """Return all numbers of a short array, or the shape and the range of a longer array."""
+    """Return all numbers of a short vector; of other arrays the shape and the range of numbers."""
     if values.size == 0:
         return "empty"
     if values.dtype.kind not in "fiub":
@@ -131,7 +131,7 @@ def _sequence_html(values: Sequence[object]) -> str:
 
 
 def _lines_html(lines: Sequence[str]) -> str:
-    """Join HTML lines; after ``MAX_SHOWN_ROWS`` lines, only the number of further lines is stated."""
+    """Join at most ``MAX_SHOWN_ROWS`` HTML lines; of further lines the number is stated."""
     if not lines:
         return _NOTHING
     hidden = len(lines) - MAX_SHOWN_ROWS

@@ -161,7 +161,8 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
         Model, names of the shells, and MuJoCo's message about the first flat mesh ("" if none).
 
     Raises:
-        ValueError: If MuJoCo does not compile the spec for another reason.
+        ValueError: If a flat mesh determines a mass, or MuJoCo does not compile the spec for
+            another reason.
     """
     shells: list[str] = []
     first_message = ""
@@ -503,7 +504,10 @@ def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -
 
 
 def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
-    """Return a default class and the enclosing classes, outermost first."""
+    """Return a default class and the enclosing classes, outermost first.
+
+    For an unknown class, or None, the result contains the first top-level class, if any.
+    """
     tops = [child for child in root.children if child.tag == "default"]
     pending = [[top] for top in tops]
     while name is not None and pending:
