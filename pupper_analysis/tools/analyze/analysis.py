@@ -206,8 +206,10 @@ def analyze_variant(
     Raises:
         StanceUnreachableError: If the stand is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        ConfigurationError: If the base is fixed.
-        ModelError: If a motor is not a position servo, or MuJoCo cannot import the URDF.
+        NotSettlingError: If the penetration depths of the feet do not converge.
+        ConfigurationError: If the base is fixed, or the task is invalid for the robot.
+        ModelError: If a motor is not a position servo, or MuJoCo cannot import the URDF of a large
+            robot.
     """
     stand = solve_stand_as_simulated(robot, solve_stand(robot, task))
     robot = stand.check(robot)

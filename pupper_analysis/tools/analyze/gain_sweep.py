@@ -1,8 +1,9 @@
 """Height deviation of a disturbed stand, for a grid of servo gains.
 
 Inputs are a robot, a stand, and values of kp and kd. Each pair is simulated in MuJoCo under a
-sinusoidal vertical force on the base. Outputs are, for each pair, the standard deviation of the
-base height in the last second, and whether the robot stays at rest without the force.
+sinusoidal vertical force on the base, whose amplitude may be 0. Outputs are, for each pair, the
+standard deviation of the base height in the last second, and whether the robot stays at rest
+without the force.
 """
 
 from __future__ import annotations

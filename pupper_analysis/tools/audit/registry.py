@@ -203,7 +203,7 @@ class Audit(Tabular):
 
 
 def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
-    """Return points whose convex hull contains all shapes of some links, at zero angles.
+    """Return points with approximately the convex hull of all shapes of some links, at zero angles.
 
     Args:
         bodies: Links with visual and collision shapes.
@@ -218,7 +218,7 @@ def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
 
 
 def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
-    """Return points whose convex hull contains the shapes of known size of some links.
+    """Return points with approximately the convex hull of the links' shapes of known size.
 
     The joints between the links have zero angles.
 

@@ -1,9 +1,9 @@
 """Repairs of findings: the values of a file that would pass, and the reason.
 
 A repair replaces attributes of a single element. A finding has one repair if the right value is
-known, several candidates if it is one of a few, and none otherwise. All repairs but the conversion
-of units take values that the file states elsewhere: at the mirrored element, or at all others of
-the same kind.
+known, several candidates if it is one of a few, and none otherwise. The new value is derived from
+the mirrored element or from the joint of an actuator, or it is the old value with another unit or
+decimal point.
 """
 
 from __future__ import annotations
@@ -163,8 +163,9 @@ def _repair_number(
     """Yield repairs of a number that differs between two mirrored links or joints, the partners.
 
     If at least `MIN_SIBLINGS` other limbs have the same number, only a partner that deviates from
-    it gets the number of the other partner. If the other limbs are fewer or disagree, there are two
-    candidates: each partner with the number of the other.
+    it gets the number of the other partner; there is no repair if both or neither deviate. If the
+    other limbs are fewer or disagree, there are two candidates: each partner with the number of the
+    other. Only positive numbers are proposed.
 
     Args:
         robot: Model of the URDF.
@@ -231,7 +232,10 @@ then all entries are wrong."""
 
 
 def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
-    """Yield the repairs by a power of ten at a single moment of a diagonal tensor."""
+    """Yield repairs of a nearly diagonal tensor: one moment is multiplied by a power of ten.
+
+    Only tensors that satisfy the triangle inequality are yielded.
+    """
     element = _find_element(robot, "link", name, "inertial/inertia")
     words = ("ixx", "iyy", "izz")
     if element is None or any(element.get(word) is None for word in words):

@@ -123,11 +123,13 @@ def best_stance(
     Raises:
         ConfigurationError: If an argument is invalid, the robot cannot stand, no motor has an
             effort limit, or an effort limit is zero (except for the CoM margin).
-        UnknownNameError: If the robot has no frame with the name in ``point``.
+        UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
+            contact that the task names.
         ModelError: If the objective is the payload, the model has no position servos, and kp and kd
             are not both given.
         StanceUnreachableError: If the initial task is out of reach.
         StaticsInfeasibleError: If no contact forces balance the initial task.
+        NotSettlingError: If the penetration depths of the feet do not converge.
         NoEquilibriumError: If the objective is the payload, and the servos do not hold the initial
             task.
     """
@@ -261,7 +263,9 @@ def study_best(
         StanceUnreachableError: If the initial task is out of reach.
         StaticsInfeasibleError: If no contact forces balance the initial task.
         ConfigurationError: If the task or another argument is invalid for the robot.
-        UnknownNameError: If the robot has no frame with the name in ``point``.
+        UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
+            contact that the task names.
+        NotSettlingError: If the penetration depths of the feet do not converge.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
         NoEquilibriumError: If the objective is the payload, and the servos do not hold the initial
             task.

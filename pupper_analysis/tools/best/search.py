@@ -78,8 +78,9 @@ _DIFFERENCE_STEP = 1e-6
 Chosen."""
 
 _SLACK_REDUCTION = 1e-6
-"""Amount by which the slacks [1, rad, 0.1 m] are reduced in the nonlinear program, so that descents
-end at allowed stances despite SLSQP's tolerance. Chosen, not tuned."""
+"""Amount by which the slacks [1, rad, 0.1 m], except for the penetration, are reduced in the
+nonlinear program, so that descents end at allowed stances despite SLSQP's tolerance. Chosen, not
+tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
 """Penalty for coordinates that are not allowed. If no stand exists, the constraints are those of

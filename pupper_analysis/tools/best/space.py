@@ -196,7 +196,8 @@ class StanceSpace:
     def is_symmetric(self) -> bool:
         """True if the initial stand task is symmetric between left and right.
 
-        Angles, slope, steps, swing feet and foot positions are compared, not the robot.
+        Roll, yaw, lateral offset of the base, slope, steps, swing feet and foot positions are
+        checked, not the robot.
         """
         task, ground = self.nominal.task, self.nominal.task.ground
         side_slope = abs(math.sin(ground.uphill)) * ground.slope
@@ -210,7 +211,7 @@ class StanceSpace:
         Returns:
             A direction per column, shape (n, k), in the coordinates [m or rad]: base coordinates
             (only height, x and pitch if the task is symmetric), length of the stance, width of the
-            front feet, width of the rear feet. Columns of zeros are omitted.
+            front feet, width of the rear feet. Columns of feet that move no foot are omitted.
         """
         keep = (0, 1, 4) if self.is_symmetric else range(len(BASE_COORDINATES))
         columns = [np.eye(len(self.start))[index] for index in keep]
@@ -270,7 +271,7 @@ class StanceSpace:
         return stand.for_task(task) if stand is not None and stand.solved else None
 
     def compute_slack(self, stand: Stand) -> StanceSlack:
-        """Compute the slacks of the constraints that a stand must satisfy, with its distances.
+        """Compute the slacks of the constraints on a stand; an allowed stand has slacks >= 0.
 
         The constraints bound the singular values of the legs' Jacobians, the joint positions [rad],
         the CoM margin [m] and penetrations that the initial stand does not have [m].
@@ -298,7 +299,7 @@ class StanceSpace:
         return np.concatenate([joints - self.robot.lower_limits, self.robot.upper_limits - joints])
 
     def _compute_penetrations(self, stand: Stand) -> dict[tuple[int, int], float]:
-        """Compute {pair of geoms: penetration [m]}, without pairs of foot geoms and ground."""
+        """Compute {pair of geoms: penetration [m]}, without pairs among foot geoms and ground."""
         robot, data = self._robot_on_ground, self._collision_data
         robot.mj_convention.set_state(data, stand.qpos)
         mujoco.mj_kinematics(robot.mj_model, data)

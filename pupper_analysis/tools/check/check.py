@@ -120,8 +120,8 @@ class PairCheck(Result):
     Attributes:
         name: Name of the pair.
         files: Files that were audited, and compared if both exist.
-        agree: Whether the files agree within the tolerances; None for a single file, or if a file
-            cannot be read.
+        agree: Whether the files agree within the tolerances; None for a single file, or if the
+            files cannot be read or compared.
         failures: Number of failing findings in the pair and the files. Differences with the same
             cause or the same values count once.
         known: Number of findings in the baseline.

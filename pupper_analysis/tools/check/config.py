@@ -71,7 +71,7 @@ class GuardConfig:
     """Content of a configuration.
 
     Attributes:
-        path: Path of the configuration. Relative paths refer to this folder.
+        path: Path of the configuration. Relative paths in the file refer to its folder.
         pairs: Robots.
         fail_on: Lowest severity of a failing finding.
         baseline: Path of the baseline, which need not exist.

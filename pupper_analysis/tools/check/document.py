@@ -1,7 +1,7 @@
 """Document and annotations of a repository check: failures, and the number of known findings.
 
 Input is a ``RepositoryCheck``. Remarks with the same cause or the same values form a group, with
-the quoted lines of both files. Remarks that the baseline contains are listed in one line each.
+the quoted lines of both files. Groups of remarks that the baseline contains have one line each.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ class Statement:
         value: Value in SI units; None if the expression is not constant.
         place: File and line.
         joint: Joint name, or a regular expression that must match the complete name; "" for a
-            setting.
+            setting, or if ``index`` is stated.
         index: Index from 0 into the ``order`` of the source, if no name is stated; otherwise None.
         count: Length of the list that ``index`` refers to.
         decimals: Decimals of the number as written; None for a computed number.
@@ -219,7 +219,7 @@ class Source:
     def content(self) -> tuple[tuple[object, ...], ...]:
         """Statements, orders and observations of the source without places, for comparisons.
 
-        Equal contents are equal configurations.
+        Configurations of a file with equal contents are merged.
         """
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(name, scale) for name, scale, _ in self.observations]

@@ -223,8 +223,8 @@ def _group_by_values(
         quantity: Quantity.
         kind: Properties of the quantity.
         differing: {joint: differing facts}.
-        is_range_difference: True for position limits of a model and another source. A range inside
-            the reference range is then a note.
+        is_range_difference: True for position limits of a model and another source. A limit of the
+            reference inside the range of the second source, the model, is then a note.
     """
     joints = list(differing)
     first_fact, second_fact = differing[joints[0]]
@@ -293,7 +293,8 @@ _ANGLE_QUANTITIES = ("default angle", "action offset")
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
     """Return {joint: joint whose first number is its second number} if numbers are permuted.
 
-    Otherwise, and if all numbers only change their signs, the result is empty.
+    Otherwise, and if all numbers only change their signs or most joints have one number, the result
+    is empty.
     """
     a, b = (
         Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)

@@ -59,7 +59,7 @@ class RobotJoints:
 
     Attributes:
         model: Model of the robot.
-        order: Names of the joints, in the order of the file.
+        order: Names of the moving joints, limb by limb (`list_depth_first`).
         user_names: {name in a source: joint}, passed by the user.
     """
 

@@ -37,9 +37,10 @@ computed. Chosen, not tuned."""
 def stand_poses(
     models: Sequence[Path], placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
-    """Compute the stand of the robot in the default pose of each source, in MuJoCo and statically.
+    """Compute the stand of the robot in the default pose of each source.
 
-    Poses with equal angles, gains and effort limits are computed once.
+    If the source states all gains, the stand is also simulated in MuJoCo. Poses with equal angles,
+    gains and effort limits are computed once.
 
     Args:
         models: Files of the robot.

@@ -82,8 +82,8 @@ def command(
 
     All numbers of a URDF that an MJCF can express are kept. A floor, a free joint, feet, servos, a
     keyframe of the stand and an IMU are added. The output lists the additions, and values that the
-    new format cannot express. The new file is then cross-checked with its source, and its robot is
-    simulated for 12 s.
+    new format cannot express. The new file is then cross-checked with its source, and a new MJCF
+    with a free base is simulated for 12 s.
 
     \b
     Examples:

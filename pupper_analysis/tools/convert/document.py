@@ -50,7 +50,7 @@ def _select_next_step(conversion: Conversion) -> doc.NextStep:
     """Return the command to run next.
 
     If the conversion failed, the command shows the differences from the source or audits the new
-    file. Otherwise it simulates the new file: ``hold`` for a fixed base, ``stand`` for a free base.
+    file. Otherwise it simulates the new file: ``stand`` if the stand was simulated, else ``hold``.
     """
     if not conversion.agree:
         return doc.NextStep("crosscheck", (conversion.source, conversion.output), robot_typed=False)
@@ -107,9 +107,10 @@ it. Chosen, not tuned."""
 def _describe_recovery(conversion: Conversion) -> Iterable[doc.Words]:
     """Describe the recovery of a new MJCF from a velocity disturbance (nudge) at its keyframe.
 
-    Nothing is yielded if the robot does not stand. If more than `MAX_REST_FRACTION` of the nudge is
-    left after the simulated time t, the least damped mode must decay to 1/e within t: with damping
-    ratio z and frequency f, 2 pi f z t >= 1. Otherwise its decay time [s] is stated as a warning.
+    Nothing is yielded if the robot does not stand, or no mode is the least damped. If more than
+    `MAX_REST_FRACTION` of the nudge is left after the simulated time t, the least damped mode must
+    decay to 1/e within t: with damping ratio z and frequency f, 2 pi f z t >= 1. Otherwise its
+    decay time [s] is stated as a warning.
     """
     kept, run = conversion.kept, conversion.verification
     if kept is None or kept.failures or run is None or not run.passed:

@@ -1,8 +1,8 @@
 """Text of converted model files, before writing.
 
-`draft_mjcf` converts a URDF to an MJCF, and adds a floor, feet, servos and a keyframe in which the
-robot stands. `draft_urdf` converts an MJCF to a URDF. Both list the quantities that the new format
-cannot express.
+`draft_mjcf` converts a URDF to an MJCF, and adds servos and, for a free base, a floor, feet and a
+keyframe in which the robot stands. `draft_urdf` converts an MJCF to a URDF. Both list the
+quantities that the new format cannot express.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class ConversionDraft:
         repairs: Repaired inertials.
         urdf: Source URDF with repaired inertials, with which a new MJCF is compared. None for a new
             URDF.
-        stands: True if the robot has a free base, so that the stand must be verified.
+        stands: True for a new MJCF with a free base, whose stand must be verified.
         failure: Reason why the robot does not stand, if already known.
         lost: Missing parts that make the conversion fail, for example collision meshes.
         on_balls: Joints whose feet touch with balls that replace meshes; a note reports them.

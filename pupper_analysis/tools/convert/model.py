@@ -1,7 +1,7 @@
 """Conversion of a model file to the other format, with verification.
 
-`convert_model` writes the new file, compares it with the source, simulates the stand of the robot
-and, for a new MJCF, the file itself from the keyframe.
+`convert_model` writes the new file and compares it with the source. For a new MJCF with a free
+base, it simulates the stand of the robot and the file itself from the keyframe.
 """
 
 from __future__ import annotations
@@ -70,10 +70,11 @@ def convert_model(
     A new MJCF keeps the numbers of the URDF that it can express: masses, products of inertia,
     frames, position limits, damping, friction, effort limits (as force ranges), mimic joints (as
     equalities), collision and visual shapes, mesh scales; not, for example, velocity limits.
-    Additions for simulation: a floor, a free joint, feet, position servos,
+    Additions for the simulation of a free base: a floor, a free joint, feet, position servos,
     contact exclusions of bodies that overlap in the stand, a keyframe ``home`` with the commands
-    that hold this configuration, an IMU. A new URDF contains the numbers that MuJoCo compiles from
-    the MJCF. Quantities that the new format cannot express are listed in ``not_converted``.
+    that hold this configuration, an IMU. A fixed base has no floor, keyframe or IMU added. A new
+    URDF contains the numbers that MuJoCo compiles from the MJCF. Quantities that the new format
+    cannot express are listed in ``not_converted``.
 
     Args:
         source: Path of the URDF or MJCF. For an MJCF, only ``output``, ``packages`` and ``force``
@@ -173,7 +174,8 @@ def _refuse_mjcf_options(options: MjcfOptions, source: Path) -> None:
 def _list_disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterator[Diagnostic]:
     """Yield the differences between source and new file that the notes do not explain.
 
-    Repaired inertials and feet whose meshes were replaced by balls are explained by notes.
+    Repaired inertials and feet whose meshes were replaced by balls are explained by notes. Other
+    reasons against agreement follow.
     """
     repaired = {repair.body for repair in draft.repairs}
     for difference in comparison.differences:
@@ -196,10 +198,10 @@ class Conversion(Result):
         not_converted: Quantities that the new format cannot express, and omitted elements.
         repairs: Physically impossible inertials, with the written values.
         comparison: Comparison of the new file with the source.
-        verification: Simulation of the stand for 12 s. None if the base is fixed, or the robot is
-            known not to stand.
+        verification: Simulation of the stand for 12 s. None for a new URDF, if the base is fixed,
+            or if the robot is known not to stand.
         kept: Simulation of a new MJCF from the keyframe, with a small velocity disturbance (nudge).
-            None for a new URDF, and in the cases of ``verification``.
+            None if ``verification`` is None.
         failures: Reasons for a negative result: unexplained differences from the source, a robot
             that does not stand, lost collision meshes.
         agree: True if both files agree, except for repaired inertials and replaced feet.

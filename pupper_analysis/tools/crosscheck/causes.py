@@ -6,8 +6,7 @@ are explained.
 
 Before files are compared, links on fixed joints are combined with the moving body. Mass, first and
 second moments about the frame's origin are additive, so the difference of two combined bodies is
-the difference of the links. A mistake is undone link by link; the mistake is a cause only if no
-difference of the body remains.
+the difference of the links. A mistake in inertials is undone link by link.
 """
 
 from __future__ import annotations
@@ -948,7 +947,8 @@ def _explains_difference(
 def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
     """Compute scales of moments, shape (10,): 1, L and L^2 for mass, first and second moments.
 
-    L is the larger of the radius of gyration and the distance of the CoM [m].
+    L [m] is the larger of sqrt(trace(I) / m) and the distance of the CoM from the origin, each of
+    both bodies the larger, and at least 1e-6 m.
     """
     mass = max(abs(first.mass), abs(second.mass))
     inertia_trace = max(float(np.trace(body.inertia)) for body in (first, second))
@@ -1189,4 +1189,4 @@ _SEARCHES = (
     find_foreign_inertials,
     find_moved_axes,
 )
-"""Searches, sorted from mistakes that explain most differences to mistakes in a single body."""
+"""Searches in the order of execution. A difference belongs to the first cause that explains it."""

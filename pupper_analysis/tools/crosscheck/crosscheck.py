@@ -524,7 +524,8 @@ def evaluate_in_yourdfpy(robot: Robot, states: States) -> Evaluation:
         states: Configurations, of which there are n.
 
     Returns:
-        Positions of the feet and common frames in the world, shape (n, feet, 3) [m].
+        {"foot positions": positions of the feet and common frames in the world, shape (n, feet, 3)
+        [m]}.
     """
     import yourdfpy  # slow to import
 
@@ -618,11 +619,12 @@ class QuantityCheck(Result):
     Attributes:
         name: Quantity.
         unit: Unit of the quantity.
-        scale: Largest absolute value at the worst deviation, for `relative`.
+        scale: Denominator of ``relative``: the largest absolute value (in the row for body masses
+            and inertias), or the smallest scale of the quantity if that is larger.
         deviation: Absolute deviation at the place of the worst relative deviation.
         relative: Largest relative deviation.
-        evaluations: Evaluations with the largest deviation.
-        edge: Edge with the largest deviation: models, engines or extras.
+        evaluations: Evaluations with the largest relative deviation.
+        edge: Edge with the largest relative deviation, for example ``models (MuJoCo)``.
         location: Body, joint or foot with the largest deviation, and number of the configuration.
         edge_deviations: {edge: largest relative deviation}.
         passed: Whether ``relative`` is within the tolerance.
@@ -715,7 +717,7 @@ def cross_check(
 
     Args:
         robot: Robot.
-        configurations: Number of states. Large robots are evaluated at fewer states.
+        configurations: Number of states. Large robots may be evaluated at fewer states.
         tolerance: Largest accepted relative deviation.
         seed: Seed of the random numbers, at least 0.
         mimics: Mimic joints of the URDF; by default read from the text. An equivalent joint
@@ -726,6 +728,7 @@ def cross_check(
 
     Raises:
         ConfigurationError: If an argument is out of range.
+        ModelError: If MuJoCo refuses the URDF of a large robot.
     """
     validate_state_request(configurations, seed)
     if not tolerance > 0:
@@ -773,7 +776,7 @@ def _evaluate_all(
     reduced: mujoco.MjModel,
     full: mujoco.MjModel,
 ) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
-    """Evaluate both models in all engines.
+    """Evaluate both models in all engines; a large robot in MuJoCo only.
 
     Args:
         robot: Robot.

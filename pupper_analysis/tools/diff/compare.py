@@ -59,9 +59,9 @@ class ModelChange(Result):
 
     Attributes:
         kind: Kind of a `Difference`; also ``joint`` (only in one version), ``name`` (renamed joint)
-            and ``motor``.
-        element: Joint, body (named by the moving joint, or the base), frame or motor, by the old
-            name.
+            and the tag of an element outside the tree, for example ``motor`` or ``geom``.
+        element: Joint, body (named by the moving joint, or the base), frame or other element, by
+            the old name.
         old: Old value; None if the element is new.
         new: New value, in the old link frames; None if the element was removed.
         unit: Unit of both values.
@@ -187,7 +187,11 @@ class _Comparison:
     def _unify_joints(
         self, one: MultibodyTree, two: MultibodyTree
     ) -> tuple[MultibodyTree, MultibodyTree]:
-        """Fix joints that only one version has, and rename new joints to the old names."""
+        """Fix joints that only one version has, and rename new joints to the old names.
+
+        Each such joint becomes a difference, as does another type of the base. Frames that only one
+        version has are dropped.
+        """
         if one.joints and two.joints and not self.pairs:
             message = diagnose("no-joint-in-common", other=self.sources[0].name)
             raise ModelError(self.sources[1].name, message)
@@ -379,7 +383,7 @@ _NUM_STATES = 10
 
 @dataclass(frozen=True, eq=False)
 class RandomStates:
-    """Random states of a tree, equal for all trees with the same joint names.
+    """Random states within the joint limits of a tree, at which similar trees are evaluated.
 
     Attributes:
         values: Tree that defines the joint limits.

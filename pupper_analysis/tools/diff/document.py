@@ -110,7 +110,10 @@ def _describe_effects(change: ModelChange) -> doc.Text:
 
 
 def _format_percent(old: float, new: float) -> str:
-    """Format a relative change in percent, or a large one as a factor; empty if there is none."""
+    """Format a relative change in percent, or a large one as a factor.
+
+    Empty if nothing has changed, or the old value is 0.
+    """
     if not old or old == new:
         return ""
     return f"{100 * (new / old - 1):+.3g} %" if new / old <= MIN_FACTOR else f"x {new / old:.3g}"

@@ -1,7 +1,7 @@
 """Changes of collision shapes, MuJoCo's options and keyframes, and the simulated effects.
 
-The combined effect is simulated: both files run from the first keyframe. If neither file has a
-ground and both robots float, the same plane is added under both.
+The combined effect is simulated: both files run from the first keyframe, or from qpos0 if there is
+none. If neither file has a ground and both robots float, the same plane is added under both.
 """
 
 from __future__ import annotations
@@ -253,8 +253,8 @@ _NUM_SAMPLES = 200
 Chosen, not tuned."""
 
 _MIN_FALL_HEIGHT = 1.0
-"""Loss of height [m] from which a robot is reported as falling through or off the floor. Chosen,
-not tuned."""
+"""Height [m] of the old CoM above the new CoM at the end of the simulations, above which the new
+robot is reported as falling through or off the floor. Chosen, not tuned."""
 
 NUMBER_RTOL = 1e-9
 """Relative difference up to which two numbers of elements count as equal: rounding by programs that
@@ -317,8 +317,8 @@ def match_elements(
     """Return the new elements under the names of the old elements to which they correspond.
 
     Geoms with equal names correspond. Other geoms of a body are matched if they agree in all
-    values, then in shape, then in order, so that a different order in the file is no change. New
-    geoms get unused numbers.
+    values, then in shape, then in order, so that a different order in the file is no change. Geoms
+    without a match get an unused number if their name is taken.
 
     Args:
         old: Elements of the old file.
@@ -372,7 +372,10 @@ def _list_unnamed_shapes(
 def _match_similar_shapes(
     old_keys: list[Key], new_keys: list[Key], old: Mapping[Key, Element], new: Mapping[Key, Element]
 ) -> dict[Key, Key]:
-    """Return {new shape: matching old shape}: equal in all values, else in shape, else by order."""
+    """Return {new shape: matching old shape}: equal in all values, else in shape, else by order.
+
+    Shapes that are matched by order either both can collide, or both cannot.
+    """
 
     def is_of_one_shape(first: Element, second: Element) -> bool:
         assert first.shape is not None
@@ -424,8 +427,9 @@ def find_changed_elements(
 ) -> Iterator[ElementDifference]:
     """Yield the changes of elements between two versions, for elements with equal names.
 
-    Elements with an equal change form one difference. Geoms that cannot collide are skipped, and
-    added or removed joints, actuators, tendons and equalities, which other functions report.
+    Elements with an equal change form one difference. Skipped are geoms that cannot collide in any
+    version, and added or removed joints, actuators, tendons and equalities, which other functions
+    report.
     """
     alike: dict[tuple[Any, ...], list[Key]] = {}
     for key in dict.fromkeys((*old, *new)):
@@ -647,7 +651,8 @@ class _SimulatedRun:
         seconds: Duration [s].
         qpos: Positions of the selected joints, shape (samples, n) [m, rad]; NaN after divergence.
         slid: Whether each coordinate is a length, shape (n,).
-        com: Height of the CoM of the moving trees, shape (samples,) [m].
+        com: Height of the CoM of the moving bodies in the trees of the selected joints, shape
+            (samples,) [m].
         friction: Smallest friction coefficient of a contact with the world at the end; None without
             contact.
     """
@@ -725,7 +730,8 @@ class SimulatedPair:
 
         Returns:
             {quantity: largest difference of a joint coordinate [m, rad]}, and messages. Both are
-            empty if the models have no common joint, or no change is known and none is visible.
+            empty if the models have no common joint, or no change is known and none is visible or
+            rounding can cause it.
         """
         old, new = self.old, self.new
         if not self._common_joints or (

@@ -64,7 +64,8 @@ class Version:
         tree: Joints and bodies. The base of a URDF is free, since a URDF does not specify the type.
         extra_values: {(kind, element): value} outside the tree: mimic joints, motors, springs,
             tendons ...
-        elements: Collision shapes; for an MJCF also options and keyframes.
+        elements: Collision shapes of a URDF (`list_collisions`), or elements of an MJCF
+            (`list_elements`).
         bodies: {base or joint: body that it moves}.
         sources: Lines of the numbers.
         notes: Assumptions, and content that was left out.
@@ -219,7 +220,8 @@ _MODEL_SUFFIXES = (
     ".png",
     ".hfield",
 )
-"""Suffixes of files that a model may need. Other files of a revision are not extracted."""
+"""Suffixes of files that a model may need. Other files of a revision are not extracted, except a
+file that the user names."""
 
 
 @dataclass(frozen=True)
@@ -272,7 +274,7 @@ def open_version(given: str | Path) -> Iterator[VersionedFile]:
             repository, or to the current folder if PATH begins with ``./`` or ``../``.
 
     Raises:
-        ModelError: If git does not contain the file; with git's message.
+        ModelError: If git is not installed or does not contain the file; with git's message.
     """
     text = str(given)
     revision, separator, inside = text.partition(":")
@@ -305,7 +307,7 @@ def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path
         folder: Folder in the repository.
 
     Raises:
-        ModelError: If git does not contain the revision; with git's message.
+        ModelError: If git is not installed or does not contain the revision; with git's message.
     """
     if revision.startswith("-"):
         raise ModelError(revision, diagnose("no-revision", revision=revision))
@@ -327,7 +329,7 @@ def find_repository_top(folder: Path) -> Path:
     """Return the top folder of the repository of a folder.
 
     Raises:
-        ModelError: If the folder is in no repository; with git's message.
+        ModelError: If git is not installed, or the folder is in no repository; with git's message.
     """
     return Path(_git_text(str(folder), "rev-parse", "--show-toplevel", folder=folder).rstrip("\n"))
 
@@ -357,7 +359,7 @@ def write_revision(
     """Write the files of a revision with given suffixes to a folder.
 
     Files are written as committed. Pointers of Git LFS are replaced by the file if the repository
-    has a copy. Symbolic links are left out.
+    has a copy. Symbolic links, submodules, and files that a partial clone lacks are left out.
 
     Args:
         given: Text for the message.
@@ -416,7 +418,7 @@ def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> byte
         folder: Folder in the repository; by default the current folder.
 
     Raises:
-        ModelError: If git fails; with git's message.
+        ModelError: If git is not installed, or fails; with git's message.
     """
     result = run_git(_git_command(given, *arguments), folder)
     if result.returncode:

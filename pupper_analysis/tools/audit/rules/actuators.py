@@ -74,7 +74,7 @@ def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, Actua
 
 @rule
 def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find actuators that exert no force, since the gain or gear ratio is 0."""
+    """Find actuators whose command has no effect, since the gain or gear ratio is 0."""
     for _, drive in _list_robot_drives(robot):
         if drive.gain == 0 or drive.gear == 0:
             message = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
@@ -132,8 +132,8 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MAX_COMMAND_RANGE_ERROR, MIN_DEGREES = 0.1, 12.0
 """Largest difference between a command range in degrees and the joint's range, relative to the
-width of the joint's range, and smallest end of such a command range [rad]: no hinge of a robot
-turns twice. Chosen, not tuned."""
+width of the joint's range, and bound that the magnitude of an end of such a command range exceeds
+[rad]: no hinge of a robot turns twice. Chosen, not tuned."""
 
 
 @rule

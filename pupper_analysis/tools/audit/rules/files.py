@@ -69,7 +69,7 @@ class _MissingMesh:
         owner: Link of a URDF, or mesh asset of an MJCF.
         place: File and line.
         pointer: True for a pointer of Git LFS.
-        touches: True if the mesh is used for collisions (URDF), or stops MuJoCo (MJCF).
+        touches: True if the mesh is used for collisions.
     """
 
     name: str

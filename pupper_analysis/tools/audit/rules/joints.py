@@ -411,7 +411,7 @@ def find_legs(robot: RobotModel) -> Iterator[Leg]:
 def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
     """Return the end of a shank in the base frame, shape (3,) [m]: the next joint, or the foot.
 
-    None if the shank has several moving children, or no further part.
+    None if the shank has several moving children, or neither a fixed part, a frame nor a sphere.
     """
     group = robot.fixed_group(shank.name)
     moving = [c for part in group for c in robot.children(part.name) if c.moving]
@@ -436,15 +436,16 @@ def _is_leg(robot: RobotModel, link: Link) -> bool:
 
 
 _LEG_PATTERN = re.compile("foot|calf|shank|ankle|knee|kfe|lower_?leg|leg_|toe", re.IGNORECASE)
-"""Names of the parts of legs. Arms hang down too, but bend in another way."""
+"""Parts of names of legs, which distinguish legs from arms."""
 
 
 @rule
 def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find knees with a range that keeps the foot above the hip.
+    """Find legs whose joint limits mostly keep the foot from a position below the hip.
 
-    A finding requires that the foot would come below the hip if the limits of the knee, or of the
-    hip, had the opposite sign.
+    A finding requires that the foot reaches this position in less than `MIN_REACHED_FRACTION` of
+    the knee range, but would in over 95 % if the limits of the knee, or of the hip, had the
+    opposite sign.
     """
     for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))

@@ -111,10 +111,12 @@ ratios indicate a wrong unit or a missing mass. Chosen, not tuned."""
 
 @rule
 def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find a CoM outside the convex hull of shapes and joints, including links fixed to the link.
+    """Find a CoM outside the convex hull of a link's shapes, joints and frames.
 
-    If a link has no shapes, or the size of one is unknown, a finding is a CoM whose distance from
-    the hull of the link's joints and frames exceeds the length of the longest limb.
+    Shapes of links fixed to the link are included. The tolerance is `MAX_COM_OFFSET` plus a
+    fraction of the extent. If there are no shapes, or the size of one is unknown, a finding is a
+    CoM whose distance from the hull of the link's joints and frames exceeds the length of the
+    longest limb.
     """
     span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
@@ -164,7 +166,8 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
     A finding is a weight [N] times the longest distance between successive hinges [m] above the sum
     of the efforts of all hinges [N m]. ERROR instead of WARNING above `IMPOSSIBLE_FACTOR` times the
-    sum. Skipped are robots with fewer than two hinges, or with an effort that is unknown or 0.
+    sum. Skipped are robots with fewer than two hinges, or with an effort that is unknown, infinite
+    or not positive.
     """
     hinges = [
         joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT and joint.parent
@@ -204,7 +207,7 @@ error. Straight legs and unusual units explain smaller factors. Chosen, not tune
 def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find visual geoms without stated mass that add to a mass which MuJoCo computes from geoms.
 
-    If no collision geom of the body has mass, only visual meshes of MuJoCo's default density are
+    If no other geom of the body has mass, only visual meshes of MuJoCo's default density are
     reported.
     """
     compiler = robot.file.spec.compiler
@@ -311,8 +314,10 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
 def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find inertias whose largest principal moment exceeds the sum of the other two.
 
-    The tolerance is the rounding error of the written digits, at least 1e-5 and at most 1 % of the
-    largest moment. Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2.
+    The tolerance is three times the rounding error of the written digits, at least 1e-5 and at most
+    1 % of the largest moment. An excess below `MIN_GYRATION_SQUARED` times the mass, or a negative
+    moment, is no finding of this rule. Source: R. Featherstone, "Rigid Body Dynamics Algorithms",
+    2008, ch. 2.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, middle, greatest = inertial.moments
@@ -384,7 +389,8 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find masses and inertias that are probably defaults of an exporter.
 
     A finding is an inertia with three equal moments of 1, 0.1, 0.01 ... kg m^2 (powers of ten) on
-    at least two moving links, or a mass of 1, 0.1, 0.01 ... kg that all moving links share.
+    at least two moving links, or a mass of 1, 0.1, 0.01 ... kg that all moving links, three or
+    more, share.
     """
     moving = [
         (body, body.inertial)

@@ -66,11 +66,11 @@ class MirrorPlane:
 
 
 def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane | None:
-    """Find the plane in which most pairs of links are mirror images at zero angles.
+    """Find the plane in which the largest number of link pairs are mirror images at zero angles.
 
     Args:
         robot: Model of the robot.
-        tolerance: Largest distance between a link and the mirror image [m].
+        tolerance: Largest distance between a link and the mirror image of its partner [m].
 
     Returns:
         Plane, normal to an axis of the base. If less than a third of the pairs are mirror images in
@@ -111,7 +111,7 @@ def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
 
 
 MIN_PLANAR_COSINE = 0.9999
-"""Smallest cosine between a hinge and the normal of the plane of a planar robot. Chosen, not
+"""Smallest cosine between a hinge axis and the normal of the plane of a planar robot. Chosen, not
 tuned."""
 
 
@@ -123,12 +123,12 @@ POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
     0.02,
 )
 """Largest differences between left and right that are not reported: positions [m], masses
-(relative), CoM [m], inertia (relative to the largest entry), joint limits [rad or m]. Chosen, not
-tuned."""
+(relative), CoM [m] (plus 1 % of its distance from the origin of the base), inertia (relative to the
+largest entry), joint limits [rad or m]. Chosen, not tuned."""
 
 
 def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
-    """Yield left-right pairs of links; the second link is later in the file."""
+    """Yield the left-right pairs of links (`find_mirror_pairs`)."""
     for first_name, second_name in find_mirror_pairs(robot.links):
         yield robot.links[first_name], robot.links[second_name]
 
@@ -162,7 +162,10 @@ def _find_displaced_bodies(
 
 
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yield left-right pairs of links that, with their children, are at mirrored positions."""
+    """Yield left-right pairs of links that, with their children, are at mirrored positions.
+
+    Pairs are skipped if the first link has less than 1e-4 of the robot's mass.
+    """
     mirror = find_mirror_plane(robot)
     if mirror is None:
         return
@@ -256,7 +259,8 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
 
     With the inertias I and I' about the CoMs in base axes at zero angles, and the reflection S, a
     finding is an entry of S I S - I' above 10 % of the largest entry, or a product of inertia with
-    the wrong sign (`_find_wrong_sign`). Pairs with different masses are not compared.
+    the wrong sign (`_find_wrong_sign`). The 10 % are replaced by twice the rounding of the written
+    digits (up to 50 %) if that is larger. Pairs with different masses are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
@@ -292,7 +296,7 @@ _PRODUCTS = np.array([name[1] != name[2] for name in INERTIA_ENTRIES])
 
 
 def _find_wrong_sign(image: Array, entries: Array) -> bool:
-    """Return True if one or three products of inertia have the wrong sign, and the rest is equal.
+    """Return True if one or three products of inertia only differ in sign, and the rest is equal.
 
     An equal part that is mounted turned by 180 degrees, not mirrored, has two products of the other
     sign. The number of wrong signs is known only if no product is zero.
@@ -355,7 +359,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right joints whose ranges differ by over 0.02 rad (m), or efforts by over 1 %.
 
     The range of a partner with the opposite axis sense is negated. Efforts are only compared if the
-    ranges agree.
+    ranges agree. Pairs whose axes are no mirror images (cosine below 0.9) are skipped.
     """
     for mirror, first, second in list_joint_pairs(robot):
         sense = _compute_axis_sense(mirror, first, second)
@@ -393,7 +397,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find left-right pairs of joints with other damping, dry friction, armature or springs.
+    """Find left-right pairs of joints with different damping, dry friction, armature or springs.
 
     If a quantity is equal in fewer than three quarters of the pairs, only pairs with a large ratio
     are findings (`find_unlike_pairs`).
@@ -516,7 +520,10 @@ _CONTACT_PARAMETERS = ("condim", "friction", "solref", "solimp", "margin")
 def _list_contacts(
     robot: MjcfModel, model: mujoco.MjModel, link: Link, ground: int | None
 ) -> list[ContactParameters]:
-    """Return the ground contact parameters of the geoms that move with a link and can touch it."""
+    """Return the contact parameters of a link's geoms that can touch the ground.
+
+    Geoms of links that are fixed to the link are included.
+    """
     bodies = [robot.body_names.index(part.name) for part in robot.fixed_group(link.name)]
     return [
         combine_geoms(model, geom, ground)

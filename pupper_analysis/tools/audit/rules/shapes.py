@@ -29,8 +29,9 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 POSITION_TOLERANCE = 1e-3
-"""Largest distance [m] between the end of a rod and a joint or frame, with which the rod counts as
-beginning or ending there. Chosen, not tuned."""
+"""Distance [m] up to which the end of a rod counts as being at a joint or frame (for a long rod
+the tolerance is 2 % if larger), and a foot frame as being at the centre or on the surface of a
+sphere. Chosen, not tuned."""
 
 
 def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
@@ -58,7 +59,10 @@ def _is_foot(name: str) -> bool:
 
 
 def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
-    """Return direction, shape (3,), and length [m] of a rod that begins at the joint, or None."""
+    """Return direction, shape (3,), and length [m] of a rod that begins at the joint.
+
+    None if the shape is no capsule or cylinder longer than thick, or does not begin at the joint.
+    """
     if shape.kind not in ("capsule", "cylinder"):
         return None
     radius, half = shape.size
@@ -72,10 +76,11 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 
 @rule
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find capsules and cylinders that begin at a joint but do not end at the next joint.
+    """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
 
-    Reported are rods longer by 2 % or more, or shorter by 20 % or more. Shapes are often shortened
-    on purpose, to avoid contact with the neighbour.
+    Reported are rods longer by 2 % (at least `POSITION_TOLERANCE`) or more, or shorter by 20 % or
+    more, unless a radius at the end makes up the difference. Shapes are often shortened on purpose,
+    to avoid contact with the neighbour.
     """
     for body in robot.links.values():
         if not body.moving:
@@ -203,9 +208,9 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
     The sphere is the nearest collision sphere on the links that are fixed to the foot frame.
-    Spheres with a foot-like name, or on a link with such a name, have precedence. A sphere farther
-    away than five radii is ignored. The severity is NOTE if the frame is inside the sphere, which
-    some models use for a flat sole.
+    Spheres with "foot" in their name or the name of their link have precedence. If the sphere is
+    farther away than five radii, there is no finding. The severity is NOTE if the frame is inside
+    the sphere, which some models use for a flat sole.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -283,8 +288,8 @@ reported as too large. Measured: the largest ratio of 1500 published links is 2.
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find implausible densities: mass / volume of the convex hull of the shapes.
 
-    The mass is the sum of a root link or moving link and all fixed links. Visual and
-    collision shapes, and the origins of the link, the frames and the children, define the hull.
+    The mass is the sum of a root link or moving link and all links fixed to it. Visual and
+    collision shapes, and the origins of the link, its frames and its children, define the hull.
     Plausible are 2 to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`), bodies with small shapes
@@ -319,9 +324,9 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find robots and shapes of implausible size, for example in millimetres.
 
-    The extent of all joint positions at zero angles must be between `MIN_ROBOT_EXTENT` and
+    The extent of all joint positions at zero angles must be 0, or between `MIN_ROBOT_EXTENT` and
     `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most `MAX_SHAPE_RATIO` times
-    this extent.
+    this extent, unless that is below `MIN_EXTENT`.
     """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:

@@ -34,8 +34,8 @@ from pupper_analysis.tools.audit.rules.files import find_first_place
 def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find an MJCF whose gravity differs by more than 0.02 m/s^2 from (0, 0, -9.80665) m/s^2.
 
-    The values 9.8 and 9.81 are accepted. NOTE instead of the rule's severity if gravity points more
-    down than sideways, since a tilted gravity simulates a slope.
+    The values 9.8 and 9.81 are accepted. NOTE instead of the rule's severity unless gravity points
+    up, or more sideways than down, since a tilted gravity simulates a slope.
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
@@ -68,8 +68,8 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
 
     Contact parameters are combined as in MuJoCo. Without ground in the file, MuJoCo's default
     ground is assumed: condim 1 of the foot is replaced by 3, unless the foot has a higher priority.
-    A friction coefficient of 0 is reported nevertheless, as the ground of a scene may have none
-    either.
+    A friction coefficient of the foot below 1e-3 is reported nevertheless, as the ground of a scene
+    may have none either.
     """
     model = robot.mj_model
     if model is None:
@@ -155,7 +155,8 @@ tuned."""
 def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
     """Return the spheres of feet; without names of feet, collision spheres at the ends of limbs.
 
-    A limb ends at a hinged body without moving children, with a single sphere and no mesh.
+    The end of a limb is a moving body without moving children whose only collision geom is a
+    sphere.
     """
     named, spheres = list_foot_geoms(robot), mujoco.mjtGeom.mjGEOM_SPHERE
     if named:
@@ -254,7 +255,7 @@ def _round_depth(depth: float) -> Quantity:
 
 @rule
 def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find floating robots of which no shape can touch the ground.
+    """Find floating robots of which no shape can touch the ground, or whose contacts are disabled.
 
     In a file without ground, a plane with MuJoCo's default contact bits is assumed. Files with
     <pair> elements or missing meshes are skipped.

@@ -47,7 +47,7 @@ MAX_SAG = 0.5
 without torque limit. Chosen, not tuned."""
 
 _MIN_TIMESTEP = 1e-4
-"""Time step [s] below which a file is not simulated: more than 20,000 steps would be needed.
+"""Time step [s] below which a file is not simulated: each run would need more than 20,000 steps.
 Chosen, not tuned."""
 
 
@@ -59,7 +59,8 @@ class StartPose:
         element: Tag and name for findings.
         message: Name of the configuration, as a message.
         qpos: Configuration, shape (nq,).
-        severity: NOTE for qpos0 if keyframes exist, since simulations then start at a keyframe.
+        severity: NOTE for qpos0 if keyframes exist, since simulations then start at a keyframe;
+            otherwise WARNING.
     """
 
     element: tuple[str, str]
@@ -175,8 +176,8 @@ commands of a keyframe are reported. Chosen: torques do not equal angles by chan
 def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find keyframes whose commands to torque motors [N m] are the joint angles [rad].
 
-    All motors of hinges are compared, with a tolerance of 1 % or 1 mrad. Reported if at least
-    `MIN_EQUAL_COMMANDS` of the angles are not zero.
+    The commands of all motors of hinges must equal the angles within 1 % plus 1 mrad. Reported if
+    at least `MIN_EQUAL_COMMANDS` of the angles are above 1 mrad in magnitude.
     """
     model = robot.mj_model
     if model is None:
@@ -204,17 +205,18 @@ def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_FOOT_CLEARANCE = 0.05
-"""Height of all feet above the ground, and above the robot's lowest shape, from which a keyframe is
-reported [m]. A robot may be dropped from a keyframe, but with its feet below. Chosen, not tuned."""
+"""Height of all feet above the lowest other shape of the robot [m] from which a keyframe is
+reported. A robot may be dropped from a keyframe, but with its feet below. Chosen, not tuned."""
 
 
 @rule
 def keyframe_feet_in_air(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a keyframe ``home``, or first keyframe, in which the feet are above other shapes.
 
-    A finding requires that all feet are `MIN_FOOT_CLEARANCE` above the ground and above the lowest
-    shape of the robot, and that no shape touches the ground. If the opposite sign of some joint
-    angles, in all legs, puts the feet at the ground, the message names the joints.
+    A finding requires that all feet are at least `MIN_FOOT_CLEARANCE` above the lowest other shape
+    of the robot, and that no shape penetrates the ground. If the opposite sign of some joint
+    angles, in all legs, puts the feet at the ground, the message names the joints. Skipped are
+    robots without a free joint, or with fewer than `MIN_FEET` foot geoms.
     """
     model = robot.mj_model
     key = None if model is None or robot.refusal is not None else _choose_keyframe(model)
@@ -350,9 +352,9 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
 
     The keyframe ``home``, or else the first, is simulated by `simulate_keyframe`, with and without
     a small velocity disturbance at the start. The actuators receive the ctrl of the keyframe. If no
-    ctrl is specified, position servos are commanded to the pose, provided that half of the joints
-    have a servo; otherwise nothing is simulated. Robots without a free base, and files without a
-    ground, are skipped.
+    ctrl is specified, position servos are commanded to the pose, provided that at least half of the
+    joints have a servo; otherwise nothing is simulated. Robots without a free base, and files
+    without a ground or with a time step below `_MIN_TIMESTEP`, are skipped.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
@@ -396,7 +398,7 @@ def _choose_keyframe(model: mujoco.MjModel) -> int | None:
 
 
 def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
-    """Command position servos to the pose; return True if half of the joints have a servo."""
+    """Command position servos to the pose; return True if they are at least half the joints."""
     assert robot.mj_model is not None
     holding = [drive for drive in list_drives(robot.mj_model) if drive.is_servo]
     for drive in holding:

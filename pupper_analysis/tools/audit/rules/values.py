@@ -40,8 +40,9 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find shapes of size <= 0, and negative damping, friction, armature, stiffness and limits.
 
     Sizes are only checked in a URDF. A length of 0 is accepted for a cylinder (disc) and a capsule
-    (ball). For MuJoCo's polynomials the first coefficient is checked, because this coefficient
-    dominates at small speeds.
+    (ball). Effort and velocity limits of a URDF are checked by `effort_negative` instead; position
+    limits may be negative. For MuJoCo's polynomials the first coefficient is checked, because this
+    coefficient dominates at small speeds. In an MJCF, the friction of geoms is checked too.
     """
     for joint in robot.joints.values():
         for joint_attribute in JOINT_ATTRIBUTES:

@@ -1,7 +1,7 @@
 """Reader of URDF, MJCF and USD files for the contract of a robot.
 
 Input is a model file; output is a `Source` with limits, passive terms and servo gains of each
-moving joint, each with its line, in the order of the file.
+moving joint, each with its line. The joint order is limb by limb, as in MuJoCo.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FILE_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", "
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the joint numbers that a URDF, MJCF or USD states; the joint order is the file's.
+    """Yield the joint numbers that a URDF, MJCF or USD states, with the joint order limb by limb.
 
     Nothing is yielded for a model without moving joints.
     """
@@ -133,8 +133,8 @@ def match_joint_names(
         given: {name: joint of the first model}, passed by the user; takes precedence.
 
     Returns:
-        {joint name in another model: joint name in the first model} of names that differ; and
-        notes.
+        {joint name in another model: joint name in the first model} of names that differ, with the
+        pairs of ``given``; and notes.
     """
     matched, notes = dict[str, str](), list[Diagnostic]()
     for model_source in (

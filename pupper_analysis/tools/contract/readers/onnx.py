@@ -119,6 +119,7 @@ def gather_fields(data: int | memoryview) -> ProtobufMessage:
 
     Raises:
         ValueError: If the data is not such a message.
+        IndexError: If the data ends inside an integer.
     """
     if isinstance(data, int):
         raise ValueError(data)

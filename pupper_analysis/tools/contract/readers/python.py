@@ -36,7 +36,8 @@ def read(request: Request) -> Iterator[Source]:
     """Yield the joint numbers of each training configuration in a Python file.
 
     A configuration is an object with a robot, actions or settings of a trainer. If the file has
-    none, its tables ``{key: value}`` with joint numbers are yielded. No code is executed.
+    none, the tables ``{key: value}`` with joint numbers that its functions return are yielded. No
+    code is executed.
     """
     evaluator = py.Evaluator(request.folders)
     module = evaluator.load_module(request.path)
@@ -78,7 +79,10 @@ def read(request: Request) -> Iterator[Source]:
 
 
 def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
-    """Evaluate a name of a module: the value, an instance of a class, or a function's result."""
+    """Evaluate a name of a module: an instance, an instance of a class, or a function's result.
+
+    The value is None for another object, and if a call cannot be evaluated.
+    """
     value = node.value
     if not isinstance(value, py.FunctionValue | py.ClassValue):
         return node if isinstance(value, py.InstanceValue) else replace(node, value=None)

@@ -195,7 +195,7 @@ def _list_position_tables(node: Node) -> list[Node]:
 
 
 def list_observation_terms(terms: Node) -> Iterator[tuple[str, float | None, Place]]:
-    """Yield (name, scale, place) of each observation term, in order.
+    """Yield (name, scale, place) of each observation term that is a table, in order.
 
     The name is the name of the term's function if listed in `OBSERVATION_ALIASES`, otherwise the
     key.
