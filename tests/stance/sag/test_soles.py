@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Callable
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -16,9 +17,21 @@ from tests.support.random_legged import irregular_biped, written
 Point = tuple[float, float, float]
 
 
-def loaded(seed: int, folder: Path) -> pa.Robot:
-    pair = written(irregular_biped(seed), folder)
-    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+Load = Callable[[int], pa.Robot]
+
+
+@pytest.fixture(scope="module")
+def load_biped(tmp_path_factory: pytest.TempPathFactory) -> Load:
+    """A function that loads an irregular biped by its seed, once: the search of its start pose
+    takes up to 20 s.
+    """
+
+    @cache
+    def load(seed: int) -> pa.Robot:
+        pair = written(irregular_biped(seed), tmp_path_factory.mktemp("biped"))
+        return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+    return load
 
 
 def bare_height(
@@ -39,11 +52,11 @@ def bare_height(
 @pytest.mark.slow
 @pytest.mark.parametrize(("height", "pitch", "roll"), [(0.96, 0.05, 0.02), (0.98, 0.04, 0.0)])
 def test_steady_state_of_legs_without_yaw_is_that_of_mujoco_if_soles_pivot(
-    height: float, pitch: float, roll: float, tmp_path: Path
+    height: float, pitch: float, roll: float, load_biped: Load
 ) -> None:
     """Reference: MuJoCo's base height. Soles of legs without yaw pivot by 0.3 mm while the servos
     yield; the steady state must not report sliding feet."""
-    robot = loaded(7, tmp_path)
+    robot = load_biped(7)
     kp = 12.0 * robot.weight * robot.stand_height
     task = pa.StandTask(height=height * robot.stand_height, pitch=pitch, roll=roll)
     stand = pa.solve_stand(robot, task)
@@ -56,7 +69,7 @@ def test_steady_state_of_legs_without_yaw_is_that_of_mujoco_if_soles_pivot(
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5, 7, 8, 20])
 def test_steady_state_of_irregular_bipeds_equals_mujoco_at_rest_and_in_creep(
-    seed: int, tmp_path: Path
+    seed: int, load_biped: Load
 ) -> None:
     """Reference: MuJoCo, released at the predicted equilibrium; its height after 6 s is that of the
     steady state with ``seconds=6``.
@@ -64,7 +77,7 @@ def test_steady_state_of_irregular_bipeds_equals_mujoco_at_rest_and_in_creep(
     Twisted soles turn by a millimetre within tenths of a second, which may lower the base by 4 %
     (seeds 0 and 5).
     """
-    robot, random = loaded(seed, tmp_path), np.random.default_rng(seed)
+    robot, random = load_biped(seed), np.random.default_rng(seed)
     weight = robot.total_mass * 9.81
     looked_at = 0
     for _ in range(4):
@@ -89,14 +102,14 @@ def test_steady_state_of_irregular_bipeds_equals_mujoco_at_rest_and_in_creep(
 @pytest.mark.slow
 @pytest.mark.parametrize("point", [(0.03, 0.01, 0.05), (-0.03, 0.01, 0.05), (0.01, -0.03, 0.05)])
 def test_payload_limit_of_legs_with_five_joints_holds_under_nudges(
-    point: Point, tmp_path: Path
+    point: Point, load_biped: Load
 ) -> None:
     """Reference: nudged simulations with the limit, and the verdict with 8 % more.
 
     No ankle roll aligns the soles with the ground. Without the model of creeping soles, the limit
     was 4.9 kg in place of 9.4 kg, or 13.0 kg in place of 11.9 kg.
     """
-    robot = loaded(18, tmp_path)
+    robot = load_biped(18)
     kp = 1.5 * robot.weight * robot.stand_height  # soft for its weight
     stand, gains = pa.solve_stand(robot), {"kp": kp, "kd": 0.03 * kp}
     limit = pa.payload_limit(robot, stand, point, **gains)
