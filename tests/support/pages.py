@@ -192,6 +192,7 @@ def look_into(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 SHORTER_SEARCHES = {
+    r"pupper-analysis best payload v3 .*": "pupper-analysis best utilisation v3",
     r"(pupper-analysis push (?!.*--directions).*)": r"\1 --directions 3 --resolution 0.2",
     r"(pupper-analysis walk .*--seeds) 20\b": r"\1 2",
     r"(pupper-analysis walk .*--(?:vary|orders)\b.*)": r"\1 --seconds 3",
@@ -199,7 +200,8 @@ SHORTER_SEARCHES = {
     r"seeds=3\)": "seeds=1, seconds=3)",
     r"rank_orders\(robot, policy\)": f"rank_orders(robot, policy, commands=[({SPEED})], seconds=3)",
 }
-"""Shorter runs, and fewer initial states or directions, of searches over a walk or a push:
+"""Shorter runs, and fewer initial states or directions, of searches over a walk or a push; and a
+shorter search of the best stance, since the page of ``best`` runs its longest search.
 {pattern: replacement}. The pages state no numbers of these searches; the numbers are asserted by
 tests/tools/walk/test_changes.py and tests/tools/push/test_recovery.py."""
 
