@@ -20,7 +20,12 @@ from pupper_analysis.stance.posture import Posture, find_posture, held_stand, jo
 from pupper_analysis.statics.equilibrium import find_mass_limit
 from pupper_analysis.statics.polytope import force_inequalities, force_limits_along
 from pupper_analysis.tools.hold.force import tool_force
-from pupper_analysis.tools.hold.hold import posture_payload, servo_payload, tool_payload
+from pupper_analysis.tools.hold.hold import (
+    _find_smallest_payload,
+    posture_payload,
+    servo_payload,
+    tool_payload,
+)
 from pupper_analysis.tools.hold.worst import worst_postures
 from tests.support import arm as by_hand
 from tests.support.arm import MASSES, ORDER, RANGES, G, arm, load_arm
@@ -321,3 +326,15 @@ def test_worst_postures_of_a_polynomial_coupling_equal_mujoco(
     assert max(loads) == pytest.approx(most, rel=1e-4)
     found = abs(worst.joint_torques[worst.joint_names.index("root")])
     assert (1 - 1e-5) * max(loads) <= found <= 1.01 * max(loads)
+
+
+def test_smallest_payload_of_postures_is_the_smallest_mass_whatever_its_joint() -> None:
+    """Reference: the payload of each posture; different joints limit it."""
+    robot, random = arm(), np.random.default_rng(0)
+    tool, ranges = find_tool(robot), joint_ranges(robot)
+    postures = list(random.uniform(*ranges.T, (20, robot.nu)))
+    payloads = [posture_payload(robot, qpos, tool) for qpos in postures]
+    assert len({joint for _, joint in payloads}) > 1
+    mass, joint, qpos = _find_smallest_payload(robot, tool, postures)
+    assert (mass, joint) == min(payloads)
+    np.testing.assert_array_equal(qpos, postures[payloads.index((mass, joint))])
