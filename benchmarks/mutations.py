@@ -1,28 +1,33 @@
 """Plant faults in a copy of the package and count those that the tests detect.
 
-    make test PYTEST_ADDOPTS=--junit-xml=build/quick.xml
-    python benchmarks/mutations.py --count 200 --seed 1 --csv docs/data/mutations.csv \\
-      --junit build/quick.xml
+    python benchmarks/mutations.py --count 200 --seed 1 --csv docs/data/mutations.csv
 
-Each fault changes one operator, number, index or argument order of one module. Tests run in tiers,
-until one fails:
+Each fault changes one operator, number, index or argument order of one module. The first run
+records with coverage.py which quick test executes which line (``Coverage``). Then each fault runs
+the tests that can detect it, until one fails, in these tiers:
 
-- ``near``: quick tests of the mirrored file, and of files that import the module;
-- ``folder``: quick tests of the mirrored folder, for at most 30 s;
-- ``slow``: slow tests of the near files;
-- ``quick``: all quick tests.
+- ``near``: quick tests of the mirrored file, and of files that import the module, that execute the
+  statement;
+- ``executing``: all other quick tests that execute the statement;
+- ``file``: the other quick tests of the files of ``executing``, since a test may use a result that
+  an earlier test of its process has computed;
+- ``slow``: slow tests of the near files.
+
+By default, the first two tiers run. A surviving fault is then one that no quick test detects on its
+own: the result of a test that does not execute a statement does not depend on it. A statement that
+runs at import, such as the value of a constant, is executed by all tests; here the tests are those
+that execute a statement with the name of the constant (``executing_statements``).
 
 A fault that no test detects has survived: a test is missing, or the change does not alter any
-result. The column ``reason`` is written by hand and kept. ``--junit`` names the file of a run of
-the quick tests; their durations sort the tests of a tier, the shortest first.
+result. The column ``reason`` is written by hand and kept.
 
 The tests run in a forked process that has already imported the packages that this package requires,
 so that a fault costs the time of its tests. Linux and macOS only.
 
 The choice depends on the seed and on the faulty lines only: if another line of the source changes,
 the same faults are chosen. A row of the CSV is kept if the source still contains its line, and
-counts towards ``--count``; an interrupted run can be continued. ``--again`` repeats the faults that
-have survived. The checkout is not touched.
+counts towards ``--count``; an interrupted run can be continued, and so can the recording of lines.
+``--again`` repeats the faults that have survived. The checkout is not touched.
 """
 
 from __future__ import annotations
@@ -32,6 +37,7 @@ import ast
 import csv
 import hashlib
 import importlib
+import json
 import math
 import os
 import resource
@@ -41,12 +47,12 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise, zip_longest
 from pathlib import Path
 from typing import IO, Any, NoReturn
-from xml.etree import ElementTree
 
 PROJECT_FOLDER = Path(__file__).resolve().parent.parent
 """Root folder of this project."""
@@ -57,16 +63,19 @@ PACKAGE = "pupper_analysis"
 MAX_TEST_FILES = 3
 """Upper bound of test files that count as near to a module. Chosen: seconds of processor."""
 
-MAX_PROCESSOR_SECONDS = {"near": 300, "folder": 300, "slow": 1200, "quick": 2400}
-"""Processor time [s] after which the tests of a tier are stopped. The fault is then ``killed``,
-since the tests do not end. At least four times the time without a fault: all quick tests take
-350 s. Processor time does not depend on the load of the machine."""
+MIN_PROCESSOR_LIMIT = 40.0
+"""Processor time [s] that a run of tests has at least. Chosen: imports and collection of all test
+files take 10 s."""
 
-MAX_FOLDER_SECONDS = 30.0
-"""Upper bound of the sum of the recorded durations of the tests of a folder [s]. Chosen: the folder
-of the commands has 100 s of tests, most of which do not execute the module."""
+PROCESSOR_LIMIT_FACTOR = 5.0
+"""Processor time after which a run of tests is stopped, relative to the sum of the durations of its
+tests without a fault. The fault is then ``killed``, since the tests do not end. Processor time does
+not depend on the load of the machine. Chosen, not tuned."""
 
-TIERS = tuple(MAX_PROCESSOR_SECONDS)
+MAX_TEST_SECONDS = 600
+"""Duration [s] after which a waiting test fails, as in ``make test``."""
+
+TIERS = ("near", "executing", "file", "slow")
 """Names of the tiers, in the order in which they run."""
 
 PRELOADED = (
@@ -321,45 +330,217 @@ def near_tests(module: Path, tests: Path) -> list[Path]:
     return found[:MAX_TEST_FILES]
 
 
-def read_durations(junit: Path) -> dict[str, float]:
-    """Return {test: duration [s]} of a JUnit file of pytest."""
-    cases = ElementTree.parse(junit).getroot().iter("testcase")
-    return {
-        f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name')}": float(
-            case.get("time", 0.0)
-        )
-        for case in cases
-    }
+def executing_statements(fault: Fault, trees: Mapping[str, ast.Module]) -> dict[str, set[int]]:
+    """Return {file: lines} of the statements that a test must execute to detect a fault.
 
-
-class ShortestFirst:
-    """Plugin of pytest that sorts the tests by duration, and records the first that fails.
+    In a function this is the faulty statement. A statement of a module or a class runs at import:
+    its value takes effect in the functions that contain a name that it assigns. The default of an
+    argument takes effect in the body of the function.
 
     Args:
-        durations: {test: duration [s]}; unknown tests run first.
-        limit: Maximum sum of the durations; the tests beyond are left out.
-        only: The only test or file that runs; empty: all tests.
+        fault: The fault.
+        trees: {file: syntax tree} of all modules of the package.
+    """
+    found: dict[str, set[int]] = {}
+    todo = [(fault.file, fault.line)]
+    visited = set(todo)
+    while todo:
+        file, line = todo.pop()
+        parents = _statements_around(trees[file], line)
+        if not parents:
+            continue
+        found.setdefault(file, set()).update(_own_lines(parents[-1]), [line])
+        if any(isinstance(parent, _FUNCTIONS) for parent in parents[:-1]):
+            continue
+        names = _assigned_names(parents)
+        if isinstance(parents[-1], _FUNCTIONS):
+            found[file].update(_own_lines(parents[-1].body[0]))
+        for other, tree in trees.items():
+            places = [
+                (other, node.lineno)
+                for node in ast.walk(tree)
+                if (isinstance(node, ast.Name) and node.id in names)
+                or (isinstance(node, ast.Attribute) and node.attr in names)
+            ]
+            todo += [place for place in places if place not in visited]
+            visited.update(places)
+    return found
+
+
+_FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+def _statements_around(tree: ast.Module, line: int) -> list[ast.stmt]:
+    """Return the statements that contain a line, the outermost first."""
+    nested: list[ast.stmt] = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or node.lineno)
+    ]
+    return sorted(nested, key=lambda node: (node.lineno, -(node.end_lineno or 0), node.col_offset))
+
+
+def _own_lines(statement: ast.stmt) -> range:
+    """Return the lines of a statement without the statements that it contains."""
+    end = statement.end_lineno or statement.lineno
+    body = getattr(statement, "body", None)
+    return range(statement.lineno, max(statement.lineno + 1, body[0].lineno) if body else end + 1)
+
+
+def _assigned_names(statements: Sequence[ast.stmt]) -> set[str]:
+    """Return the names that the innermost of nested statements assigns."""
+    match statements[-1]:
+        case ast.Assign(targets=targets):
+            pass
+        case ast.AnnAssign(target=target) | ast.AugAssign(target=target):
+            targets = [target]
+        case _:
+            return set()
+    return {node.id for one in targets for node in ast.walk(one) if isinstance(node, ast.Name)}
+
+
+class Chosen:
+    """Plugin of pytest that runs chosen tests, and records their results.
+
+    Args:
+        tests: Names of the tests in the order in which they run; None: all.
 
     Attributes:
         failed: The first test, or file, that fails; empty if there is none.
+        seconds: {test: duration [s]} of set-up, call and tear-down.
     """
 
-    def __init__(self, durations: Mapping[str, float], limit: float, only: str) -> None:
-        self._durations, self._limit, self._only = durations, limit, only
+    def __init__(self, tests: Sequence[str] | None) -> None:
+        self._places = None if tests is None else {name: i for i, name in enumerate(tests)}
         self.failed = ""
+        self.seconds: Counter[str] = Counter()
 
     def pytest_collection_modifyitems(self, items: list[Any]) -> None:
-        """Sort the tests, and leave out the longest ones."""
-        items.sort(key=lambda item: self._durations.get(item.nodeid, 0.0))
-        sums = accumulate(self._durations.get(item.nodeid, 0.0) for item in items)
-        del items[sum(total <= self._limit for total in sums) :]
-        items[:] = [item for item in items if item.nodeid.startswith(self._only)]
+        """Sort the tests, and leave out those that are not chosen."""
+        if self._places is not None:
+            items[:] = [item for item in items if item.nodeid in self._places]
+            items.sort(key=lambda item: self._places[item.nodeid])
 
     def pytest_runtest_logreport(self, report: Any) -> None:
-        """Record a failed test."""
+        """Record the duration of a test, and its name if it is the first that fails."""
+        self.seconds[report.nodeid] += report.duration
         self.failed = self.failed or (report.nodeid if report.failed else "")
 
-    pytest_collectreport = pytest_runtest_logreport
+    def pytest_collectreport(self, report: Any) -> None:
+        """Record a file that cannot be collected."""
+        self.failed = self.failed or (report.nodeid if report.failed else "")
+
+
+class ContextPerTest(Chosen):
+    """Plugin of pytest that labels executed lines with the test, its fixtures included."""
+
+    def __init__(self, coverage: Any) -> None:
+        super().__init__(None)
+        self._coverage = coverage
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Label the following lines with a test."""
+        self._coverage.switch_context(nodeid)
+
+
+COVERAGE_SETTINGS = """\
+[run]
+include = {source}/*
+data_file = {data}
+parallel = true
+concurrency = thread, multiprocessing
+context = ${{PYTEST_CURRENT_TEST-}}
+disable_warnings = no-data-collected, module-not-imported, module-not-measured, couldnt-parse
+"""
+"""Settings of coverage.py. pytest sets the environment variable to the name of the current test:
+processes that a test starts record their lines under this name."""
+
+SITE_CODE = "import coverage\ncoverage.process_startup()\n"
+"""Module ``sitecustomize``, which Python imports at the start of each process."""
+
+
+class Coverage:
+    """Record of the quick tests that execute a line.
+
+    Each test file runs in a process of its own. Its record is a folder, which is valid for one
+    state of package and tests: its name contains a hash of their texts.
+
+    Args:
+        bench: The copy without a fault.
+        folder: Folder of the records.
+    """
+
+    def __init__(self, bench: Bench, folder: Path) -> None:
+        self._package = bench.folder / PACKAGE
+        digest = hashlib.sha256()
+        for path in sorted([*self._package.rglob("*.py"), *(bench.folder / "tests").rglob("*.py")]):
+            digest.update(path.read_bytes())
+        self._folder = folder / digest.hexdigest()[:12]
+        files = sorted((bench.folder / "tests").rglob("test_*.py"))
+        self._records: dict[str, Path] = {}
+        self.seconds: dict[str, float] = {}
+        for number, path in enumerate(files, start=1):
+            name = path.relative_to(bench.folder).as_posix()
+            record = self._folder / name.replace("/", ".")
+            if not (record / "seconds.json").exists():
+                self._record(bench, name, record)
+                print(f"recorded {number}/{len(files)}: {name}", flush=True)
+            self._records[name] = record
+            self.seconds |= json.loads((record / "seconds.json").read_text(encoding="utf-8"))
+
+    def _record(self, bench: Bench, name: str, record: Path) -> None:
+        """Run the quick tests of a file with coverage.py."""
+        shutil.rmtree(record, ignore_errors=True)
+        (record / "site").mkdir(parents=True)
+        (record / "site/sitecustomize.py").write_text(SITE_CODE, encoding="utf-8")
+        settings = COVERAGE_SETTINGS.format(source=self._package, data=record / "lines")
+        (record / "coveragerc").write_text(settings, encoding="utf-8")
+        os.environ["COVERAGE_PROCESS_START"] = str(record / "coveragerc")
+
+        def measure(run: Callable[[Chosen], int]) -> tuple[int, str]:
+            import coverage
+
+            sys.path.insert(1, str(record / "site"))
+            os.environ["PYTHONPATH"] += os.pathsep + str(record / "site")
+            measured = coverage.Coverage(config_file=str(record / "coveragerc"))
+            measured.start()
+            plugin = ContextPerTest(measured)
+            status = run(plugin)
+            measured.stop()
+            measured.save()
+            seconds = json.dumps(plugin.seconds)
+            (record / "seconds.json").write_text(seconds, encoding="utf-8")
+            return status, ""
+
+        bench.run(["-m", "not slow", name], math.inf, measure)
+        del os.environ["COVERAGE_PROCESS_START"]
+        parts = [str(path) for path in record.glob("lines.*")]
+        if parts:
+            import coverage
+
+            whole = coverage.Coverage(config_file=False, data_file=str(record / "lines"))
+            whole.combine(parts)
+            whole.save()
+        if not (record / "seconds.json").exists():  # the process of the tests was ended
+            (record / "seconds.json").write_text("{}", encoding="utf-8")
+
+    def executing_tests(self, statements: Mapping[str, set[int]]) -> set[str]:
+        """Return the quick tests that execute a line of {file: lines}."""
+        import coverage
+
+        found: set[str] = set()
+        root = self._package.parent
+        for record in self._records.values():
+            if not (record / "lines").exists():
+                continue
+            data = coverage.CoverageData(str(record / "lines"))
+            data.read()
+            for file, lines in statements.items():
+                contexts = data.contexts_by_lineno(str(root / file))
+                for line in lines:
+                    found.update(contexts.get(line, ()))
+        names = {name.rpartition("|")[2].rpartition(" (")[0] or name for name in found}
+        return (found | names) & self.seconds.keys()
 
 
 class Bench:
@@ -367,11 +548,12 @@ class Bench:
 
     Args:
         folder: Folder of the copy; replaced if it exists.
-        durations: {test: duration [s]}, which sort the tests.
     """
 
-    def __init__(self, folder: Path, durations: Mapping[str, float]) -> None:
-        self.folder, self._durations = folder, durations
+    def __init__(self, folder: Path) -> None:
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+        sys.dont_write_bytecode = False
+        self.folder = folder
         shutil.rmtree(folder, ignore_errors=True)
         listed = subprocess.run(
             ["git", "ls-files", "-z"],
@@ -389,16 +571,19 @@ class Bench:
         for name in PRELOADED:
             importlib.import_module(name)
 
-    def passes(self, test: str, tier: str) -> bool:
+    def passes(self, test: str) -> bool:
         """Return whether a test passes without a fault; it runs once."""
         if test not in self._passing:
             file = test.partition("::")[0]
-            exists = (self.folder / file).exists()  # not "timeout", for example
-            self._passing[test] = not exists or self._run(tier, [file], only=test) == ""
+            if not (self.folder / file).exists():  # "timeout", for example
+                return True
+            only = [test] if "::" in test else None
+            self._passing[test] = self.run([file], math.inf, stop_at_failure(only)) == ""
         return self._passing[test]
 
-    def detecting_test(self, fault: Fault, tier: str, arguments: Sequence[str]) -> str:
-        """Return the first test that fails with a fault, "timeout", or "" if all pass.
+    @contextmanager
+    def plant(self, fault: Fault) -> Iterator[None]:
+        """Change the faulty text in the copy during the context.
 
         Each faulty file has its own modification time, so that no bytecode of another fault is
         used; the original file keeps its time, so that its bytecode stays valid.
@@ -411,17 +596,27 @@ class Bench:
         path.write_text(source[: fault.start] + fault.after + source[end:], encoding="utf-8")
         os.utime(path, (stat.st_atime, int(stat.st_mtime) + 10 * self._planted))
         try:
-            return self._run(tier, arguments)
+            yield
         finally:
             path.write_text(source, encoding="utf-8")
             os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
 
-    def _run(self, tier: str, arguments: Sequence[str], *, only: str = "") -> str:
-        """Run tests until one fails; return its name, "timeout", or "" if all pass."""
+    def run(self, arguments: Sequence[str], limit: float, judge: Judge) -> str:
+        """Run pytest in a forked process.
+
+        Args:
+            arguments: Files, and options of pytest.
+            limit: Upper bound of the processor time [s].
+            judge: Called in the process with a function that runs pytest with a plugin; returns
+                the exit status, and the name of the failed test.
+
+        Returns:
+            The name of the failed test, "timeout", or "" if all tests pass.
+        """
         with tempfile.TemporaryFile("w+") as result:
             child = os.fork()
             if child == 0:
-                self._run_in_child(tier, arguments, only, result)
+                self._run_in_child(arguments, limit, judge, result)
             _, wait_status = os.waitpid(child, 0)
             result.seek(0)
             failed = result.read()
@@ -433,11 +628,11 @@ class Bench:
         return failed or f"exit status {status}"
 
     def _run_in_child(
-        self, tier: str, arguments: Sequence[str], only: str, result: IO[str]
+        self, arguments: Sequence[str], limit: float, judge: Judge, result: IO[str]
     ) -> NoReturn:
         """Run tests in a forked process, write the name of the failed one, and exit."""
-        seconds = MAX_PROCESSOR_SECONDS[tier]
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 10))
+        if math.isfinite(limit):
+            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit), math.ceil(limit) + 10))
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
         os.dup2(null, 2)
@@ -448,49 +643,94 @@ class Bench:
             *(path for path in sys.path if path != str(PROJECT_FOLDER)),
         ]
         status = 1
+        options = ["-n", "0", "-q", "--tb=no", "-p", "no:cacheprovider"]
+        options += [f"--timeout={MAX_TEST_SECONDS}", *arguments]
         try:
-            limit = MAX_FOLDER_SECONDS if tier == "folder" else math.inf
-            plugin = ShortestFirst(self._durations, limit, only)
-            options = ["-n", "0", "-x", "-q", "--tb=no", "-p", "no:cacheprovider"]
-            status = int(sys.modules["pytest"].main([*options, *arguments], [plugin]))
-            result.write(plugin.failed)
+            pytest = sys.modules["pytest"]
+            status, failed = judge(lambda plugin: int(pytest.main(options, [plugin])))
+            result.write(failed)
         finally:
             result.flush()
             os._exit(status)
 
 
-def run_fault(bench: Bench, fault: Fault, *, tiers: Sequence[str]) -> tuple[set[str], str, str]:
+Judge = Callable[[Callable[[Chosen], int]], tuple[int, str]]
+
+
+def stop_at_failure(tests: Sequence[str] | None) -> Judge:
+    """Return a judge that runs chosen tests until one fails; None: all."""
+
+    def judge(run: Callable[[Chosen], int]) -> tuple[int, str]:
+        plugin = Chosen(tests)
+        return run(plugin), plugin.failed
+
+    return judge
+
+
+def detecting_test(bench: Bench, fault: Fault, tests: Sequence[str], limit: float) -> str:
+    """Return the first of some tests that fails with a fault only; "timeout", or "".
+
+    Tests that fail without the fault, too, are left out.
+
+    Args:
+        bench: The copy.
+        fault: The fault.
+        tests: Names of the tests in the order in which they run.
+        limit: Upper bound of the processor time of all tests [s].
+    """
+    left = list(tests)
+    while left:
+        files = sorted({name.partition("::")[0] for name in left})
+        with bench.plant(fault):
+            failed = bench.run(["-x", *files], limit, stop_at_failure(left))
+        if not failed or bench.passes(failed):
+            return failed
+        left = [name for name in left if name != failed and name.partition("::")[0] != failed]
+    return ""
+
+
+def run_fault(
+    bench: Bench, fault: Fault, *, tiers: Sequence[str], coverage: Coverage,
+    trees: Mapping[str, ast.Module],
+) -> tuple[set[str], str, str]:  # fmt: skip
     """Return the tiers that ran for a fault, its outcome, and the test that detects it.
 
-    The outcome is ``killed``, ``survived``, or ``untested`` if the tests fail without the fault,
-    too, or there are none.
+    The outcome is ``killed``, ``survived``, or ``not executed`` if no quick test executes the
+    statement.
 
     Args:
         bench: The copy.
         fault: The fault.
         tiers: Tiers of ``TIERS``, in the order in which they run.
+        coverage: Record of executed lines.
+        trees: {file: syntax tree} of all modules of the package.
     """
     module = Path(fault.file).relative_to(PACKAGE)
-    near = [
-        str(path.relative_to(bench.folder)) for path in near_tests(module, bench.folder / "tests")
-    ]
-    folder = bench.folder / "tests" / module.parent
-    while not any(folder.glob("test_*.py")):
-        folder = folder.parent
-    others = [f"--ignore={path}" for path in near]
-    selections = {"near": ["-m", "not slow", *near], "slow": ["-m", "slow", *near],
-                  "folder": ["-m", "not slow", *others, str(folder.relative_to(bench.folder))],
-                  "quick": ["-m", "not slow", "tests"]}  # fmt: skip
-    outcome, run = "untested", set()
+    near = {
+        path.relative_to(bench.folder).as_posix()
+        for path in near_tests(module, bench.folder / "tests")
+    }
+    executing = coverage.executing_tests(executing_statements(fault, trees))
+    files = {name.partition("::")[0] for name in executing}
+    others = {name for name in coverage.seconds if name.partition("::")[0] in files} - executing
+    first = {name for name in executing if name.partition("::")[0] in near}
+    chosen = {"near": first, "executing": executing - first, "file": others}
+    run: set[str] = set()
     for tier in tiers:
-        if not near and tier in ("near", "slow"):
-            continue
+        if tier == "slow":
+            with bench.plant(fault):
+                limit = PROCESSOR_LIMIT_FACTOR * MAX_TEST_SECONDS
+                failed = bench.run(["-x", "-m", "slow", *near], limit, stop_at_failure(None))
+            failed = failed if failed and bench.passes(failed) else ""
+        else:
+            tests = sorted(chosen[tier], key=coverage.seconds.__getitem__)
+            total = sum(coverage.seconds[name] for name in tests)
+            limit = MIN_PROCESSOR_LIMIT + PROCESSOR_LIMIT_FACTOR * total
+            failed = detecting_test(bench, fault, tests, limit)
         run.add(tier)
-        if not (failed := bench.detecting_test(fault, tier, selections[tier])):
-            outcome = "survived"
-        elif bench.passes(failed, tier):
+        if failed:
             return run, "killed", failed
-    return run, outcome, ""
+    return run, "survived" if executing or "slow" in run else "not executed", ""
 
 
 def main() -> int:
@@ -500,12 +740,15 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="seed of the choice (1)")
     parser.add_argument("--csv", type=Path, default=PROJECT_FOLDER / "build/mutations.csv")
     parser.add_argument(
-        "--tiers", nargs="+", choices=TIERS, default=TIERS,
-        help="tests that run, in this order",
+        "--tiers", nargs="+", choices=TIERS, default=TIERS[:2],
+        help="tests that run, in this order (near, executing)",
     )  # fmt: skip
-    parser.add_argument("--junit", type=Path, help="JUnit file of the quick tests")
     parser.add_argument("--again", action="store_true", help="repeat faults that are not killed")
     parser.add_argument("--folder", type=Path, default=PROJECT_FOLDER / "build/mutations")
+    parser.add_argument(
+        "--lines", type=Path, default=PROJECT_FOLDER / "build/mutations-lines",
+        help="folder of the records of executed lines",
+    )  # fmt: skip
     parser.add_argument("modules", nargs="*", help="beginnings of paths, e.g. statics robot/fall")
     given = parser.parse_args()
     faults = list_faults(PROJECT_FOLDER / PACKAGE)
@@ -527,9 +770,16 @@ def main() -> int:
     ]
     unknown = [fault for fault in faults if fault.key not in rows]
     todo = again if given.again else unknown[: max(0, given.count - len(rows))]
-    bench = Bench(given.folder, read_durations(given.junit) if given.junit else {})
+    bench = Bench(given.folder.resolve())
+    coverage = Coverage(bench, given.lines.resolve())
+    trees = {
+        path.relative_to(bench.folder).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+        for path in (bench.folder / PACKAGE).rglob("*.py")
+    }
     for number, fault in enumerate(todo, start=1):
-        run, outcome, detected_by = run_fault(bench, fault, tiers=given.tiers)
+        run, outcome, detected_by = run_fault(
+            bench, fault, tiers=given.tiers, coverage=coverage, trees=trees
+        )
         earlier = rows.get(fault.key, {})
         run |= set(earlier.get("tiers", "").split())
         tiers = " ".join(tier for tier in TIERS if tier in run)
