@@ -126,7 +126,7 @@ class Cause:
         elements: Names of the elements.
         line: Line of the first element in the file; None if unknown.
         remaining: Largest torque deviation with all causes disabled, relative to the largest
-            predicted torque. None if the cause cannot be disabled.
+            computed torque. None if the cause cannot be disabled.
         difference: First difference between the two files, if that is the cause.
     """
 
@@ -246,8 +246,8 @@ class PublishedRun:
         feedforward: Whether the commands include feed-forward; otherwise positions only.
         duration: Simulated time (s); the nudge is applied after the first second.
         torque_error: Largest torque deviation within the last second, relative to the largest
-            predicted torque.
-        height_error: Final minus predicted height of the CoM (m); None if the base is fixed.
+            computed torque.
+        height_error: Final minus computed height of the CoM (m); None if the base is fixed.
         joint_error: Largest joint deviation (rad).
         collapses: Whether the robot has fallen, sunk by ``robot.fall.MAX_HEIGHT_LOSS_RATIO`` of its
             height, travelled by its height, or diverged. For a fixed base, whether a joint has
