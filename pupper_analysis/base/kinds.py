@@ -99,8 +99,8 @@ def _is_animation(file: BinaryIO) -> bool:
 def _read_measured_cells(file: BinaryIO) -> list[str] | None:
     """Return the cells of a plan that a measurement has filled in.
 
-    A plan is a CSV file with a row per stand. ``fit --plan`` writes the commands and leaves the
-    other columns empty, for example the measured positions.
+    A plan is a CSV file with a row per stand. ``fit --plan`` describes the stand (commands, lifted
+    feet, added mass ...) and leaves the other columns empty, for example the measured positions.
 
     Returns:
         Non-empty cells of these other columns. None if the file has no columns "command" and

@@ -400,8 +400,9 @@ def placeholder_efforts(
     """Yield the efforts that are placeholders, since no motor can have such efforts.
 
     Placeholders are: round efforts (1, 2 or 5 times 10^n, from 100) above
-    `MAX_TORQUE_PER_LINK_MASS`; efforts above `MAX_ROTOR_ACCELERATION`; and all remaining efforts,
-    if the sum of the remaining efforts is above `MAX_TORQUE_PER_ROBOT_MASS`.
+    `MAX_TORQUE_PER_LINK_MASS`, of joints whose links have more than 0.001 of the robot's mass;
+    efforts above `MAX_ROTOR_ACCELERATION`; and all remaining efforts, if the sum of the remaining
+    efforts is above `MAX_TORQUE_PER_ROBOT_MASS`.
 
     Args:
         motors: All hinges with a limit.
