@@ -98,7 +98,7 @@ def _list_common_options(
     target: click.Command,
     excluded: Sequence[str],
 ) -> Iterator[str]:
-    """Yield the typed options that the next command also has, each followed by its value.
+    """Yield the typed options that the next command also has, each followed by its value, if any.
 
     Args:
         order: Typed parameters.

@@ -416,7 +416,7 @@ class UrdfTree:
             kind: Type of the joint in URDF.
             parent: Parent link.
             child: Child link.
-            placed: Pose of the child in the parent at zero.
+            placed: Pose of the child in the parent at a joint position of zero.
             digits: Number of significant digits of lengths; None for all.
         """
         self._clear_cache()
