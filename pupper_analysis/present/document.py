@@ -32,7 +32,7 @@ def text(key: str, **values: object) -> Text:
     """Create a text in both languages from the catalogue.
 
     Args:
-        key: Key in the catalogue (``texts.toml`` or ``terms.toml``).
+        key: Key in the catalogue (``texts.toml``, ``terms.toml`` or a table ``[texts]`` of a tool).
         **values: Values of the template's placeholders. A ``Text`` is inserted in the language of
             the result.
 

@@ -33,8 +33,8 @@ _MAX_GRID_CELLS = 512
 """Cells along the longest side of a mesh, on the first grid of the simplification. Chosen,
 not tuned."""
 _MIN_MESH_FACES = 100
-"""Number of triangles to which a mesh may be reduced at most, however many meshes a robot has.
-Chosen, not tuned."""
+"""Number of triangles up to which a mesh is not reduced, however many meshes a robot has. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,8 @@ def compute_polygon_corners(points: Array) -> Array:
     """Compute the corners of the support polygon, shape (m, 3) [m], from contact positions.
 
     ``points``, shape (n, 3) [m], and the corners are expressed in the world frame. Each corner has
-    the height of the point nearest in x and y. Points on one line give its two ends.
+    the height of the point nearest in x and y. Points on one line give its two ends, equal points
+    a single corner.
     """
     hull = shapely.MultiPoint(points[:, :2]).convex_hull
     wide = hull.geom_type == "Polygon"  # and no line, nor a point
@@ -274,7 +275,8 @@ def collect_visible_shapes(
     Args:
         model: MuJoCo model of the robot.
         max_faces: Approximate upper bound of the triangles of all meshes. If the meshes have more,
-            each mesh is reduced by the same factor, but not below `_MIN_MESH_FACES`.
+            each mesh is reduced by about the same factor, but a mesh with up to `_MIN_MESH_FACES`
+            stays as it is.
 
     Returns:
         Shapes, and {index of a mesh: mesh}.
@@ -307,7 +309,10 @@ def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
-    """Reduce a mesh to about ``share`` of the faces, by clustering on increasingly coarse grids."""
+    """Reduce a mesh to about ``share`` of the faces, by clustering on increasingly coarse grids.
+
+    The result has more faces if that is below `_MIN_MESH_FACES`, or the coarsest grid leaves more.
+    """
     simplified = read_mesh(model, mesh)
     max_faces, cells = max(int(share * len(simplified.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS
     while len(simplified.faces) > max_faces and cells > 4:

@@ -26,6 +26,7 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
     Raises:
         ConfigurationError: If the robot is missing, is not the robot of the stand, or stands on no
             foot.
+        StaticsInfeasibleError: If no contact forces balance the stand.
     """
     from pupper_analysis.present.figures.pose import make_pose_figure
 

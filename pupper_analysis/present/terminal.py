@@ -1,8 +1,9 @@
 """Documents on a terminal: verdict, key figures, and tables that fit the width.
 
-The short view omits blocks marked as detail and lists these blocks in the last line. In a table
-that is too wide, columns of sentences are wrapped; if the table is still too wide, the table is
-printed in parts that repeat the first column. Names and numbers are never cut.
+The short view omits blocks marked as detail, and the tables of a brief document; its last line
+names the omitted tables and counts the omitted findings. In a table that is too wide, columns of
+sentences are wrapped; if the table is still too wide, the table is printed in parts that repeat the
+first column. Names and numbers are never cut.
 """
 
 from __future__ import annotations
@@ -402,7 +403,7 @@ def _render_columns(out: Console, columns: Sequence[_PrintedColumn], width: int)
 
     If the columns cannot be wrapped to this width, the smallest width is used.
     """
-    from rich.box import Box  # no table is printed without -v, and both are slow to import
+    from rich.box import Box  # both are slow to import, and short answers contain no table
     from rich.table import Table as Grid
 
     grid = Grid(box=Box(_HEADER_RULE_BOX), padding=(0, COLUMN_GAP - 1, 0, 0),

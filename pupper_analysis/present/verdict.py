@@ -46,8 +46,8 @@ from pupper_analysis.simulation.verdict import (
 )
 
 MAX_NAMED_JOINTS = 3
-"""Largest number of joints with added servos that a message names individually. Chosen, not
-tuned."""
+"""Largest number of added servos whose joints a message names; of more servos, only the number is
+stated. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -380,7 +380,7 @@ _TOUCH_CODE = "body-touches-ground"
 
 
 def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Replace the failures of bodies that touch the ground by one failure, with the first time."""
+    """Replace two or more failures of bodies that touch the ground by one, with the first time."""
     failures = tuple(failures)
     touches = [failure for failure in failures if failure.code == _TOUCH_CODE]
     names = [failure.subject.name for failure in touches if failure.subject is not None]
@@ -498,7 +498,10 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """State the creep of the robot; as a warning if the creep is significant."""
+    """State the creep of the robot, if it is known and the robot does not collapse.
+
+    The statement is a warning if the creep is significant.
+    """
     creep = verdict.creep
     if creep is None or verdict.with_feedforward is Ending.COLLAPSES:
         return
@@ -515,7 +518,8 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
     """Create the statement that a result depends on added servos, with their range of gains.
 
-    Up to `MAX_NAMED_JOINTS` servos are named. ``good`` is True if the statement supports the stand.
+    The servos are named if they are at most `MAX_NAMED_JOINTS`. ``good`` is True if the statement
+    supports the stand.
     """
     few = servos.made if len(servos.made) <= MAX_NAMED_JOINTS else ()
     message = diagnose(

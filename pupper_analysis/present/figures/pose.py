@@ -1,6 +1,7 @@
 """Figure of a robot in a stand: skeleton, contact forces, centre of mass and support polygon.
 
-Both panels are parallel projections of the same lines: obliquely from the right, and from above.
+Both panels are parallel projections of the same lines: obliquely from the front right, and from
+above.
 """
 
 from __future__ import annotations

@@ -231,7 +231,10 @@ def _thin_points(points: Array) -> Array:
 
 
 def _compute_range(values: Array, room: float) -> tuple[float, float]:
-    """Return the bounds of an axis: the range of the values, extended by a fraction ``room``."""
+    """Return the bounds of an axis: the range of the values, extended by a fraction ``room``.
+
+    Equal values get a range that is not empty.
+    """
     low, high = float(values.min()), float(values.max())
     span = high - low or abs(high) or 1.0
     return low - room * span, high + room * span if high > low or room else high + span

@@ -70,8 +70,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MAX_FACES = 12_000
-"""Largest number of triangles of all meshes of a robot: about 150 kB of the file, so that a report
-of six robots is below 3 MB."""
+"""Approximate upper bound of the triangles of all meshes of a robot: about 150 kB of the file, so
+that a report of six robots is below 3 MB."""
 
 MAX_FRAMES = 80
 """Largest number of configurations of a motion, about the resolution of the slider. Chosen, not
@@ -195,8 +195,8 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
 
     Returns:
         Name in both languages (``en``, ``zh``), times (``time``) [s], the largest absolute
-        coordinate (``reach``) [m], and the integers (``frames``): per body x, y, z in units of
-        ``reach`` / 32767, then the quaternion in units of 1 / 32767.
+        coordinate, at least 1e-3 (``reach``) [m], and the integers (``frames``): per body x, y, z
+        in units of ``reach`` / 32767, then the quaternion in units of 1 / 32767.
     """
     values = poses.copy()
     reach = max(float(np.abs(values[..., :3]).max()), 1e-3)

@@ -131,7 +131,8 @@ def compare_models(
         Comparison.
 
     Raises:
-        ModelError: If a file cannot be read, or the files cannot be matched.
+        ModelError: If a file cannot be read, the files cannot be matched, the robot has no mass, or
+            MuJoCo refuses the URDF of a large robot.
         MissingPackageError: If the package that reads the format of a file is not installed.
         UnknownNameError: If a name does not occur in the file.
         ConfigurationError: If an argument is out of range.
@@ -261,7 +262,7 @@ QUANTITIES = {
     "accelerometer": ("IMU", "m/s^2"),
 }
 """{quantity: (owner of the rows, unit)}. Quantities that do not depend on the configuration are
-expressed in base axes at zero angles."""
+expressed in the world frame at zero angles, with a floating base at the origin."""
 
 ROW_SCALED_QUANTITIES = ("body masses", "body inertias")
 """Quantities whose deviation is relative to the scale of the row, not to the largest value of all
@@ -712,8 +713,8 @@ def cross_check(
 ) -> CrossCheck:
     """Compare a URDF and an MJCF in Pinocchio and in MuJoCo.
 
-    States are random: joints within limits, any pose of a floating base, with velocities and
-    joint torques.
+    States are random (`random_states`): joint positions and torques within limits, velocities, and
+    any orientation of a floating base, within 1 m of the origin along each axis.
 
     Args:
         robot: Robot.

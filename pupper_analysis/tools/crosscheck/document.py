@@ -1,7 +1,7 @@
 """Document and annotations of a comparison: the differences, with the lines of both files.
 
 Input is a ``Comparison`` of a URDF with an MJCF. Causes and differences are shown in the order of
-their effects; differences with the same values form a group. The table of quantities has a column
+their urgency; differences with the same values form a group. The table of quantities has a column
 per edge: a pair of evaluations, of two models in one engine or of one model in two engines.
 """
 

@@ -98,7 +98,8 @@ class ModelDiff(Result):
         old: Old file.
         new: New file.
         same: Whether nothing has changed, within the tolerances.
-        changes: Changes, sorted by effect, the largest first.
+        changes: Changes, the most urgent first: structure and conventions, large effects or mass
+            differences, limits, others; each sorted by effect.
         mass: Total mass of the old and the new version.
         torques: {joint: (old, new)}, largest torque (N m; force in N for slides) against gravity,
             base level and held, at random positions, for joints in both versions.
@@ -228,7 +229,7 @@ class _Comparison:
     def result(self) -> ModelDiff:
         """Compare joints, bodies and other elements of both versions, and return the changes.
 
-        The changes are sorted by effect, the largest first.
+        The most urgent change is first (`Difference.rank`).
         """
         first, second, tolerances = self.first, self.second, self.tolerances
         # Compare in the same convention; a different convention is a change of its own.

@@ -84,7 +84,7 @@ def read_version(file: UrdfFile | MjcfFile) -> Version:
     """Return the joints, bodies and elements of a file, for comparison with another version.
 
     Raises:
-        ModelError: If the file is not a robot with joints.
+        ModelError: For example, if an MJCF has no joints, or ball joints only.
     """
     return _read_urdf_version(file) if isinstance(file, UrdfFile) else _read_mjcf_version(file)
 
