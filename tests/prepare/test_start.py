@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 import shapely
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
@@ -20,7 +22,7 @@ from pupper_analysis.robot.servos import list_position_servos
 from tests.support import random_legged
 from tests.support.legged import biped, quadruped, rewritten
 from tests.support.slips import standing
-from tests.support.variants import load
+from tests.support.variants import load, stand_of
 
 
 def test_omitted_joints_are_at_zero_clipped_to_their_limits() -> None:
@@ -168,3 +170,17 @@ def test_level_soles_are_not_searched_for_wheels(
     assert searched_heights == []
     assert start._find_level_soles(load("v3"), clip_to_limits(load("v3"))) is None
     assert len(searched_heights) > start._NUM_HEIGHTS
+
+
+def test_start_keyframe_is_at_the_origin_and_has_the_height_of_the_stand() -> None:
+    """The stand is moved by 10 and 20 mm; height and joints are rounded to micrometres and urad."""
+    robot, stand = load("v3"), stand_of("v3")
+    qpos = stand.qpos + np.array([0.01, 0.02, *np.zeros(len(stand.qpos) - 2)])
+    keyframe = start.make_start_keyframe(
+        robot, replace(stand, qpos=qpos), diagnose("start-pose-found", height=None)
+    )
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    np.testing.assert_allclose(keyframe.qpos[2:], data.qpos[2:], rtol=0, atol=5.1e-7)
+    assert keyframe.qpos[:2] == (0.0, 0.0)
+    assert keyframe.qpos[2] == round(qpos[2], 6)

@@ -57,3 +57,13 @@ def test_no_motor_is_closest_to_its_limit_beside_one_without_torque() -> None:
     )
     statics = replace(held.statics, motor_utilisation=shares)
     assert list(describe_hardest_motor(statics, limits)) == []
+
+
+def test_verdict_word_is_qualified_only_if_another_posture_exceeds_a_motor_limit() -> None:
+    """The utilisations of the worst postures are set below and above 1."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    assert held.passed
+    for share, qualified in ((0.99, False), (1.01, True)):
+        shares = np.full(len(held.worst.utilisation), share)
+        document = hold_document(replace(held, worst=replace(held.worst, utilisation=shares)))
+        assert ("THIS POSTURE ONLY" in getattr(document.verdict, "en", "")) is qualified
