@@ -267,6 +267,12 @@ class PublishedRun:
     differs: bool
     imported: bool = False
     worst_joint: str = ""
+    _keeps_moving: bool = False
+
+    @property
+    def keeps_moving(self) -> bool:
+        """Whether the motor torques still change at the end, for example if contacts chatter."""
+        return self._keeps_moving
 
     @property
     def agrees_with_equilibrium(self) -> bool:
