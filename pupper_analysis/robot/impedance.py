@@ -94,7 +94,7 @@ class EqualityCompliance:
     """Compliance of a model's equality constraints at a configuration, for any violation.
 
     At rest a constraint with violation x has the force k d^2 x / ((1 - d) A), with the impedance d
-    at |x|; A and k do not depend on x.
+    at ``abs(x)``; A and k do not depend on x.
 
     Args:
         model: MuJoCo model.

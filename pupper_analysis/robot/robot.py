@@ -521,7 +521,7 @@ class Robot(EngineModels):
 
     @cached_property
     def _cache(self) -> dict[tuple[Hashable, ...], Any]:
-        """{(function, *arguments): result} of ``compute_once``."""
+        """Results of ``compute_once``: {(function, further arguments): result}."""
         return {}
 
     def compute_once(self, make: Callable[..., _T], *given: Hashable) -> _T:

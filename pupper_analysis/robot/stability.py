@@ -511,10 +511,10 @@ class _Modes:
         )
 
     def _damping_ratio(self, mode: int) -> float:
-        """Return the damping ratio of the mode with eigenvalue number ``mode``: -Re s / |s|.
+        """Return the damping ratio of the mode with eigenvalue number ``mode``.
 
-        s = ln(eigenvalue): 1 for monotonic decay, 0 for an undamped oscillation, negative for
-        growth.
+        The ratio is ``-Re(s) / abs(s)`` with s = ln(eigenvalue): 1 for monotonic decay, 0 for an
+        undamped oscillation, negative for growth.
         """
         exponent = np.log(self._values[mode])
         return float(-exponent.real / abs(exponent))

@@ -320,8 +320,8 @@ class Balance:
     def _largest_violation(self, forces: Array, friction: Array) -> float:
         """Return the largest violation of a friction cone or grip limit [N].
 
-        The violation of a contact is |f_t| - mu f_n, of a grip |f| - limit. Negative if all forces
-        are strictly inside; NaN if a force is NaN.
+        The violation is ``|f_t| - mu f_n`` for a contact, and ``|f| - limit`` for a grip. Negative
+        if all forces are strictly inside; NaN if a force is NaN.
         """
         excess = []
         for force, normal, coefficient in zip(
