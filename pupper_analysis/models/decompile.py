@@ -67,7 +67,7 @@ _SITE_FIELDS: Final = ("type", "size", "pos", "quat", "group", "rgba")
 _ACTUATOR_FIELDS: Final = (
     *("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm", "trntype", "gear"),
     *("ctrlrange", "forcerange", "actrange", "ctrllimited", "forcelimited", "actlimited"),
-    *("actearly", "cranklength", "group", "armature", "ctrlspec", "delay"),
+    *("actearly", "cranklength", "group", "armature", "ctrlspec", "delay", "lengthrange"),
 )
 """Fields of an actuator that are copied from the arrays ``actuator_`` of the model."""
 
@@ -118,11 +118,11 @@ _IGNORED_ARRAYS: Final = frozenset(
         *("jnt_user", "actuator_user", "tendon_user", "tendon_matid", "tendon_rgba"),
         *("jnt_group", "actuator_group", "tendon_group", "tendon_width"),
         *("actuator_plugin", "actuator_history", "actuator_historyadr", "actuator_acc0"),
-        *("actuator_lengthrange", "tendon_invweight0"),
+        "tendon_invweight0",
     }
 )
 """Arrays with a compared prefix that need not be reproduced: groups, colours, user data, addresses
-of history buffers, and results of MuJoCo's compiler such as the length ranges of actuators."""
+of history buffers, and results of MuJoCo's compiler such as the inverse weights of tendons."""
 
 _ARRAY_TOLERANCE: Final = 1e-9
 """Absolute tolerance, in the unit of the array, and relative tolerance of arrays that must be

@@ -95,6 +95,20 @@ def test_spec_of_model_has_equal_dynamics(name: str) -> None:
         np.testing.assert_allclose(accelerations(made, seed), expected, atol=1e-6 * scale)
 
 
+def test_spec_of_a_muscle_keeps_the_stated_length_range() -> None:
+    """The force of a muscle depends on its length relative to the range: the file states
+    -0.5 to 0.7 rad, from which MuJoCo's own search over the motion differs."""
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><body name="arm"><joint name="hinge" axis="0 1 0"/>
+    <geom size="0.1" mass="1"/></body></worldbody>
+    <actuator><muscle name="muscle" joint="hinge" lengthrange="-0.5 0.7"/></actuator></mujoco>
+    """)
+    made = make_spec_of_model(model, "model").compile()
+    assert made.actuator_lengthrange.tolist() == [[-0.5, 0.7]]
+    assert accelerations(model, 1)[0] != 0
+    np.testing.assert_allclose(accelerations(made, 1), accelerations(model, 1), rtol=1e-9)
+
+
 def test_model_is_not_modified_by_writing_its_spec() -> None:
     model = make_rich_model()
     before = accelerations(model, 0)
