@@ -108,6 +108,9 @@ def make_document(result: Result, robot: Robot | None = None, name: str = "") ->
         result: Result.
         robot: Robot of the result; None if not available.
         name: Title if the builder provides no title. Default: the name of the type.
+
+    Raises:
+        TypeError: If ``result`` is no result.
     """
     load_builder(type(result))
     built = build_document(result, robot)

@@ -137,6 +137,7 @@ def sweep_gains(
         ConfigurationError: If an argument is out of range, the base is fixed, or the stand belongs
             to another robot.
         ModelError: If the model has no servos, and kp or kd is not passed.
+        StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = check_stand(robot, stand, duration)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):

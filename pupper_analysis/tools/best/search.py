@@ -199,9 +199,10 @@ class StanceSearch:
             raise ConfigurationError("objective", message)
 
     def compute_objective(self, stand: Stand) -> float:
-        """Compute the CoM margin [m] of a stand, or its peak motor utilisation on rigid ground.
+        """Compute the CoM margin [m] of a stand, or its peak motor utilisation.
 
-        The margin is returned if it is the objective of this search.
+        The margin is returned if it is the objective of this search. The stand may be one on rigid
+        or on soft ground.
         """
         statics = stand_statics(self.robot, stand)
         assert statics.com_margin is not None

@@ -64,7 +64,7 @@ def command(
         policy.json -v
       pupper-analysis contract g1.xml env_cfgs.py deploy.yaml --format sarif
 
-    Exit status: 0 the sources agree, 1 the sources differ, 2 bad input.
+    Exit status: 0 no disagreement as severe as --fail-on, 1 there is one, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
     from pupper_analysis.tools.contract.contract import read_contract

@@ -1,8 +1,8 @@
 """Search for a single mistake that explains many differences between a URDF and an MJCF.
 
-Examples: wrong units, another Euler sequence, exchanged limbs, dropped products of inertia. Each
-hypothesis is tested: the mistake is undone in either tree, and the differences that disappear
-are explained.
+Examples: wrong units, another Euler sequence, exchanged limbs, dropped products of inertia. Most
+hypotheses are tested: the mistake is undone in one of the trees, and the differences that disappear
+are explained. Some mistakes, such as wrong units, follow from the numbers alone.
 
 Before files are compared, links on fixed joints are combined with the moving body. Mass, first and
 second moments about the frame's origin are additive, so the difference of two combined bodies is

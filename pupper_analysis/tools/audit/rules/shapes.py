@@ -207,7 +207,8 @@ def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
 def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
-    The sphere is the nearest collision sphere on the links that are fixed to the foot frame.
+    The sphere is the nearest collision sphere on the link of the frame and the links fixed below
+    it; for a foot link without frame, on all links that move with it.
     Spheres with "foot" in their name or the name of their link have precedence. If the sphere is
     farther away than five radii, there is no finding. The severity is NOTE if the frame is inside
     the sphere, which some models use for a flat sole.

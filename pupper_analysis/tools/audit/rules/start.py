@@ -348,7 +348,7 @@ def _compute_heights(
 
 @rule
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find a keyframe from which the robot falls, or MuJoCo's simulation diverges.
+    """Find a keyframe from which the robot falls or moves away, or MuJoCo's simulation diverges.
 
     The keyframe ``home``, or else the first, is simulated by `simulate_keyframe`, with and without
     a small velocity disturbance at the start. The actuators receive the ctrl of the keyframe. If no
