@@ -6,6 +6,8 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -15,6 +17,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import OutputError
+from pupper_analysis.tools.check.check import _get_change_severity
 from pupper_analysis.tools.check.config import list_pair_entries, read_config
 from pupper_analysis.tools.check.remarks import (
     BaselineEntry,
@@ -410,3 +413,20 @@ def test_baseline_is_sorted_and_describes_its_entries(folder: Path) -> None:
     ]
     run(folder, "--update-baseline")
     assert (folder / BASELINE).read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("code", "values", "severity"),
+    [
+        ("simulation-changed", {"falls": True}, Severity.ERROR),
+        ("simulation-changed", {"diverges": True}, Severity.ERROR),
+        ("simulation-changed", {"falls": False}, Severity.WARNING),
+        ("simulation-unchanged", {"falls": True}, Severity.NOTE),
+    ],
+)
+def test_a_change_is_an_error_if_the_new_version_falls_or_diverges(
+    code: str, values: dict[str, bool], severity: Severity
+) -> None:
+    """A message that the simulation is unchanged does not count."""
+    message: Any = SimpleNamespace(code=code, values=values)
+    assert _get_change_severity((message,)) is severity
