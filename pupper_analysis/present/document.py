@@ -340,7 +340,7 @@ class FileFinding:
     Attributes:
         title: Description of the finding or difference.
         columns: Places in the files.
-        notes: Effects of the finding.
+        notes: Effects and repairs of the finding.
         tag: Kind and severity; None if all findings are of one kind.
         detail: True if the short terminal view omits the finding.
     """

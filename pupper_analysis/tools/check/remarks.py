@@ -46,7 +46,7 @@ class Remark(Result):
         pair: Name of the pair; "" for an audit finding, which belongs to the file.
         kind: Kind of the difference; ``joint``, ``part`` or ``agreement``; audit rule; or
             ``refused`` if the file could not be read.
-        element: Joint, body or frame.
+        element: Joint, body, frame or other element; "" if the remark concerns the whole file.
         file: File; for a difference, the URDF. Path relative to the configuration, with ``/``.
         values: Values in the baseline: both values of a difference, or code and values of the
             diagnostic.
@@ -241,7 +241,7 @@ def make_remark(
         check: As ``Remark.check``.
         pair: Name of the pair; "" for a finding that belongs to a file.
         kind: As ``Remark.kind``.
-        element: Joint, body or frame.
+        element: As ``Remark.element``.
         file: File, relative to the configuration.
         message: Diagnostic.
         bad: Severity.

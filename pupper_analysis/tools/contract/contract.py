@@ -52,7 +52,7 @@ class SourceRead(Result):
     """Source that was read.
 
     Attributes:
-        name: Name of the file, followed by the name of the configuration.
+        name: Name of the file, if needed with parent folders and the name of the configuration.
         path: Path of the file.
         role: trainer, policy, deployment, driver or model.
         order: Joints in the order of the policy's arrays.

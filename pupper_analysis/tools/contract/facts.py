@@ -172,7 +172,7 @@ class Source:
     """Content of a source.
 
     Attributes:
-        name: Name of the file, followed by the name of the configuration.
+        name: Name of the file, if needed with parent folders and the name of the configuration.
         path: Path of the file.
         role: Role of the source.
         statements: Statements. Of several for a joint the last counts.
