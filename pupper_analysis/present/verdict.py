@@ -473,7 +473,7 @@ elements and the line in the file."""
 
 
 def _make_error_quantity(error: float | None) -> Quantity | None:
-    """Convert a relative error to the upper bound that a message states, at least 1e-6."""
+    """Convert a relative error to the upper bound that a message states: None, or at least 1e-6."""
     return None if error is None else Quantity(max(error, 1e-6), "1")
 
 

@@ -68,7 +68,7 @@ def _find_element(document: XmlDocument, repair: ValueRepair) -> Element | None:
 
 
 def _descend(element: Element, path: str) -> Element | None:
-    """Return the element at a path of tags below an element."""
+    """Return the element at a path of tags below an element; None if a tag is missing."""
     current: Element | None = element
     for tag in path.split("/") if path else ():
         current = None if current is None else current.find(tag)

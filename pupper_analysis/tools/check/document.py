@@ -79,7 +79,11 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 
 
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
-    """Return the command that details the first failing finding, or simulates the first pair."""
+    """Return the command that details the first failing finding, or simulates the first pair.
+
+    If nothing fails and the baseline has stale entries, the command updates the baseline. None for
+    a failing change or finding of another tool, and if no pair has two files.
+    """
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))
     folder = Path(check.config).parent

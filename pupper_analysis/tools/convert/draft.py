@@ -306,7 +306,8 @@ def _add_stand(
     """Add the ground, feet, servos and start pose that `load_robot` determines.
 
     Returns:
-        Notes; the reason if the robot does not stand; the joints whose feet were replaced by balls.
+        Notes; the reason if the robot does not stand, otherwise None; the joints whose feet were
+        replaced by balls.
     """
     mjcf, meshes, bodies = NewMjcf(bare.mjcf.root), bare.meshes, bare.bodies
     try:

@@ -195,10 +195,10 @@ def _list_position_tables(node: Node) -> list[Node]:
 
 
 def list_observation_terms(terms: Node) -> Iterator[tuple[str, float | None, Place]]:
-    """Yield (name, scale, place) of each observation term that is a table, in order.
+    """Yield (name, scale, place) of each observation term that is a table or has a function.
 
     The name is the name of the term's function if listed in `OBSERVATION_ALIASES`, otherwise the
-    key.
+    key. The scale is 1 for a function without a stated scale, and None if it is not known.
     """
     for name, term in terms.table.items():
         func, scale = term.get("func"), term.get("scale")
