@@ -384,6 +384,7 @@ def test_limits_of_ten_turns_are_an_error_unless_they_are_symmetric(
         ("-1.8 1.2", False),
         ("-100 100", False),  # may be meant as no limit
         ("-3.6 2.4", False),
+        ("-103.1 10", False),  # one end only
     ],
 )
 def test_command_range_is_found_if_it_is_the_range_of_the_joint_in_degrees(
