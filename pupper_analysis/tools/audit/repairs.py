@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
+import mujoco
 import numpy as np
 from lxml import etree
 
@@ -75,8 +76,18 @@ def _repair_limits_in_degrees(robot: RobotModel, found: CheckFinding) -> Iterato
 
 
 def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Replace a command range in degrees by the range of the joint."""
-    if not isinstance(robot, MjcfModel):
+    """Replace a command range in degrees by the range of the joint.
+
+    Nothing is proposed for a servo with a gear, or with a gain other than the stiffness: the unit
+    of the command is then not the unit of the joint position.
+    """
+    if not isinstance(robot, MjcfModel) or robot.mj_model is None:
+        return
+    model = robot.mj_model
+    servo = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, found.name)
+    if servo < 0 or model.actuator_gear[servo, 0] != 1:
+        return
+    if model.actuator_gainprm[servo, 0] != -model.actuator_biasprm[servo, 1]:
         return
     ends = [found.message.values[word].value for word in ("lower", "upper")]  # type: ignore[union-attr]
     matches = [

@@ -178,6 +178,7 @@ SLIPS: list[tuple[Any, ...]] = [
     ("start-in-floor", "mjcf key home", '', '0 0 0.158', '0 0 0.14'),
     ("gravity-unusual", "mjcf option", '', '-9.81', '-1.62'),
     ("gravity-unusual", "mjcf option", '', '-9.81', '9.81'),
+    ("gravity-unusual", "mjcf option", '', '-9.81', '0'),
     ("gravity-unusual", "mjcf option", '', '-9.81', '-9.75'),
     ("moving-body-without-mass", "urdf link FL_calf", "",
      *((link, r"(?s)<inertial>.*?</inertial>", "") for link in (FL_CALF, FL_FOOT))),
@@ -974,3 +975,18 @@ def test_distance_to_coplanar_points_is_the_distance_to_their_bounding_box(
     """A unit square has no hull with a volume; the point is above, below or in its plane."""
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
     assert compute_hull_distance(square, np.array([0.5, 0.5, height])) == pytest.approx(distance)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "severity"), [("0 0 0", "warning"), ("0 0 9.81", "warning"), ("1 0 -9.7", "note")]
+)
+def test_gravity_of_zero_is_a_warning_and_a_slope_a_note(
+    gravity: str, severity: str, tmp_path: Path
+) -> None:
+    """A tilted gravity simulates a slope; without gravity, no legged robot loads its feet."""
+    path = tmp_path / "robot.xml"
+    body = '<body><freejoint/><geom size="0.1" mass="1"/></body>'
+    option = f'<option gravity="{gravity}"/>'
+    path.write_text(f"<mujoco>{option}<worldbody>{body}</worldbody></mujoco>")
+    (finding,) = found(audit_model(path), "gravity-unusual")
+    assert finding.severity == severity

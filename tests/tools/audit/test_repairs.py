@@ -78,6 +78,15 @@ def test_command_range_in_degrees_becomes_the_range_of_the_joint(tmp_path: Path)
     assert expected in path.read_bytes()
 
 
+def test_command_range_in_degrees_of_a_geared_servo_has_no_repair(tmp_path: Path) -> None:
+    """The command of a servo with gear 2 is twice the joint position."""
+    extra = ' gear="2" ctrlrange="-206.2 137.5"/>'
+    path = planted(tmp_path, '<general name="FL_HFE"', "/>", extra, MJCF)
+    audit = audit_model(path)
+    assert any(finding.rule == "command-range-in-degrees" for finding in audit.findings)
+    assert apply_repairs([audit])[1] == 0
+
+
 def test_decimal_point_of_a_moment_is_confirmed_by_the_mirrored_link(tmp_path: Path) -> None:
     """Without the mirrored link, other powers of ten and other moments are candidates too."""
     moment = re.search(r'FL_calf">.*?ixx="([^"]*)"', URDF.read_text(), re.DOTALL)

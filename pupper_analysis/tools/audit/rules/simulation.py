@@ -35,13 +35,13 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find an MJCF whose gravity differs by more than 0.02 m/s^2 from (0, 0, -9.80665) m/s^2.
 
     The values 9.8 and 9.81 are accepted. NOTE instead of the rule's severity unless gravity points
-    up, or more sideways than down, since a tilted gravity simulates a slope.
+    up, is zero, or points more sideways than down, since a tilted gravity simulates a slope.
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
         place = find_first_place(robot.file, "option", "gravity")
         message = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
-        wrong = gravity[2] > 0 or np.hypot(*gravity[:2]) > -gravity[2]
+        wrong = gravity[2] > 0 or np.hypot(*gravity[:2]) >= -gravity[2]
         severity = None if wrong else Severity.NOTE
         yield CheckFinding("option", "", message, place=place, severity=severity)
 
