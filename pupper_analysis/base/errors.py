@@ -27,7 +27,7 @@ _E = TypeVar("_E", bound="PupperAnalysisError")
 
 
 class PupperAnalysisError(Exception):
-    """Base class of all exceptions that the package raises deliberately.
+    """Base class of the exceptions for invalid input and for failed computations.
 
     Exceptions can be pickled independently of the constructor arguments, so that worker processes
     can return exceptions.

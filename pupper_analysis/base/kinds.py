@@ -103,8 +103,8 @@ def _read_measured_cells(file: BinaryIO) -> list[str] | None:
     feet, added mass ...) and leaves the other columns empty, for example the measured positions.
 
     Returns:
-        Non-empty cells of these other columns. None if the file has no columns "command" and
-        "position".
+        Non-empty cells of these other columns. None if the file is no CSV text, or has no columns
+        "command" and "position".
     """
     try:
         rows = list(csv.reader(io.StringIO(file.read(_MAX_PLAN_BYTES).decode("utf-8-sig"))))

@@ -34,8 +34,8 @@ NUMBER_FORMAT = ".4g"
 """Format of numbers in a cell; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
-"""Numbers of an array below this fraction of the largest number, or of 1, are shown as 0: these are
-rounding of double precision."""
+"""Numbers of a short array are shown as 0 up to this fraction of the largest absolute number, or of
+1 if that is larger: these are rounding of double precision."""
 
 _NOTHING = "&ndash;"
 """HTML of an absent value."""
@@ -80,7 +80,7 @@ def render_table(caption: str, rows: Iterable[Row]) -> str:
 
 
 def format_value(value: object) -> str:
-    """Return the HTML of a value: numbers with 4 digits, long containers summarised."""
+    """Return the HTML of a value: floats with 4 digits, long containers summarised."""
     if isinstance(value, Diagnostic):
         return escape(str(value))
     if isinstance(value, Enum):

@@ -83,7 +83,7 @@ class Result:
     """Base class of results. Fields cannot be modified in place.
 
     ``repr`` is short: long arrays and lists are represented by their sizes. ``to_json`` returns all
-    fields, and the properties that the class lists in ``_reported``.
+    public fields, and the properties that the class lists in ``_reported``.
     """
 
     _reported: ClassVar[tuple[str, ...]] = ()
@@ -210,7 +210,7 @@ class Tabular(Result):
 
 
 def shorten(value: object) -> str:
-    """Return a short text for a value: numbers with 6 digits, long containers by size."""
+    """Return a short text for a value: floats with 6 digits, long containers by size."""
     if isinstance(value, Enum):
         return repr(value.value)
     if isinstance(value, float):

@@ -7,7 +7,7 @@ other packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``, ``mode
 imports no tool; question and heading are read from the source text.
 
 A format is a package that reads model files. ``format.toml`` describes the format, ``reader.py``
-reads the files (`models.readers`), and ``rules.toml`` contains audit rules for this format.
+reads the files (`models.loading`), and ``rules.toml`` contains audit rules for this format.
 """
 
 from __future__ import annotations

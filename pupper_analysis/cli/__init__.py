@@ -117,11 +117,11 @@ collections, which take a tenth of the time of ``stand v3`` and find nothing."""
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
     """Run a command, and end the process with the exit status of the command.
 
-    An error of the package, of the command line or of the operating system is printed as a line
-    on standard error, with exit status 2; an unexpected error as a line, with exit status 3, and
-    with ``--debug`` also the traceback. A closed output pipe ends the process with status 0. A
-    signal that ends the process is printed as a line, with the exit status of shells, 130 for
-    Ctrl-C.
+    An error of the package or of the command line, and a lack of system resources such as disk
+    space, is printed as a line on standard error, with exit status 2; an unexpected error as a
+    line, with exit status 3, and with ``--debug`` also the traceback. A closed output pipe is no
+    error. A signal that ends the process is printed as a line, with the exit status of shells, 130
+    for Ctrl-C.
 
     Args:
         command: Command.

@@ -100,6 +100,8 @@ def _list_common_options(
 ) -> Iterator[str]:
     """Yield the typed options that the next command also has, each followed by its value, if any.
 
+    Options that select the form of the output or a result file are left out.
+
     Args:
         order: Typed parameters.
         values: {name of a parameter: typed value}.

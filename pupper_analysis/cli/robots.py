@@ -160,7 +160,8 @@ class RobotOptions:
         """Return the selected robot; None if no robot is specified.
 
         Raises:
-            ConfigurationError: If the robot is specified in several ways.
+            ConfigurationError: If the robot is specified in several ways, or an option for files is
+                not valid or is typed without a file.
             VariantError: If a word names no robot.
         """
         from pupper_analysis.pupper.variant_files import parse_single_robot
@@ -180,7 +181,7 @@ class RobotOptions:
         """Return the selected robots; a URDF and the MJCF after it are one robot.
 
         Raises:
-            ConfigurationError: If options for files are typed without a file.
+            ConfigurationError: If an option for files is not valid or is typed without a file.
             VariantError: If a word names no robot.
         """
         from pupper_analysis.pupper.variant_files import parse_robot_words

@@ -619,7 +619,7 @@ def show_report(
 def confirm_written(path: Path | str) -> None:
     """Print the path of a written file, unless the file was standard output.
 
-    The path is printed on standard output if the option ``--style`` is ``text`` or missing, and
+    The path is printed on standard output if the option ``--format`` is ``text`` or missing, and
     otherwise on standard error.
     """
     from pupper_analysis.base.files import STANDARD_OUTPUT

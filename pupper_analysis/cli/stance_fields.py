@@ -241,7 +241,8 @@ def read_stance_file(path: Path) -> dict[str, Any]:
     """Return {parameter: value as typed on the command line} of a stance file.
 
     Raises:
-        ConfigurationError: If the file cannot be read, or contains an unknown option.
+        ConfigurationError: If the file cannot be read, or contains an unknown option or a value of
+            another form.
     """
     try:
         _, values = read_toml(path)

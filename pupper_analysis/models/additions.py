@@ -1,7 +1,8 @@
 """Additions to a published robot for simulation: floor, contacts, spheres, servos, start pose.
 
-Each addition has a reason, and calls a method of the same name of the editable MuJoCo spec
-(`SpecTree`) or of a new MJCF file. The simulated model and the written file therefore agree.
+Each addition has a reason, and calls a method of the editable MuJoCo spec (`SpecTree`) or the
+method with the same name of a new MJCF file. The simulated model and the written file therefore
+agree.
 """
 
 from __future__ import annotations

@@ -26,12 +26,13 @@ class JointAttribute:
         units: Unit for a hinge, and for a slide.
         tolerance: Field of `Tolerances`.
         relative: Whether the tolerance is relative.
-        felt: Whether forward dynamics depend on the parameter.
+        felt: Whether the compared forward dynamics depend on the parameter. These dynamics contain
+            neither friction loss nor limits.
         unstated: Default if a file does not specify the parameter.
         urdf: Child element of ``<joint>`` and attribute of this element; None if URDF lacks the
             parameter.
         mjcf: Attributes of a joint or actuator in an MJCF, any of which sets the parameter; the
-            joint's own attribute first. Empty if MJCF lacks the parameter.
+            main attribute first. Empty if MJCF lacks the parameter.
         pinocchio: Vector (nv,) of Pinocchio's model; "" if there is none.
         mujoco: Array (nv,) of MuJoCo's model; "" if there is none.
         of_joints: Array (njnt,) of MuJoCo's model, for parameters without an array (nv,).
@@ -203,7 +204,7 @@ PASSIVE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if
 COMPILED_ATTRIBUTES: Final = tuple(
     attribute for attribute in JOINT_ATTRIBUTES if attribute.mujoco or attribute.of_joints
 )
-"""Parameters with an array in MuJoCo's model."""
+"""Parameters with an array in ``mujoco`` or ``of_joints``; limits and efforts have none there."""
 
 
 @dataclass(frozen=True)
@@ -301,7 +302,7 @@ Gravity and medium are compared with the external forces; shapes and flags by
 # Names and values of additions to an MJCF, in memory or in a new file.
 
 Number = float | str
-"""Number, or the text of a number in another file."""
+"""Number, or the text of a value in another file, such as ``elliptic``."""
 
 FLOOR_NAME: Final = "floor"
 """Name of an added floor, and of the floor material."""

@@ -70,14 +70,14 @@ class MujocoTree:
         self.copy_parameters(parameters)
 
     def has_structure_of(self, parameters: MultibodyTree) -> bool:
-        """Return True if a tree has the parents and joint types of this model.
+        """Return True if a tree has base, bodies, parents, joint types and frames of this model.
 
         The parameters can then be set without compiling a new model.
         """
         return self._structure == _structure_key(parameters)
 
     def copy_parameters(self, parameters: MultibodyTree) -> None:
-        """Copy masses, inertias, joints, gravity and frames of a tree into the model, in place.
+        """Copy all parameters of a tree into the model, in place: for example masses and axes.
 
         The tree must have the same structure (``has_structure_of``).
         """

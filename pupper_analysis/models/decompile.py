@@ -129,14 +129,16 @@ _ARRAY_TOLERANCE: Final = 1e-9
 reproduced. Chosen: MuJoCo normalises quaternions and axes again, which changes the last digits."""
 
 _VERTEX_ATOL: Final = 1e-5
-"""Tolerance [m] of the vertices of meshes, which MuJoCo stores with seven digits. Chosen."""
+"""Absolute tolerance [m] of the vertices of meshes, which MuJoCo stores with seven digits; numpy's
+relative tolerance, 1e-5, is added. Chosen."""
 
 
 def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
     """Return a new spec that compiles to a model with the same dynamics as a given model.
 
-    Elements without a name get a name such as ``body_3``, except free joints, and geoms to which no
-    contact pair or tendon refers. The given model is not modified.
+    Bodies, joints, geoms, sites, tendons and actuators without a name get a name such as
+    ``body_3``, except free joints, and geoms to which no contact pair or tendon refers. The given
+    model is not modified.
 
     Args:
         model: Compiled model.

@@ -57,7 +57,8 @@ class EffortStatement(Result):
         stated: Lower and upper end of the range in the file, for an effort with both signs; for
             several actuators the sum at the joint.
         factor: Torque at the joint per unit of ``stated``: the gear of an actuator, for a
-            ``ctrlrange`` times the gain; 1 for a joint, and for the sum of several actuators.
+            ``ctrlrange`` times the gain; 1 for a joint, for the sum of several actuators, and for
+            an empty range.
         lower: Lower end at the joint (N m; N of a slide).
         upper: Upper end at the joint (N m; N of a slide).
     """
@@ -98,7 +99,7 @@ class EffortStatement(Result):
     def empty(
         file: str, element: str, name: str, attribute: str, stated: Sequence[float]
     ) -> EffortStatement:
-        """Create the statement of an empty range (0 to 0, or inverted): zero torque at the joint.
+        """Create the statement of an empty range (equal ends, or inverted): no torque at the joint.
 
         Args:
             file: ``URDF`` or ``MJCF``.
@@ -207,7 +208,7 @@ def resolve_effort_limit(
     if empty_range is not None:
         stated.append(empty_range)
     if effort is not None and effort < UNSTATED:
-        # First, so that of two equal limits the one of the joint is the origin.
+        # First, so that of two equal limits the one of the URDF is the origin.
         range_ = (-effort, effort)
         make = EffortStatement.of if effort > 0 else EffortStatement.empty
         stated.insert(0, make("URDF", "joint", name or own, "effort", range_))
@@ -225,7 +226,7 @@ def _list_statements(
 ) -> list[EffortStatement]:
     """Return the statements of an MJCF about a joint, with ranges at the joint.
 
-    Several actuators at a joint are summed to a single statement.
+    Several actuators at a joint are summed to a single statement, if each has a limit.
     """
     statements = read_joint_effort(model, joint)
     if len(drives) == 1:
@@ -243,7 +244,7 @@ def _list_statements(
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
-    """Return the joints of an MJCF whose force range is empty: from 0 to 0, or inverted.
+    """Return the joints of an MJCF whose force range is empty: with equal ends, or inverted.
 
     MuJoCo ignores such a range without a message, so the compiled model has no limit there. The
     range may be the ``actuatorfrcrange`` of the joint, or the ``forcerange`` of all its actuators,

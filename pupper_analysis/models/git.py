@@ -93,7 +93,8 @@ def run_git(command: list[str], folder: Path | None = None) -> subprocess.Comple
 def refuse_uncommitted(path: Path) -> None:
     """Refuse a file of a git repository with uncommitted changes.
 
-    Untracked files are accepted, and files that differ in line ends only.
+    Untracked files are accepted, and files that differ in line ends only. Without git, every file
+    is accepted.
 
     Raises:
         OutputError: If the file has uncommitted changes.

@@ -53,7 +53,7 @@ def find_menagerie_file(word: str) -> Path:
     """Return the MJCF of a robot; see `is_menagerie_name`.
 
     Without a file name, the file is the default model of the package, without the scene; in a clone
-    without the package, the file with the name of the robot.
+    without the package, the file whose name is the longest end of the robot's name.
 
     Raises:
         ModelError: If the package is not installed and there is no clone, if the robot is not
@@ -82,7 +82,7 @@ def find_menagerie_file(word: str) -> Path:
 
 
 def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
-    """Return the file of the package's default model, or the file that has the robot's name."""
+    """Return the package's default model, or the file whose name is the longest end of ``name``."""
     if robot is not None:
         return folder / str(robot.entry(robot.default_model).file)
     candidates = [path for path in folder.glob("*.xml") if name.endswith(path.stem)]

@@ -142,7 +142,7 @@ _FLAT_MESH_ERROR: Final = re.compile(
 
 
 def flat_mesh(error: BaseException) -> str | None:
-    """Return the mesh whose volume is too small for MuJoCo; None for other errors."""
+    """Return the name of the mesh whose volume is too small for MuJoCo; None for other errors."""
     match = _FLAT_MESH_ERROR.search(str(error))
     return match[1] if match else None
 
@@ -452,7 +452,7 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
 
     If no element has the name, the key also finds an actuator by the joint name, and a joint
     without name by the body name. A default is listed by class; a mesh, texture or height field
-    without name by the file name; a ``freejoint`` also as ``joint``.
+    without name by the file name without suffix; a ``freejoint`` also as ``joint``.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
@@ -527,7 +527,8 @@ class MjcfFile:
         spec: Parsed spec, not compiled, without elements whose files are missing.
         files: The file, and all files that this file includes or attaches.
         notes: Diagnostics of removed or replaced elements.
-        refusal: Message and location if MuJoCo does not compile the file; None otherwise.
+        refusal: Message and location if MuJoCo does not compile the file, or if a number of the
+            compiled model is not valid; None otherwise.
             ``MjSpec.copy()`` drops dangling elements, so a copy of the spec may compile although
             the file does not.
         as_it_is: Message and location of the error in the unmodified file that was repaired (flat
@@ -713,7 +714,8 @@ def mjcf_of_text(path: Path, text: str, assets: Mapping[str, bytes]) -> MjcfFile
         assets: {name: content} of the files.
 
     Raises:
-        ModelError: If MuJoCo rejects the text; the message is MuJoCo's.
+        ModelError: If MuJoCo rejects the text (the message is MuJoCo's), or a number of the
+            compiled model is not valid.
     """
     try:
         with silence_mujoco():
@@ -734,8 +736,9 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
     """Return the MJCF file of a root element; ``refusal`` is set if MuJoCo does not compile it.
 
     Raises:
-        ModelError: If the root element is not ``<mujoco>``, an include is not valid, a size is too
-            large, MuJoCo cannot parse the file, or a mass depends on a missing mesh.
+        ModelError: If the root element is not ``<mujoco>``, an include or an attribute is not
+            valid, a limit of size, number or depth is exceeded, MuJoCo cannot parse the file, or a
+            mass depends on a missing mesh.
     """
     if root.tag != "mujoco":
         is_urdf, is_include = root.tag == "robot", root.tag == "mujocoinclude"

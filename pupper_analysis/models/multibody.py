@@ -112,7 +112,7 @@ class MultibodyTree:
         base: Name of the base.
         floating: Whether the base is free.
         bodies: {base or joint: moved body}.
-        joints: {name: joint}, parents first.
+        joints: {name: joint}; parents first in a tree of `from_pinocchio`.
         frames: {frame: (base or joint that moves the frame, position (3,) [m] in the frame of that
             body)}.
         gravity: Gravity (3,) [m/s^2].

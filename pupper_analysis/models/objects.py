@@ -109,7 +109,8 @@ def read_objects(
         packages: Folders of ROS packages, for ``package://`` in a URDF.
 
     Raises:
-        ConfigurationError: If a geometry model has no ``pin.Model``, or there are several.
+        ConfigurationError: If there are several geometry models, or the geometry model does not
+            belong to exactly one ``pin.Model`` among the objects.
         ModelError: If no robot can be made of an object; the message names the reason.
     """
     shapes = [model for model in models if isinstance(model, pin.GeometryModel)]

@@ -64,7 +64,7 @@ _MAX_MANIFEST_BYTES: Final = 65536
 
 
 def _read_package_name(folder: Path) -> str:
-    """Return the name in the ``package.xml`` of a folder; "" without such a file."""
+    """Return the name in the ``package.xml`` of a folder; "" without such a file or name."""
     try:
         with (folder / "package.xml").open("rb") as file:
             found = _PACKAGE_NAME.search(file.read(_MAX_MANIFEST_BYTES))
@@ -133,7 +133,7 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     Raises:
         ModelError: If ``robot_descriptions`` is not installed, or has no such description, if its
             cache does not contain the files, if the description contains no model file, or if a ROS
-            package is not found; see also `find_menagerie_file`.
+            package or its file is not found; see also `find_menagerie_file`.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
     """
     word = str(model)
@@ -234,8 +234,9 @@ def expand_xacro(
         arguments: {argument of the file: value}; others have their default values.
 
     Raises:
-        ModelError: If xacro is not installed, the file does not exist, the file declares no such
-            argument, a package is not found, or the expansion fails.
+        ModelError: If xacro is not installed, the file does not exist, a package is not found, or
+            the expansion fails.
+        UnknownNameError: If the file declares no such argument.
     """
     try:
         xacro = importlib.import_module("xacro")

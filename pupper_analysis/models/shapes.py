@@ -92,7 +92,7 @@ class Mesh:
         return Mesh(self.vertices[numbers], new_numbers[faces])
 
     def hull(self) -> Mesh:
-        """Return the convex hull; the mesh itself if the vertices lie in a plane."""
+        """Return the convex hull; the mesh itself if there is none, for example of flat meshes."""
         from scipy.spatial import ConvexHull, QhullError  # slow to import
 
         try:
@@ -306,9 +306,9 @@ class Shape:
     def outline(self, circle: Array, globe: Array) -> Array | None:
         """Return the centres of equal balls whose convex hull is the shape.
 
-        The radius of the balls is ``minkowski_terms.ball``: the radius
-        of a sphere or capsule, 0 for boxes, cylinders and meshes. An ellipse or ellipsoid of the
-        sum is approximated by the points ``circle`` or ``globe``.
+        The radius of the balls is ``minkowski_terms.ball``: for example the radius of a sphere or
+        capsule, and 0 for boxes, cylinders and meshes. An ellipse or ellipsoid of the sum is
+        approximated by the points ``circle`` or ``globe``.
 
         Args:
             circle: Unit vectors (n, 2), the sampled points of ellipses.
@@ -333,8 +333,8 @@ class Shape:
     def points(self) -> Array | None:
         """Points (n, 3) [m] in the frame of the body, whose hull approximates the shape.
 
-        A ball or an ellipsoid is replaced by its bounding box, an ellipse by a polygon with 16
-        corners. None if the extent is unknown.
+        A ball or an ellipsoid is replaced by 26 points on its surface, an ellipse by a polygon with
+        16 corners. None if the extent is unknown.
         """
         centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
         if centres is None or self.minkowski_terms is None or not self.minkowski_terms.ball:
@@ -366,7 +366,8 @@ class Shape:
 
 
 _SPHERE_POINTS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-"""Vectors (26, 3) from the centre of a cube of half length 1 to its corners, edges and faces."""
+"""Unit vectors (26, 3) from the centre of a cube to its corners, edges and faces, the sampled
+points of a ball or an ellipsoid; normalised below."""
 
 _SPHERE_POINTS /= np.linalg.norm(_SPHERE_POINTS, axis=1, keepdims=True)
 _CIRCLE_POINTS = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])

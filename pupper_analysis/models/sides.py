@@ -54,7 +54,7 @@ a factor of at most 13."""
 
 
 def mirror_name(name: str) -> str:
-    """Return a name with all words for left and right exchanged."""
+    """Return a name with left and right exchanged; abbreviations only if no side is written out."""
     pattern = _FULL_WORD if _FULL_WORD.search(name) else _SIDE_PATTERN
     return pattern.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
 
@@ -63,8 +63,8 @@ def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in left and right, in the given order.
 
     A name without a side is the partner of the same name with ``_left`` or ``_right``, unless the
-    third name exists too: ``foot`` and ``foot_left`` of a planar walker. Names that match
-    ``ASYMMETRIC_PART_NAME`` are excluded.
+    third name exists too: ``foot`` and ``foot_left`` of a planar walker. These pairs come last.
+    Names that match ``ASYMMETRIC_PART_NAME`` are excluded.
     """
     names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}

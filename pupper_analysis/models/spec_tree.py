@@ -1,6 +1,6 @@
 """``SpecTree``: bodies and joints of an MJCF, with queries, edits and additions for simulation.
 
-``join_free_base`` replaces the joints of a base that is free by several joints.
+``join_free_base`` replaces several joints that together make a base free by one free joint.
 """
 
 from __future__ import annotations

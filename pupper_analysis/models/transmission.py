@@ -70,7 +70,7 @@ def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
 
 
 def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the actuators at fixed tendons of which a hinge or slide is a part."""
+    """Return the actuators at fixed tendons in which a joint has a nonzero coefficient."""
     at_tendons = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value)
     found = []
     for actuator in at_tendons.tolist():
@@ -91,7 +91,8 @@ _WRAPS_JOINT = mujoco.mjtWrap.mjWRAP_JOINT.value
 class ActuatorLaw:
     """Force law of an actuator at a hinge or slide: F = gain ctrl - stiffness l - damping dl/dt.
 
-    The length l is the joint position times the gear; the joint torque is F times the gear.
+    The length l is the joint position times the gear; the joint torque is F times the gear. A
+    constant bias is left out.
 
     Attributes:
         gain: kp of a position servo (N m/rad), or torque per unit of ctrl of a motor (N m).

@@ -1,8 +1,8 @@
 """Reading of URDF files: validation with line numbers, mesh paths, joints without limits.
 
 Input is a path or an XML tree; output is a `UrdfFile` whose XML Pinocchio can read. Missing efforts
-and velocities of limits are completed, and unused xacro declarations are removed; every other error
-raises a `ModelError` with file and line.
+and velocities of limits are completed, and unused xacro declarations are removed. Other errors
+raise a `ModelError` with file and, if known, line; a mimic of an unknown joint is only noted.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class UrdfFile:
 
     Attributes:
         path: The file.
-        text: XML for the engines; differs from the file if attributes were rewritten.
+        text: XML for the engines; differs from the file if the reader changed an element or
+            attribute, or if the file starts with white space.
         root: Root element without comments; ``sourceline`` is the line of an element.
         packages: Folders of ROS packages, for ``package://``.
         notes: Diagnostics of assumptions.

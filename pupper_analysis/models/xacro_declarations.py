@@ -50,11 +50,11 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
         resolve: Finds included files.
 
     Returns:
-        A note with the removed elements; nothing if there are none.
+        A list with a note on the removed elements; empty if there are none.
 
     Raises:
-        ModelError: If the file uses xacro: a called macro, a condition, an included file that
-            states more than colours and transmissions, or an expression in the rest of the file.
+        ModelError: If the file uses xacro: a called macro, a condition, an included file that may
+            change links or joints, or an expression in the rest of the file.
     """
     declared = [element for element in root.iter() if element.prefix == XACRO_PREFIX]
     if not declared:
@@ -87,7 +87,7 @@ def _remove(element: etree._Element) -> None:
 
 
 def _is_harmless(element: etree._Element, resolve: ResolveMesh, depth: int) -> bool:
-    """Return True if a xacro element changes neither links nor joints."""
+    """Return True if a xacro element is known to change neither links nor joints."""
     tag = etree.QName(element).localname
     if tag in _DECLARATIONS:
         return True

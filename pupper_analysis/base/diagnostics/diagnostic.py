@@ -195,7 +195,8 @@ def diagnose(
             become Python numbers, iterables become tuples.
 
     Raises:
-        KeyError: If the catalogue does not contain the code.
+        KeyError: If the catalogue does not contain the code, and no ``severity`` is given.
+        TypeError: If a value has a type that a diagnostic cannot store.
     """
     if isinstance(subject, tuple):
         subject = Subject(*subject)

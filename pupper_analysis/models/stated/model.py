@@ -25,10 +25,19 @@ from pupper_analysis.models.urdf_file import UrdfFile
 Array = NDArray[np.float64]
 
 HINGE_JOINT = "hinge"
+"""Kind of a joint that rotates about an axis."""
+
 SLIDE_JOINT = "slide"
+"""Kind of a joint that translates along an axis."""
+
 BALL_JOINT = "ball"
+"""Kind of a joint with three rotations."""
+
 FREE_JOINT = "free"
+"""Kind of a joint with six degrees of freedom; also of a planar joint of a URDF."""
+
 FIXED_JOINT = "fixed"
+"""Kind of a joint without motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +94,8 @@ class Joint:
         parent: Body that carries the joint.
         child: Body that the joint moves.
         position: Position (3,) [m] at zero angles, in the base frame.
-        axis: Unit vector (3,) at zero angles, in the base frame; (0, 0, 0) for joints without an
-            axis.
+        axis: Unit vector (3,) at zero angles, in the base frame; (0, 0, 0) for an axis of zero, and
+            for ball and free joints of an MJCF.
         raw_axis: Axis (3,) as in the file.
         stated: {kind of `attributes`: value} of the parameters that the file specifies, in the unit
             of the joint; an effort acts at the joint. Missing parameters are unknown, not zero.
