@@ -115,7 +115,7 @@ class ClearanceShapes:
         shapes: All shapes, including foot shapes.
         kinematics: Kinematics of links, CoM and feet.
         parts: Shapes that must be above the ground: without feet, shapes that cannot touch the
-            ground, and shapes on the link of a sole or of a weld.
+            ground, and shapes on the link of a sole, hand or weld.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -285,8 +285,8 @@ class ClearanceShapes:
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
-            Heights in the order of ``parts``; empty if the robot's model has no floor and the
-            ground has no steps or planes of feet.
+            Heights in the order of ``parts``; empty without parts, or if the robot's model has no
+            floor and the ground has no raised steps or planes of feet.
         """
         if self._is_floorless(ground):
             return []
@@ -327,13 +327,16 @@ class ClearanceShapes:
         return np.array(rates).reshape(-1, self.robot.nv)
 
     def _is_floorless(self, ground: Ground) -> bool:
-        """Return True if no ground can touch the robot: no floor, no steps, no planes of feet."""
+        """Return True if the robot has no ground: no floor, raised steps or planes of feet."""
         return not self._has_floor and _is_plane(ground)
 
     def _measure_above_steps(
         self, at: Kinematics, ground: Ground, targets: Mapping[str, Array]
     ) -> Iterator[coal.DistanceResult]:
-        """Yield the smallest distance [m] of each of ``parts`` to the slope and all steps."""
+        """Yield the smallest distance [m] of each of ``parts`` to the slope and all steps.
+
+        The surface that a hand touches does not count for parts on the link of this hand.
+        """
         where = self._shape_poses(at)
         floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_NO_FLOOR)
         obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
@@ -352,8 +355,8 @@ class ClearanceShapes:
     def _list_parts(self) -> Iterator[OffGround]:
         """Yield each shape that is no foot.
 
-        Shapes on the link of a sole or of a weld are left out, since the pose of this link is
-        given.
+        Shapes on the link of a sole, hand or weld are left out. The pose of the link of a sole or
+        weld is given.
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # {joint: foot}

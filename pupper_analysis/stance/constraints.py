@@ -48,8 +48,8 @@ class Constraint:
     Attributes:
         name: Name in ``stance/fields.toml``, or of a constraint without a field.
         is_equality: Whether the residual must be zero; otherwise it must not be negative.
-        is_presatisfied: Whether each tested configuration satisfies the constraint (base height and
-            orientation).
+        is_presatisfied: Whether each configuration that the nonlinear program evaluates satisfies
+            the constraint (base height and orientation).
     """
 
     name: ClassVar[str]
@@ -194,7 +194,7 @@ class Loops(Constraint):
 
 
 class PlaceConstraint(Constraint):
-    """Horizontal position of the CoM, or of the base if the task has an offset."""
+    """Horizontal position of the CoM, or of the base if ``Goal.by_base``."""
 
     name, is_equality = "com-place", True
 
@@ -293,8 +293,8 @@ class GroundClearance(Constraint):
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """Return the heights of the parts above the ground minus the required clearance, (n,) [m].
 
-        Parts are the collision shapes that are no feet, in the order of ``ClearanceShapes.parts``.
-        Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
+        Parts are the collision shapes of ``ClearanceShapes.parts``, in their order; none without
+        ground. Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
         """
         heights = self._shapes.measure_part_heights(
             at, goal.task.ground, goal.rigid_targets, goal.depths

@@ -235,8 +235,8 @@ def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
     """Return the lower and upper bound of a number of a task under relaxation [m, rad].
 
-    Margins, lifts, slopes and steps may only decrease; other numbers may change in both directions.
-    ``turns`` is True for an angle.
+    Margins, lifts, slopes and steps may only change towards zero; other numbers may change in both
+    directions. ``turns`` is True for an angle.
     """
     far = _MAX_RELAXATION * robot.stand_height
     if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
@@ -315,8 +315,9 @@ def round_outward(
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
     """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
 
-    ``usual`` is the value in the nominal stand. The number is unchanged if it is equal, or if the
-    rounded number would reach it.
+    ``usual`` is the value in the nominal stand. The number is unchanged if it equals ``usual``, or
+    if rounding would reach ``usual``. Within `_ROUNDING` of ``requested``, it becomes
+    ``requested``.
     """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit

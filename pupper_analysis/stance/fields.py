@@ -45,7 +45,8 @@ class Slider:
 
     Attributes:
         folder: Heading of the group that contains the slider.
-        low: Lower end: deg for angles, stand heights for lengths, else SI units.
+        low: Lower end: deg for angles, stand heights for lengths, robot masses for a mass. The
+            range of a gain is derived from the model's gains instead.
         high: Upper end, in the unit of ``low``.
         step: Step of the slider, in the unit of ``low``. None: derived from the range.
         start: Initial value on a new page, in SI units. None: the nominal value.
@@ -252,7 +253,7 @@ def read_table(package: str, file: str) -> Mapping[str, Field]:
 
 
 def _make_field(name: str, facts: dict[str, Any]) -> Field:
-    """Create the field of a table entry. Angles of the entry are in degrees."""
+    """Create the field of a table entry, whose bounds ``low`` and ``high`` of angles are in deg."""
     scale = math.radians(1.0) if facts["kind"] == "angle" else 1.0
     bounds: dict[str, Any] = {
         key: scale * facts.pop(key) for key in ("low", "high") if key in facts

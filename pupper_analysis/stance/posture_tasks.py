@@ -401,7 +401,7 @@ def _freeze_array(task: object, name: str, value: Array) -> None:
 
 
 def _make_vector(name: str, value: Any) -> Array:
-    """Return a vector (3,); ConfigurationError if it is none."""
+    """Return a copy as a vector (3,); ConfigurationError if the value is no finite vector."""
     vector = real_array(name, value)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ConfigurationError(name, diagnose("no-vector-of-three", given=repr(value)))
@@ -418,7 +418,7 @@ def _make_direction(name: str, value: Any) -> Array:
 
 
 def _make_rotation(value: Any) -> Array:
-    """Return a rotation matrix (3, 3); ConfigurationError if it is none."""
+    """Return a copy as a matrix (3, 3); ConfigurationError if the value is no rotation matrix."""
     matrix = real_array("rotation", value)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ConfigurationError("rotation", diagnose("no-rotation", given=repr(value)))

@@ -711,9 +711,9 @@ def remove_penetration(
 ) -> Mapping[str, Array]:
     """Return the targets with which steps and planes of feet are located: without penetration.
 
-    If a foot has a separate plane, each target is moved out of the ground along the normal by the
-    penetration. Otherwise the targets are returned unchanged: the horizontal position of a level
-    step does not depend on the penetration.
+    If a foot has a separate plane, the target of each stance point is moved out of the ground along
+    the normal by the penetration. Otherwise the targets are returned unchanged: the horizontal
+    position of a level step does not depend on the penetration.
 
     Args:
         ground: Ground.

@@ -39,8 +39,9 @@ _SATISFIED_VIOLATION = 1e-6
 following IK solve reduces it further. Chosen, not tuned."""
 
 _SOLVE_ITERATIONS = (20, 50)
-"""Upper bounds of SLSQP iterations: (without slacks, with slacks). Measured on solves that led to a
-stand: without slacks, all of 1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or fewer."""
+"""Upper bounds of SLSQP iterations: (without slacks, with slacks). The second value also bounds the
+first minimisation of foot distances. Measured on solves that led to a stand: without slacks, all of
+1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or fewer."""
 
 _FINE_UNIT = 200.0
 """Stand height divided by the lower bound of the length unit in which foot distances are minimised
@@ -52,14 +53,16 @@ _MAX_ITERATIONS = 100
 needed if the feet are at the limit of reach. Chosen, not tuned."""
 
 _MIN_PROGRESS_RATIO = 0.9
-"""Upper bound of the ratio ``violation after a step / smallest violation of earlier steps`` with
-which a step counts as progress. Steps without progress end the solve (`_PATIENCE`). Chosen, not
+"""Upper bound of the ratio ``violation / smallest earlier violation`` with which an evaluation of a
+Jacobian counts as progress. Evaluations without progress end the solve (`_PATIENCE`). Chosen, not
 tuned."""
 
 _PATIENCE = (4, 32)
-"""Successive steps without progress after which a solve ends: (without slacks, with slacks).
-Measured without slacks: of 138 solves that led to a stand, one made more such steps; of 206 solves
-that led to none, two thirds did. With slacks: one of 350, and one eighth of 633."""
+"""Largest number of successive Jacobian evaluations without progress; one more ends a solve:
+(without slacks, with slacks). An SLSQP iteration evaluates two Jacobians: of the equalities and of
+the inequalities. Measured without slacks: of 138 solves that led to a stand, one made more such
+evaluations; of 206 solves that led to none, two thirds did. With slacks: one of 350, and one eighth
+of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
 """Diagonal of the pivoted QR factor of the equalities' Jacobian, relative to the largest, below
@@ -112,15 +115,16 @@ class _Point:
 
 
 class _NoProgressError(Exception):
-    """Raised to end SLSQP if successive steps do not reduce the violation."""
+    """Raised to end SLSQP if successive Jacobian evaluations see no progress (`_PATIENCE`)."""
 
 
 class _Progress:
-    """Monitor of the violation along the steps of a solve.
+    """Monitor of the violation along a solve, updated by each evaluation of a Jacobian.
 
     Args:
         enough: Violation that counts as satisfied [m, rad].
-        patience: Number of successive steps without progress after which the solve ends.
+        patience: Largest number of successive evaluations without progress; one more ends the
+            solve.
 
     Attributes:
         x: Variables with the smallest violation so far.
@@ -133,17 +137,18 @@ class _Progress:
         self._smallest, self._steps_in_vain = math.inf, 0
 
     def update(self, x: Array, violation: float) -> None:
-        """Record the violation after a step of SLSQP, and store ``x`` with the smallest violation.
+        """Record the violation at variables ``x``, and store ``x`` with the smallest violation.
 
-        A step makes progress if the violation is at most ``enough``, or at most
-        `_MIN_PROGRESS_RATIO` of the smallest violation of the earlier steps.
+        There is progress if the violation is at most ``enough``, or at most `_MIN_PROGRESS_RATIO`
+        of the smallest earlier violation. A second call with the same ``x`` counts as well: SLSQP
+        evaluates the Jacobians of equalities and of inequalities separately.
 
         Args:
-            x: Variables of the program after the step.
+            x: Variables of the program.
             violation: Largest violation of the constraints at ``x`` [m, rad].
 
         Raises:
-            _NoProgressError: If more than ``patience`` successive steps made no progress.
+            _NoProgressError: If more than ``patience`` successive calls found no progress.
         """
         helps = violation <= max(self._enough, _MIN_PROGRESS_RATIO * self._smallest)
         self._steps_in_vain = 0 if helps else self._steps_in_vain + 1
@@ -156,8 +161,8 @@ class _Progress:
 class StanceProgram:
     """Nonlinear program of a goal.
 
-    Lengths are in stand heights, so that scaled robots give scaled results. Height and orientation
-    of the base equal the goal's at each point.
+    Of the variables, the base position and the relaxations of lengths are in stand heights. Height
+    and orientation of the base equal those of the relaxed goal at each point.
 
     Args:
         shapes: Robot with collision shapes.
@@ -207,7 +212,8 @@ class StanceProgram:
             task: Task with the initial relaxed values. Default: the requested values.
 
         Returns:
-            Relaxed task and configuration; a local minimum, possibly with violated constraints.
+            Relaxed task and configuration at the end of the solve: a local minimum, or, if the
+            solve ended early, possibly with violated constraints.
         """
         gives = bool(self._demands)
         progress = _Progress(_SATISFIED_VIOLATION if gives else TASK_TOLERANCE, _PATIENCE[gives])
@@ -405,7 +411,7 @@ class StanceProgram:
 
     @cached_property
     def _rows(self) -> tuple[IntArray, int]:
-        """Row indices of independent equalities, then of all inequalities; number of equalities."""
+        """Row indices of independent equalities, then all inequalities; number of the former."""
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._goal.lower, -np.pi), np.minimum(self._goal.upper, np.pi)

@@ -2,8 +2,9 @@
 
 `explain_refusal` first relaxes each requirement alone. If none suffices alone, the search continues
 with a small set of requirements that suffices together. The nonlinear program with slacks
-(`stance.programme`) computes the relaxation, which is the smallest change that makes the stance
-reachable. The rounded result is solved again, so that a reported value can be typed as a task.
+(`stance.programme`) computes the relaxation: the smallest change that makes the stance reachable,
+as far as local minima permit. The rounded result is solved again, so that a reported value can be
+typed as a task.
 """
 
 from __future__ import annotations
@@ -183,9 +184,9 @@ class _Search:
     def _find_smallest(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
         """Return the smallest relaxation of demands from several initial configurations (nq,).
 
-        The stand of the task with nominal values of these demands is an additional one, if it
-        exists. If several demands must be relaxed, it gave the best result in 27 of 28 refusals.
-        None if no relaxation is feasible.
+        The stand of the task with nominal values of these demands is an additional initial
+        configuration, if the default guesses find it. If several demands must be relaxed, it gave
+        the best result in 27 of 28 refusals. None if no feasible relaxation is found.
         """
         elastic = StanceProgram(self.context.shapes, self.goal, demands)
         basis = [elastic.solve(start) for start in starts]

@@ -67,8 +67,8 @@ _NUM_RANDOM_GUESSES = 32
 has no exact IK branches. Measured on 48 stands of six bipeds: one additional stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Names of the constraints that a failed search may violate while the feet are at their targets;
-the error then names these constraints."""
+"""Names of the clearance constraints. `minimise_foot_errors` leaves them out, and so does the
+program of a search if the base would be in the ground; the error of the search then names them."""
 
 
 def search_stand(
@@ -455,8 +455,8 @@ def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
     """Create a message if the robot's mechanism may be the reason why a goal has no stand.
 
     Returns:
-        Message: closed loops must open under load; or else a sole that the task lifts or moves is
-        on a leg with fewer than six joints. None if neither applies.
+        Message: closed loops must open under load; or else a sole in ``swing`` or ``foot_offsets``
+        of the task is on a leg with fewer than six joints. None if neither applies.
     """
     task = goal.task
     if goal.give is not None and goal.give.any():
@@ -502,8 +502,9 @@ def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goa
 
 
 NEAR_MISS = 1e-3
-"""Foot error [m] below which a configuration is refined, because the feet may be in reach after a
-small displacement of the CoM. Chosen, not tuned."""
+"""Foot error or violation of the program [m, rad] up to which a configuration is refined, because
+the feet may be in reach after a small displacement of the CoM. Also the reserve [m] of the bounds
+in `branch_initial_guesses` and `bound_com_shift`. Chosen, not tuned."""
 
 _MAX_BASE_SHIFT = 0.75
 """Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a

@@ -161,7 +161,10 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
 
 def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
-    """Return joint positions (nu,) [rad, m] with the static deflection of MuJoCo's couplings."""
+    """Return joint positions (nu,) [rad, m] with the static deflection of MuJoCo's couplings.
+
+    Unchanged without couplings, or if the deflected couplings cannot be closed.
+    """
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
         return qpos
@@ -187,8 +190,8 @@ def solve_loaded_stand(
         point: Position of the payload, as in `with_payload`.
 
     Returns:
-        The loaded robot, and its stand from `solve_stand_as_simulated`: on soft ground, with the
-        penetration depths of MuJoCo.
+        The loaded robot, and its stand from `solve_stand_as_simulated`: on soft ground if possible,
+        with the penetration depths of MuJoCo; else on rigid ground.
 
     Raises:
         ConfigurationError: If an argument is invalid for the robot.
@@ -197,7 +200,7 @@ def solve_loaded_stand(
         StanceUnreachableError: If the stance is unreachable with that load. The error does not
             contain the reason (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the penetration depths do not converge.
+        NotSettlingError: If the penetration depths of a robot without loops do not converge.
     """
     loaded = with_payload(robot, mass, point)
     task = stance.task if isinstance(stance, Stand) else stance

@@ -64,7 +64,8 @@ def solve_stand(
             False, the reported foot errors are results of the IK, and may be larger.
 
     Returns:
-        The stand; each error is below 1e-9 m or rad.
+        The stand; each error is below 1e-9 m or rad. A sole on a leg with fewer than six joints may
+        miss the task by up to 0.05 mm; ``foot_targets`` are then the reached positions.
 
     Raises:
         ConfigurationError: If no stand can satisfy the task: for example, the base is fixed, the
@@ -90,6 +91,7 @@ def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
 
     Raises:
         StanceUnreachableError: If the goal is unreachable.
+        ConfigurationError: If the task requires a clearance that the robot does not have.
     """
     stand = search_stand(context, goal)
     if stand.solved:

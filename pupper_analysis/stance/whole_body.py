@@ -48,7 +48,8 @@ POSTURE_TOLERANCE = 1e-6
 the tolerance of any robot. Residuals of tasks without conflict are about 1e-12."""
 
 _MAX_ITERATIONS = 200
-"""Upper bound of the iterations from one initial guess. Chosen, not tuned."""
+"""Upper bound of the trust-region iterations from one initial guess, per stage of the solver (with
+and without preferred tasks). Chosen, not tuned."""
 
 _MAX_FULL_STEPS = 30
 """Upper bound of the number of full Gauss-Newton steps before the trust-region iteration. Measured
@@ -114,8 +115,8 @@ class SolvedPosture(Pictured, Tabular):
         qpos: Configuration, shape (nq,).
         tasks: Description of each task, with the kept contacts last.
         residuals: Residual of each task by Pinocchio's kinematics.
-        mujoco_residuals: Residual of each task by MuJoCo's kinematics of the MJCF; larger than
-            ``residuals`` if the two files differ.
+        mujoco_residuals: Residual of each task by MuJoCo's kinematics of the MJCF; different from
+            ``residuals`` if the kinematics of the two files differ.
         units: Unit of the residual of each task.
         contacts: Contact points that kept their positions.
         iterations: Number of solved quadratic programs.
@@ -169,14 +170,16 @@ def solve_posture(
         tasks: Tasks, for example ``pa.stance.PositionTask("hand", (0.3, 0, 0.4))``.
         start: Initial configuration (nq,). Default: ``robot.home``.
         contacts: Contact points that keep their positions of ``start``, for a free base. Default:
-            all; with none, the base moves freely. A robot with a fixed base has none.
+            ``robot.bearing_points``; with none, the base moves freely. A robot with a fixed base
+            has none.
 
     Raises:
         PostureUnreachableError: If a residual exceeds `POSTURE_TOLERANCE`. The error states the
             task with the largest residual, and the joints at their limits.
-        ConfigurationError: If there is no task, ``start`` is not valid, a task is not valid, or
-            the robot has closed loops, couplings or welds; with a ``SelfClearanceTask`` also if the
-            robot has a continuous joint, which PlaCo's half-spaces do not support.
+        ConfigurationError: If there is no task, ``start`` is not valid, a task is not valid,
+            ``contacts`` are given for a fixed base, or the robot has closed loops, couplings or
+            welds; with a ``SelfClearanceTask`` also if the robot has a continuous joint, which
+            PlaCo's half-spaces do not support.
         UnknownNameError: If a link, joint or contact point is unknown.
     """
     robot.check_tree("a whole-body posture")
@@ -339,10 +342,10 @@ class _PostureSolver:
         return self._current_qpos()
 
     def _take_full_steps(self, stage: _Stage) -> bool:
-        """Move PlaCo's robot without checks of the errors; return True if the steps vanish.
+        """Move PlaCo's robot by full steps; return True if they converge without a larger error.
 
-        Contacts are nonlinear constraints with a large weight, so that a trust region would follow
-        a narrow valley.
+        The error is compared with the initial error only at the end. Contacts are nonlinear
+        constraints with a large weight, so that a trust region would follow a narrow valley.
         """
         initial_error = self._evaluate(stage)
         stage.solver.dt = _MAX_STEP
@@ -359,9 +362,11 @@ class _PostureSolver:
         return False
 
     def _iterate_trust_region(self, stage: _Stage) -> None:
-        """Move PlaCo's robot until steps are negligible.
+        """Move PlaCo's robot by steps of bounded length that do not increase the error.
 
-        A step that increases the error is taken back, and the trust radius is reduced.
+        A step that increases the error is taken back, and the trust radius is reduced. Ends if the
+        error, a step or the radius is negligible, after `_MAX_ITERATIONS`, or if a quadratic
+        program has no solution.
         """
         wrapper, radius = self._placo_robot.wrapper, _MAX_STEP
         error = self._evaluate(stage)

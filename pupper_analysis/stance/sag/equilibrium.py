@@ -733,8 +733,9 @@ class SagEquilibrium:
     def violation_of(self, foot: str, solution: Solution) -> float:
         """Return the pull of a touching contact [N], or the penetration of another point [m].
 
-        Positive values are violations; a penetration up to `CONTACT_DEPTH_TOLERANCE` is none. Zero
-        for touching points of a sole: their depth law has no pull.
+        The penetration includes the contact margin, and is reduced by `CONTACT_DEPTH_TOLERANCE`.
+        Positive values are violations. Zero for touching points of a sole: their depth law has no
+        pull.
         """
         if foot in self.anchors:
             # The depth equation of a sole point has no pull.
