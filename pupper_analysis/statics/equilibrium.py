@@ -63,10 +63,14 @@ def friction_utilisation_of(
         tiny: Tangential force [N] below which the utilisation is 0.
 
     Returns:
-        Utilisation [1]; negative if the normal force is negative (the contact pulls).
+        Utilisation [1]; negative if the normal force is negative (the contact pulls), infinite if
+        it is zero, or the friction.
     """
     pressing, tangential = split_force(force, normal)
-    return 0.0 if tangential < tiny else tangential / (friction * pressing)
+    if tangential < tiny:
+        return 0.0
+    largest = friction * pressing
+    return tangential / largest if largest else math.inf
 
 
 class FootLoads(Mapping[str, FootLoad]):

@@ -15,6 +15,7 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.statics.cone_program import Balance
 from pupper_analysis.statics.contacts import make_contacts
+from pupper_analysis.statics.equilibrium import friction_utilisation_of
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.engines import addresses, evaluate_mujoco, with_efforts
 from tests.support.states import numbers
@@ -700,3 +701,19 @@ def test_three_feet_fail_if_the_com_is_beyond_their_diagonal() -> None:
         pa.gravity_compensation(v3_at_zero(), ["FR", "RR", "RL"])
     assert caught.value.margin < 0
     assert caught.value.feet == ("RR",)  # the foot that would have to pull
+
+
+@pytest.mark.parametrize(
+    ("force", "friction", "utilisation"),
+    [
+        ((3.0, 4.0, 10.0), 0.5, 1.0),
+        ((0.0, 0.0, 0.0), 0.5, 0.0),
+        ((1.0, 0.0, 0.0), 0.5, math.inf),
+        ((1.0, 0.0, 5.0), 0.0, math.inf),
+    ],
+)
+def test_friction_utilisation_without_normal_force_or_friction_is_infinite(
+    force: tuple[float, float, float], friction: float, utilisation: float
+) -> None:
+    """Closed form: |f_t| / (mu f_n), here 5 N / (0.5 x 10 N)."""
+    assert friction_utilisation_of(force, (0.0, 0.0, 1.0), friction, 1e-9) == utilisation
