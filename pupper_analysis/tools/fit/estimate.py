@@ -209,7 +209,7 @@ def estimate_parameters(
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
     Step: minimum of the linearised cost within the lower bounds, with damping added to the
-    diagonal. An undamped step may be corrected twice with the derivatives of the starting point.
+    diagonal. An undamped step may be corrected twice by a step of the linearisation at its end.
     Accepted: an actual decrease of at least 10 % of the predicted decrease, minus
     `_MIN_PREDICTED_DECREASE`; the damping is then divided by ten. Rejected: the damping is raised
     tenfold, from 0 to `_MIN_DAMPING`.
@@ -234,8 +234,8 @@ def estimate_parameters(
         min_decrease: Predicted decrease below which the iteration has converged.
 
     Raises:
-        FitError: If the iteration neither converges nor ends stalled as described, or the cost is
-            not finite or has no minimum.
+        FitError: If the iteration neither converges nor ends stalled as described, or the
+            information of the cost is not finite or not positive definite.
     """
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     if lower_bounds is None:
@@ -294,7 +294,7 @@ class _QuadraticCost:
 
     @property
     def has_minimum(self) -> bool:
-        """Whether the cost is finite and the posterior information is positive definite."""
+        """Whether gradient and information are finite, and the information positive definite."""
         if not (np.isfinite(self.posterior_information).all() and np.isfinite(self.descent).all()):
             return False
         try:
@@ -378,7 +378,7 @@ def _find_decrease(
                 return (candidate, gain), next_damping
             if not corrections_left or not new_cost.has_minimum:
                 break
-            # Second-order correction: the old derivatives with the new residuals.
+            # Second-order correction: another step, linearised at the candidate.
             candidate = candidate + table.width * new_cost.compute_step(0.0)
         damping = max(10 * damping, _MIN_DAMPING)
     return None, damping

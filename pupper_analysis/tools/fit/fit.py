@@ -53,6 +53,7 @@ def fit(
             range.
         FitError: If the iteration does not converge.
         MeasurementError: If the measurements do not belong to this robot, or cannot be used.
+        ModelError: If motors of a logged robot are no servos, and no gains are passed.
         UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
     """
     stands = isinstance(measurements, MeasuredStands)

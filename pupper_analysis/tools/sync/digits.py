@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 
 
 NUMBER_RTOL: Final = 1e-12
-"""Deviation of a number in the file from the target, relative to the largest number of the vector,
-up to which the text in the file is kept. Chosen, not tuned: far below the tolerances of
-comparisons."""
+"""Deviation of a number in the file from the target, relative to the largest number of the vector
+(or a larger given floor), up to which the text in the file is kept. Chosen, not tuned: far below
+the tolerances of comparisons."""
 
 
 _ROUNDING_STEPS: Final = ((10, 1e-13), (16, 4e-16))
@@ -27,6 +27,8 @@ replaces a value. Few digits are rarely a coincidence; the tolerance is then lar
 
 def format_number(value: float, scale: float) -> str:
     """Return a number as text with as few digits as possible, within a tolerance.
+
+    "0" if the magnitude is at most `NUMBER_RTOL` times ``scale``.
 
     Args:
         value: Number.

@@ -65,7 +65,7 @@ def sync_document(
 
 
 def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
-    """Return the command that shows what a choice would write, or that compares written files."""
+    """Return a trial of a choice, the writing of a tried choice, or the comparison of the files."""
     if not chosen and not sync.agree:
         return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))
     if dry_run and sync.edits:

@@ -44,7 +44,8 @@ def list_single_part_changes(
         empty: Part that is used if no part has mass.
 
     Returns:
-        (part, new inertia) of each physical change, the heaviest part first; may be empty.
+        (part, new inertia) of each physical change, the heaviest part first; may be empty. The
+        target is not checked if at most one part has mass.
     """
     changes = []
     for part in sorted(parts, key=lambda name: -parts[name].mass) or [empty]:
@@ -94,9 +95,9 @@ class MatchedRobots:
         urdf: Joint tree of the URDF.
         mjcf: Joint tree of the MJCF, in the same frames.
         own: Joint tree of the MJCF in its own frames: each body frame at the joint.
-        urdf_frames: {base or joint: frame of the trees, relative to the frame of the URDF's link}.
-        mjcf_frames: {base or joint: frame of the trees, relative to the frame of the MJCF body at
-            the joint}.
+        urdf_frames: {base or joint: pose of the URDF link's frame in the frame of the trees}.
+        mjcf_frames: {base or joint: pose of the MJCF body's frame at the joint in the frame of the
+            trees}.
         bodies: {body of the MJCF: pose in the frame of the body that a joint moves}.
     """
 
@@ -155,7 +156,7 @@ def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
 
 
 def _find_gauge_transforms(tree: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
-    """Return {base or joint: transform between the frames in two trees of the same robot}."""
+    """Return {base or joint: pose of its frame in ``tree`` relative to its frame in ``moved``}."""
     gauges = {tree.base: pin.SE3.Identity()}
     waiting = tree.children(tree.base)
     while waiting:

@@ -232,7 +232,7 @@ class MjcfSide(Side):
     def _plan_limits(self, key: Key) -> None:
         """Plan to set a joint's range in the MJCF to the limits of the URDF, in the file's unit.
 
-        ``key`` is the difference (kind, joint). A joint with one infinite limit is not written.
+        ``key`` is the difference (kind, joint). A joint with an infinite limit is not written.
         """
         name = key[1]
         element, joint = self.find_joint_element(name), self.target.joints[name]
@@ -380,8 +380,8 @@ def plan_effort(side: MjcfSide, key: Key) -> None:
     The limit is the smallest of ``actuatorfrcrange`` of the joint, ``forcerange`` of the actuator,
     and ``ctrlrange`` of a plain motor. Each stated bound that is the smallest, or below the target,
     is changed, as is a range from 0 to 0. Without a stated bound, ``actuatorfrcrange`` is added.
-    Nothing is planned, with a reason in ``side.unwritten``, if several actuators drive the joint or
-    an actuator is a copy of another element.
+    Nothing is planned, with a reason in ``side.unwritten``, if several actuators drive the joint,
+    or the joint or an actuator is a copy of another element.
     """
     name, model = key[1], side.model
     target = side.target.joints[name].effort

@@ -80,10 +80,13 @@ class Contract:
         terms: Terms of a frame of the observation, in order.
         joints: Joint names in the order of the policy; empty if the file states none. The order is
             then that of the robot's actuators.
-        default: Joint positions for an action of zero, shape (n,) [rad].
+        default: Joint positions for an action of zero, in the directions of the policy's joints
+            (`signs`), shape (n,) [rad].
         action_scale: Joint displacement for an action of 1, shape (n,) [rad].
-        lower: Lower bounds of the commanded positions, shape (n,) [rad].
-        upper: Upper bounds of the commanded positions, shape (n,) [rad].
+        lower: Lower bounds of the commanded positions, in the policy's directions, shape (n,)
+            [rad].
+        upper: Upper bounds of the commanded positions, in the policy's directions, shape (n,)
+            [rad].
         kp: Servo stiffness, shape (n,) [N m/rad]; None for the servos of the robot.
         kd: Servo damping, shape (n,) [N m s/rad]; None for the servos of the robot.
         rate: Number of actions per second [Hz].
@@ -261,7 +264,7 @@ class _MergedValues:
         return float(value)
 
     def make_error(self, key: str, problem: Diagnostic) -> ModelError:
-        """Return the error for a contract key, with the file that states the key."""
+        """Return the error for a contract key, with the file that states it, or the policy file."""
         problem = diagnose("contract-key", key=key, problem=problem)
         return ModelError(self.origins.get(key.partition(":")[0], str(self.path)), problem)
 

@@ -119,7 +119,7 @@ def _list_figures(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the number of runs that track, and the bodies other than feet that touched ground."""
+    """Yield how many of several runs track, and the bodies other than feet that touched ground."""
     gaits = walk.gaits
     if len(gaits) > 1:
         yield text(
@@ -324,7 +324,7 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
 
 
 def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> doc.NextStep:
-    """Return the command for an untracked command, for fitted intervals, or for more runs."""
+    """Return ``walk --orders`` if no seed tracks, more seeds if not passed, else ``push``."""
     omitted = ("--vary", "--fit")
     if not result.seeds:
         return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds", *omitted))

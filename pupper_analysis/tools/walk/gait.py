@@ -43,8 +43,8 @@ DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
 second to start walking."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
-"""Tolerance of a tracked speed: fraction of the command, plus `SPEED_ATOL` [m/s] for a command of
-zero. Chosen: Pupper's public policy reaches 0.93 of the command."""
+"""Tolerance of a tracked speed: fraction `SPEED_RTOL` of the command, plus `SPEED_ATOL` [m/s].
+Chosen: Pupper's public policy reaches 0.93 of the command."""
 
 TURN_ATOL = 0.1
 """Absolute tolerance of a tracked turning rate [rad/s], in addition to `SPEED_RTOL`. Chosen, not
@@ -70,14 +70,17 @@ _MOTION_PERIOD = 1 / 25
 class Gait(Result):
     """Run of a policy on a robot. Means and peaks exclude the warm-up.
 
+    If the robot falls during the warm-up, means and peaks refer to the last step of the run.
+
     Attributes:
         command: Commanded forward speed, speed to the left (m/s) and turning rate to the left
             (rad/s), shape (3,).
         seed: Seed of the initial state; 0 is the default pose at rest.
         fall: Description of the fall; None without a fall.
         duration: Time until the fall, or until the end.
-        velocity: Mean forward speed and speed to the left, in the heading of the base, shape (2,).
-        turning: Mean turning rate to the left.
+        velocity: Mean forward speed and speed to the left, in the heading of the base, shape (2,);
+            zero if the run ends before the warm-up or diverges.
+        turning: Mean turning rate to the left; zero in the same cases.
         tracks: True if the robot does not fall and tracks the command.
         torque_rms: Root mean square of each motor's torque, shape (nu,).
         torque_peak: Largest magnitude of each motor's torque, shape (nu,).
@@ -86,14 +89,15 @@ class Gait(Result):
         speed_peak: Largest speed of each joint, shape (nu,).
         power: Mean of the positive mechanical power of all motors, without recuperation.
         transport: Cost of transport: power / (weight x speed); None below 0.05 m/s.
-        duty: {foot: fraction of the time in contact with the ground}.
-        touching: Bodies other than feet that touched the ground.
-        static: Root mean square of each motor's static torque at the same times, shape (nu,);
-            None unless the seed is 0.
+        duty: {foot: fraction of the time in contact with the ground}, sampled once per action.
+        touching: Bodies other than feet that touched the ground in a sample.
+        static: Root mean square of each motor's static torque in the samples, shape (nu,); None
+            unless the seed is 0, or without samples.
         roll: Standard deviation of the base roll.
         pitch: Standard deviation of the base pitch.
         bounce: Standard deviation of the base height.
-        margin: Distance from a fall: 1 with the initial tilt and height, 0 at a fall.
+        margin: Distance from a fall: 1 in the default pose, 0 at a fall; of tilt and height loss
+            the worse.
         motion_time: Times of the recorded configurations, shape (m,).
         motion: Recorded configurations, shape (m, nq).
         torque_time: Times of the recorded torques, in the last second, shape (k,).
@@ -240,7 +244,8 @@ def simulate_walk(
             this number.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
+            feet, or the rate of the policy exceeds that of the time steps.
         ModelError: If the policy does not fit the robot.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
@@ -267,7 +272,9 @@ def simulate_walk(
 
 
 def joint_torques(stage: Stage, run: Run) -> Array:
-    """Compute the motor torques of a run at the start of each of n steps, shape (n, nu) [N m].
+    """Compute the motor torques of a run at the start of each step but the first, (n, nu) [N m].
+
+    n is the number of recorded states minus 1.
 
     MuJoCo's actuator law is evaluated: clip(gain u + bias, force range) x gear, with u the clipped
     control, or the activation of an actuator with dynamics. 0 for joints without a motor.
@@ -326,7 +333,8 @@ def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
         warm_up: Time that is ignored at the start [s].
 
     Returns:
-        Velocity forward and to the left [m/s], turning rate [rad/s], and tracking.
+        Velocity forward and to the left [m/s], turning rate [rad/s], and tracking. Zero and not
+        tracked if fewer than two states follow the warm-up, or a state is not finite.
     """
     start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
@@ -503,8 +511,9 @@ def find_ground_contacts(
 
 
 _SUM_WEIGHT, _REGULARISATION = 1e3, 1e-5
-"""Weights in the least-squares problem of static forces: of the sum of the forces, and of equal
-forces (regularisation), relative to the contact centre [1/m]. Chosen, not tuned."""
+"""Weights [m] in the least-squares problem of static forces, relative to weight 1 of the distance
+[m] from the centre of pressure to the projected CoM: of the error of the sum of the force fractions
+(1), and of their norm (regularisation). Chosen, not tuned."""
 
 
 def _compute_static_torques(
@@ -513,7 +522,7 @@ def _compute_static_torques(
     """Return the motor torques of a static pose, shape (nu,) [N m].
 
     Non-negative least squares of the force fractions n at the points p: minimise |sum n p - c|^2
-    with sum n = 1, where c is the projected centre of mass.
+    with sum n = 1, where c is the projected centre of mass. Without points, no force carries.
     """
     from scipy.optimize import nnls  # takes a quarter of a second
 

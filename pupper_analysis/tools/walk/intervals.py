@@ -42,7 +42,8 @@ DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
 
 NUM_HALVINGS = 5
 """Number of bisections between a tracked and an untracked value of a varied quantity. Derived: the
-end of the interval is then known to 3 % of the range."""
+end of the interval is then known to 1/32 of the distance between the nominal value and the bound
+of the range, for a factor in its logarithm."""
 
 Change = Callable[[Stage, mujoco.MjModel, float], None]
 """Function that applies a value of a quantity to a copy of the model."""
@@ -185,7 +186,7 @@ class TrackedInterval(Result):
 
     @property
     def common(self) -> tuple[float, float]:
-        """Interval of the varied quantity, in its unit, in which all seeds track the command."""
+        """Intersection of the tracked intervals of all seeds, in the quantity's unit: low, high."""
         return float(self.least.max()), float(self.most.min())
 
     @property
@@ -312,7 +313,8 @@ def tracked_intervals(
         workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
+            feet, or the rate of the policy exceeds that of the time steps.
         ModelError: If the policy does not fit the robot.
     """
     checked_command = check_command(command)
@@ -403,7 +405,7 @@ def read_measured_intervals(
     ``mass`` (factor) and ``com`` (forward displacement [m]) are those of the base. ``kp`` and
     ``kd`` are factors on the stated gains, from the lowest to the highest end of the intervals of
     all joints. ``delay`` [s] is reduced by the latency of the policy, to at least 0. Other
-    parameters of the fit are ignored.
+    parameters of the fit, and infinite intervals, are ignored.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.
@@ -411,8 +413,8 @@ def read_measured_intervals(
         latency: Latency of the policy [s].
 
     Raises:
-        ModelError: If the file is not the result of a fit, or contains no quantity that can be
-            varied.
+        ModelError: If the file cannot be read, is not the result of a fit, or contains no quantity
+            that can be varied.
     """
     try:
         data = orjson.loads(read_input(Path(path), MAX_TEXT_BYTES))
@@ -448,7 +450,7 @@ def read_measured_intervals(
 
 
 def _find_estimates(data: Any) -> list[Any]:
-    """Return the estimates in the JSON of a fit, a dict each; empty if there are none.
+    """Return the estimates in the JSON of a fit, unchecked; empty if there are none.
 
     A fit lists its estimates as ``estimates`` or, in ``fit.json``, as ``parameters``.
     """

@@ -1,7 +1,7 @@
 """Network of a policy: a list of array operations, evaluated by NumPy in double precision.
 
-All values have the shape (runs, 1, n). The row of each run is multiplied separately, so that the
-result of a run is bitwise independent of the number of other runs.
+Observations, states and actions have the shape (runs, 1, n) in the graph. The row of each run is
+multiplied separately, so that its result is bitwise independent of the number of other runs.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ class Network:
 
     @property
     def num_parameters(self) -> int:
-        """Number of weights of the network."""
+        """Number of weights of the network, including other constants."""
         return sum(constant.size for constant in self.constants.values())
 
     def initial_memory(self, runs: int) -> tuple[Array, ...]:
@@ -220,7 +220,8 @@ def assemble_network(
         inputs: Number of elements of an observation.
 
     Raises:
-        ModelError: If a weight is not finite, or a size does not fit; the message names the layer.
+        ModelError: If there are too many weights, a weight is not finite, an input of a node does
+            not exist, or a size does not fit; the message names the layer.
     """
     count = sum(weights.size for weights in constants.values())
     if count > MAX_WEIGHTS:

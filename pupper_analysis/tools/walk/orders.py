@@ -289,7 +289,7 @@ def _list_limb_orders(count: int) -> Iterator[tuple[int, ...]]:
 
 
 def _group_by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tuple[str, ...]:
-    """Return the joints grouped by kind (all first joints first), or by limb if grouped already."""
+    """Return joints grouped by kind (all first joints first) if by limb, otherwise by limb."""
     places = sorted(place for limb in limbs for place in limb)
     grouped = [place for limb in limbs for place in limb]
     if grouped == places:  # by limb

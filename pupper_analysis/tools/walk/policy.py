@@ -208,7 +208,8 @@ def build_onnx_network(path: Path, file: OnnxFile) -> Network:
         file: Content of the file.
 
     Raises:
-        ModelError: If the file contains no network, or an operator that is not supported.
+        ModelError: If the file contains no network, an operator that is not supported, or a size
+            that does not fit.
     """
     with refuse_malformed(path):
         return _build_onnx_network(path, file)
@@ -351,7 +352,7 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation GRU; None if not forward, or with other activations."""
+    """Return the operation GRU; None if not forward, or if activations are stated."""
     if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
     reset_after = bool(attributes.get("linear_before_reset", 0))
@@ -365,7 +366,7 @@ def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation LSTM; None if not forward, or with other activations."""
+    """Return the operation LSTM; None if not forward, or if activations are stated."""
     if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
 
@@ -445,8 +446,8 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
         values: Content of the file.
 
     Raises:
-        ModelError: If a layer has an unknown type, or a size does not fit; the message names the
-            layer.
+        ModelError: If there is no layer, or a layer has an unknown type or activation, unsuitable
+            weights or a size that does not fit; the message names the layer.
     """
     layers = values["layers"]
     if not layers:
@@ -556,8 +557,8 @@ def build_torchscript_network(path: Path) -> Network:
 
     Raises:
         MissingPackageError: If torch is not installed.
-        ModelError: If the file contains no network, or the network keeps a state between
-            observations.
+        ModelError: If the file cannot be read, is too large or contains no network, or the
+            network keeps a state between observations.
     """
     try:
         data = read_input(path, _MAX_TORCHSCRIPT_BYTES)

@@ -82,9 +82,10 @@ class Run:
         states: States after each step (mjSTATE_FULLPHYSICS), up to a fall, shape (n, size).
         targets: Applied controls of each step, shape (n, model.nu).
         fallen: True if the robot fell or the simulation diverged.
-        lean: Largest tilt of the base after the warm-up [rad].
-        lost: Largest height loss of the reference point after the warm-up [m]; the point is
-            fixed to the base at the CoM of the default pose (`StandReference`).
+        lean: Largest tilt of the base from the default pose, at the end of any action after the
+            warm-up [rad].
+        lost: Largest height loss of the reference point at the same times, at least 0 [m]; the
+            point is fixed to the base at the CoM of the default pose (`StandReference`).
     """
 
     case: Case
@@ -429,6 +430,8 @@ def rotations_from_quaternions(quaternions: Array) -> Array:
 
 def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     """Return the tilt of the base [rad] and the height loss of the reference point [m].
+
+    Both are relative to the default pose, without `Case.lift`; a loss is positive downwards.
 
     The reference point is fixed to the base, at the CoM of the default pose (`StandReference`).
 

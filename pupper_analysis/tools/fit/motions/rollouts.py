@@ -47,8 +47,8 @@ encoder readings; the velocity error decays within some time constants kd / kp o
 50 ms)."""
 
 _MAX_STEP_RATE = 0.5
-"""Upper bound of the product of time step and fastest rate (kd + damping) / inertia. The error of
-the Runge-Kutta method is then 1e-4 of the motion."""
+"""Upper bound of the product of time step and fastest rate (kd + damping) / inertia, as far as
+`_MAX_STEPS_PER_SAMPLE` allows. The error of the Runge-Kutta method is then 1e-4 of the motion."""
 
 _MAX_STEPS_PER_SAMPLE = 20
 """Upper bound of the simulation steps per sample. Chosen, not tuned."""
@@ -158,7 +158,7 @@ class Simulator:
         drive: Servos.
         table: Parameters.
         interval: Sampling interval of the logs [s].
-        steps: Simulation steps per sample; by default as many as the stiffest joint needs.
+        steps: Simulation steps per sample; by default from the fastest damping (`_MAX_STEP_RATE`).
     """
 
     def __init__(

@@ -93,7 +93,7 @@ def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
         robot: Robot, with the values of the files.
 
     Raises:
-        ConfigurationError: If there is no bridge of this name.
+        ConfigurationError: If there is no bridge of this name, or it cannot be opened.
     """
     key, _, arguments = name.partition(":")
     entry_bridges = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}

@@ -45,8 +45,8 @@ class RosBridge(WallClock):
         order: Joints of the controller.
 
     Raises:
-        ConfigurationError: If ``order`` does not contain exactly the robot's joints, or if within
-            five seconds the states of some joints are missing or nothing subscribes to commands.
+        ConfigurationError: If ``order`` lacks a joint of the robot or contains another, or if
+            within five seconds the states of some joints are missing or nothing subscribes to commands.
     """
 
     ramps = True

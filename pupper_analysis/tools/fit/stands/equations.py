@@ -154,7 +154,7 @@ class StandRows:
 
     Args:
         table: Parameters.
-        numbers: Values of the parameters.
+        values: Values of the robot and the surroundings for the parameters.
         reading: Measurements.
         laws: {contact point: law of the penetration}.
         base: Base quaternion (w, x, y, z) and height [m], shape (5,).

@@ -620,7 +620,7 @@ class _StandProblem:
 
     @property
     def friction_error(self) -> float:
-        """Mean dry friction divided by the mean kp [rad], over the joints with a servo.
+        """Expected mean dry friction divided by the mean kp [rad], over the joints with a servo.
 
         At this difference between command and position, the servo torque equals the friction.
         """
@@ -894,7 +894,7 @@ def get_stated_stiffness(
         kp: Stiffness that replaces the files' [N m/rad].
 
     Raises:
-        MeasurementError: If a joint has commands, but no file states its kp.
+        MeasurementError: If a joint has commands, but no file states its kp, and ``kp`` is None.
     """
     if kp is None:
         gains = list_position_servos(robot)

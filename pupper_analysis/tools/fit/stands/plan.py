@@ -130,7 +130,8 @@ def plan_stands(
     Raises:
         ConfigurationError: If the count, the seed, the mass or the place is invalid, or the base is
             fixed.
-        MeasurementError: If the servos hold too few candidates.
+        MeasurementError: If a joint has no stated kp and ``kp`` is None, or the servos hold too few
+            candidates.
     """
     robot.check_floating()
     robot.check_tree("fit")
