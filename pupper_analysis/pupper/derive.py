@@ -227,6 +227,9 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     Args:
         spec: Spec of the base model.
         variant: Variant.
+
+    Raises:
+        ModelError: If a mesh cannot be stretched along its own axes.
     """
     base = BASE_MODELS[variant.base]
     before = _measure_foot_depths(spec, base.feet.values())

@@ -54,8 +54,9 @@ def describe_variant(variant: str | VariantSpec) -> Description:
     files tests them; see `derive.derive_urdf` and `derive.derive_mjcf`.
 
     Raises:
-        VariantError: If the name is unknown.
-        ModelError: If a base file is missing or damaged.
+        VariantError: If the name is unknown, or the scales give no valid model.
+        ModelError: If the folder of the base files is missing, or the base MJCF is missing or
+            damaged.
     """
     spec = get_variant_spec(variant)
     base = BASE_MODELS[spec.base]
@@ -144,7 +145,7 @@ def write_variant(
         Paths of the URDF and of the MJCF.
 
     Raises:
-        VariantError: If the name is unknown.
+        VariantError: If the name is unknown, or the scales give no valid model.
         OutputError: If a file cannot be written, or exists with other content.
     """
     description = describe_variant(variant)
@@ -175,9 +176,10 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
         Robot.
 
     Raises:
-        VariantError: If the name is unknown.
+        VariantError: If the name is unknown, or the scales give no valid model.
         ConfigurationError: If ``fixed_base`` is not a bool.
-        ModelError: If a model file is missing or damaged.
+        ModelError: If the folder of the base files or the base MJCF is missing, or a model file is
+            damaged.
     """
     spec = get_variant_spec(variant)
     check_type("fixed_base", fixed_base, bool)

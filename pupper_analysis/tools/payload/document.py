@@ -97,7 +97,8 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
 def payload_text(limit: PayloadLimit) -> doc.Text:
     """Return the text of the largest payload [kg] and its position [mm].
 
-    If torque limits of motors that carry the load are unknown, state these motors instead.
+    If torque limits of motors that carry the load are unknown, state an upper bound of the mass and
+    the torque of one of these motors instead.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return _unknown_text(limit)
@@ -190,7 +191,7 @@ def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
 
 
 def _describe_trial(trial: PayloadTrial) -> doc.Text:
-    """Return the text of the result of the nudged simulations with a payload: holds, or fails."""
+    """Return the text of the result of the nudged simulations with a payload: holds or fails."""
     mass, seconds = mass_text(trial.mass), f"{trial.duration:g}"
     if trial.failure is None:
         return text(

@@ -73,7 +73,7 @@ def simulate_payload(
     duration: float = HOLD_DURATION,
     until_failure: bool = False,
 ) -> PayloadTrial:
-    """Simulate a stance with a payload, with random velocity nudges (``simulate_nudges``).
+    """Simulate a stance with a payload, nudged in twelve directions (``simulate_nudges``).
 
     The simulation starts in the stand that ``stand --payload`` judges (``solve_loaded_stand``),
     with feed-forward torques for the load.
@@ -123,7 +123,8 @@ VERIFIED_FRACTION = 0.97
 not tuned."""
 
 FAILING_RATIO = 1.03
-"""Mass relative to the limit with which `stand` fails. Chosen, not tuned."""
+"""Mass, relative to the bound of the servos, with which `stand` is evaluated: if the stance holds,
+the bound is raised. Chosen, not tuned."""
 
 SIMULATION_RTOL = 0.02
 """Relative tolerance of a payload that is bisected by simulations: the bound of the simulation, and
@@ -142,7 +143,7 @@ _FIRST_DISTANCE_RATIO = 0.98
 mass and limit is within the tolerance and needs no bisection."""
 
 _FIRST_MASS_RATIO = 0.25
-"""First evaluated mass, relative to the robot's mass. Chosen, not tuned."""
+"""First evaluated mass above 0, relative to the robot's mass. Chosen, not tuned."""
 
 _MASS_GROWTH = 1.5
 """Factor between successive masses before the first failure. A failure that occurs only in a
@@ -462,9 +463,9 @@ def _bisect_simulation_bound(
     Static bounds apply to an undisturbed stand. Only a simulation shows a foot that lifts, a sole
     that pivots or a motor that saturates after a nudge, and errors of the files.
 
-    The bound is usually just below the static limit. The relative distance below this limit
-    therefore starts at about ``SIMULATION_RTOL``, and is doubled after each failure until a mass
-    holds; then the interval is bisected.
+    The bound is usually just below the static limit. Therefore the mass is reduced from this limit
+    until a mass holds. The first step is about ``SIMULATION_RTOL`` of the limit; each further step
+    is twice as large. Then the interval is bisected.
 
     Args:
         static_limit: Smallest static bound [kg].

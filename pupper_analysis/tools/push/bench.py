@@ -180,7 +180,7 @@ class PushBench:
         if it diverges, if a body other than a foot touches the ground, or if the robot is at rest
         and no mode of the spectrum leaves that state. If the robot is not at rest after
         ``duration``, the simulation goes on until the robot rests or falls, up to
-        ``MAX_DURATION_RATIO`` of the duration. A slow fall is no rest, see ``_will_rest``.
+        ``MAX_DURATION_RATIO`` times the duration. A slow fall is no rest, see ``_will_rest``.
         """
         return self._simulate_intervals(directions, impulses, may_rest=True)
 
@@ -360,7 +360,9 @@ class PushBench:
         return float((linear + self.upright.com_height * angular).max())
 
     def _will_rest(self, states: Array, spectrum: Stability | None = None) -> bool:
-        """Return True if the base of a slow robot moves little in the remaining time T.
+        """Return True if the base of a slow robot moves little in the time T.
+
+        T is the remaining time of the longest simulation, at least ``HOLD_DURATION``.
 
         The speed v of the base decreases at the rate d. The motion 1.5 v min(T, 1 / d) must be
         below ``_MAX_REMAINING_RATIO`` of the CoM height. The creep without a push is subtracted
@@ -371,8 +373,8 @@ class PushBench:
         point the robot almost stops before it falls (v3-long-leg: 0.1 mm/s after 14 s, and on its
         shanks after 35 s).
 
-        At the end of the longest simulation T is ``HOLD_DURATION``. Modes are ignored then if the
-        speed decreases, or if the motion is below ``_STILL_RATIO`` of the bound.
+        At the end of the longest simulation, modes are ignored if the speed decreases, or if the
+        motion is at most ``_STILL_RATIO`` of the bound.
 
         Args:
             states: Last states, at least those of ``_REST_DURATION``, shape (n, size).

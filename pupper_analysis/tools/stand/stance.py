@@ -113,7 +113,7 @@ class Stance(Tabular):
     def overloaded_motors(self) -> tuple[str, ...]:
         """Names of joints whose static motor torque exceeds the effort limit.
 
-        Joints with an effort limit of zero are left out.
+        Joints with an effort limit of zero, or an inverted one, are left out.
         """
         return self.verdict.overloaded_motors
 

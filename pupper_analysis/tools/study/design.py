@@ -204,8 +204,10 @@ def make_robot_source(robot: Any) -> RobotSource:
     """Create the source of robots from the argument ``robot`` of `Study`.
 
     Raises:
-        ConfigurationError: If the argument has none of the supported forms, or an unknown key.
-        VariantError: If the named variant does not exist.
+        ConfigurationError: If the argument has none of the supported forms, or an unknown key, or
+            as for `load_file_source`.
+        VariantError: If the named variant does not exist, or a scale is not valid.
+        ModelError: If the files of the robot cannot be used.
     """
     if isinstance(robot, str):
         parsed = parse_robot_word(robot)
@@ -273,7 +275,8 @@ A field whose name is also a metric, such as ``com_margin``, is left out: both w
 column of the table."""
 
 ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
-"""Variables of the robot that apply to all joints or feet: {variable: field}."""
+"""Variables of the robot without a pattern: {variable: field}. These are the payload, the friction,
+and the gains of all servos."""
 
 FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items()} | ROBOT_VARIABLES
 """Field of each variable of the stance or robot, without patterns: {variable: field}."""

@@ -191,7 +191,7 @@ def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
-    """Create the table of main effects; no block without variables."""
+    """Create the table of main effects; no block without main effects."""
     rows: list[tuple[doc.Cell, ...]] = []
     for summary in outcome.measured:
         measured = text("measured-of", count=summary.designs, whole=outcome.designs)

@@ -5,8 +5,8 @@ component of this line along the axis of the joint at its end is removed, so tha
 remains. With the unit vector u of the line, the factor s and A = 1 + (s - 1) u u^T, positions
 become p' = A p. The density is constant, so that m' = s m, and the second moments become S' = s A S
 A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'. Links that are fixed to a stretched link are
-stretched as well. A shape with a principal axis along u is lengthened; any other shape keeps its
-size and is moved.
+stretched as well. A shape with a principal axis along u is lengthened; any other primitive shape
+keeps its size and is moved, and a mesh without such an axis is refused.
 """
 
 from __future__ import annotations

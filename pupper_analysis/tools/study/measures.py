@@ -194,7 +194,9 @@ def _check_stand(design: Design) -> bool:
     must not fail either.
 
     Raises:
-        NotStandingError: If the robot falls or a deviation grows; the error contains the reasons.
+        NotStandingError: If the robot falls, a deviation grows, or the unmodified MJCF fails; the
+            error contains the reasons.
+        PupperAnalysisError: As `Design.standing_equilibrium`.
     """
     published_run = own_run(design.robot) if design.own_servos else None
     if published_run is not None and published_run.fails:
@@ -359,7 +361,10 @@ def format_metric(metric: Metric) -> str:
 
 
 def fingerprint_metric(metric: Metric) -> str:
-    """Return a text that changes if a metric's name, function or file changes."""
+    """Return a text that changes with the name, the file, or a user's function of a metric.
+
+    Changes of a named metric are represented by `METRICS_REVISION` instead.
+    """
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()
     return function.fingerprint() if isinstance(function, UserFunction) else metric_name

@@ -79,8 +79,8 @@ class MetricSummary(Result):
         main_effects: {variable: fraction of the variance due to this variable alone, among the
             designs with a value}; empty for a column ``NAME.KEY``.
         interaction: Fraction of the variance due to several variables together. None for samples,
-            for fewer than two variables with several values, and unless all designs of the product
-            have a value.
+            for fewer than two variables with several values, if all main effects are 0, and unless
+            all designs of the product have a value.
     """
 
     metric: str
@@ -139,8 +139,9 @@ def study_outcome(
         maximise: Columns that the Pareto front maximises. Without objectives there is no front.
 
     Raises:
-        ConfigurationError: If a column does not exist, or no design is stored.
+        ConfigurationError: If a column does not exist or is named twice, or no design is stored.
         StudyError: If the folder contains no study, or a shard is damaged.
+        MissingPackageError: If pandas is not installed.
     """
     check_type("study", study, Study)
     check_type("minimise", minimise, Sequence[str])
@@ -330,8 +331,9 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
         Rows of the front, sorted by the first objective, the best first.
 
     Raises:
-        ConfigurationError: If a column does not exist, an objective is neither ``"min"`` nor
-            ``"max"``, or there are no objectives.
+        ConfigurationError: If the table is no DataFrame, a column does not exist or contains
+            something other than numbers, an objective is neither ``"min"`` nor ``"max"``, or there
+            are no objectives.
     """
     if not hasattr(table, "columns"):
         raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
@@ -432,7 +434,7 @@ def measure_span(low: float, high: float) -> float:
 
 
 def list_metric_columns(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Return the metric columns of a table that have at least one finite value."""
+    """Return the metric columns of a table that have at least one value."""
     other_columns = (*variables, "design", *FAILURE_COLUMNS)
     return [
         str(name)

@@ -123,6 +123,7 @@ class Study:
         Raises:
             ConfigurationError: If an argument is not valid; the message lists valid values.
             UnknownNameError: If the pattern of a variable matches nothing in the robot.
+            VariantError: If the variant of the robot does not exist, or a scale is not valid.
             ModelError: If the files of the robot cannot be used.
         """
         check_type("vary", vary, Mapping[str, Any])
@@ -239,7 +240,10 @@ class Study:
         return pickle.dumps(work)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the study as plain data; `Study.of` is the inverse."""
+        """Return the study as data for `Study.of`.
+
+        A study without a time limit has no key ``time_limit``; `Study.of` then sets the default.
+        """
         data: dict[str, Any] = {
             "robot": self.source.to_dict(),
             "vary": {name: item.to_dict() for name, item in self.variables.items()},
@@ -264,6 +268,8 @@ class Study:
 
         Raises:
             ConfigurationError: If a key is missing or unknown, or an argument is not valid.
+            VariantError: If the variant of the robot is not valid.
+            ModelError: If the files of the robot cannot be used.
         """
         unknown = [key for key in data if key not in STUDY_KEYS]
         if unknown:
@@ -288,6 +294,7 @@ class Study:
         Raises:
             ConfigurationError: If the file cannot be read, or the study is not valid.
             VariantError: If the variant of the robot is not valid.
+            ModelError: If the files of the robot cannot be used.
         """
         path = Path(path)
         try:
@@ -334,9 +341,11 @@ class Study:
             and the failure columns.
 
         Raises:
-            StudyError: If another run has locked the folder, or the workers are lost. Measured rows
-                are stored.
+            ConfigurationError: If an argument is not valid.
+            StudyError: If another run has locked the folder, a stored file cannot be read, or the
+                workers are lost. Measured rows are stored.
             OutputError: If the folder cannot be written.
+            MissingPackageError: If pyarrow or pandas is not installed.
         """
         self.execute(folder, executor=executor, workers=workers, progress=progress)
         return self.table(folder)
@@ -374,7 +383,8 @@ class Study:
         """Return the stored rows of the designs of this study, in the order of the study.
 
         Raises:
-            StudyError: If the folder contains no study, or a shard is damaged.
+            StudyError: If a shard is damaged.
+            MissingPackageError: If pandas is not installed.
         """
         require_library("pandas")
         return order_rows(Store(Path(folder)).table(), (names for names, _ in self.designs()))
@@ -408,7 +418,9 @@ def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[st
 
 
 def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame:
-    """Return the table rows of designs in the order of their hashes, without empty columns.
+    """Return the table rows of designs in the order of the blocks, without empty columns.
+
+    The failure columns are kept, also if empty.
 
     Args:
         frame: Table with the columns ``design`` (hash) and results.
@@ -441,6 +453,7 @@ def read_study(folder: str | Path) -> pd.DataFrame:
 
     Raises:
         StudyError: If the folder contains no study, or a shard is damaged.
+        MissingPackageError: If pandas is not installed.
     """
     check_type("folder", folder, str | Path)
     require_library("pandas")

@@ -104,7 +104,8 @@ def linspace(low: float, high: float, count: int) -> Variable:
         count: Number of values, 2 to `MAX_LEVELS`.
 
     Raises:
-        ConfigurationError: If the interval is empty or the count is out of range.
+        ConfigurationError: If the interval is empty, a bound is not finite, or the count is out of
+            range.
     """
     first, last = _check_interval("linspace", low, high)
     check_type("count", count, int)
@@ -137,7 +138,7 @@ def uniform(low: float, high: float) -> Variable:
     """Create a variable of a study that is distributed uniformly between two bounds.
 
     Raises:
-        ConfigurationError: If the interval is empty.
+        ConfigurationError: If the interval is empty, or a bound is not finite.
     """
     return Variable("uniform", _check_interval("uniform", low, high))
 
@@ -146,7 +147,8 @@ def log_uniform(low: float, high: float) -> Variable:
     """Create a variable of a study whose logarithm is distributed uniformly between two bounds.
 
     Raises:
-        ConfigurationError: If the interval is empty, or the lower bound is not positive.
+        ConfigurationError: If the interval is empty, a bound is not finite, or the lower bound is
+            not positive.
     """
     first, last = _check_interval("log_uniform", low, high)
     if first <= 0:
@@ -162,7 +164,7 @@ def normal(mean: float, deviation: float) -> Variable:
         deviation: Standard deviation.
 
     Raises:
-        ConfigurationError: If the standard deviation is not positive.
+        ConfigurationError: If the standard deviation is not positive, or a number is not finite.
     """
     spread = check_finite("normal", deviation)
     if spread <= 0:
@@ -224,7 +226,7 @@ def _diagnose_grid(numbers: Any) -> Diagnostic:
 
 
 def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
-    """Return the bounds of an interval; raise ConfigurationError if the interval is empty."""
+    """Return the bounds; raise ConfigurationError if empty or not finite."""
     first, last = check_finite(name, low), check_finite(name, high)
     if not first < last:
         raise ConfigurationError(name, diagnose("interval-empty", low=first, high=last))

@@ -95,8 +95,9 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
 
     Raises:
         ConfigurationError: If the row does not exist, or the robot of the design cannot be built.
-        StudyError: If the folder contains no study, or a shard is damaged.
+        StudyError: If a shard is damaged.
         OutputError: If a file cannot be written, or exists with other content.
+        MissingPackageError: If pandas is not installed.
     """
     check_type("study", study, Study)
     check_type("number", number, int)
