@@ -34,14 +34,17 @@ _GROUND_ATOL = 1e-6
 ground level. The tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
-"""Cosine of the tilt of the base frame in the first keyframe below which the tilt is noted and the
-frame is not raised: about 45 deg. Chosen, not tuned."""
+"""Cosine of the tilt of the base frame in the keyframe `home`, or else the first one, below which
+the tilt is noted and the frame is not raised: about 45 deg. Chosen, not tuned."""
 
 
 def free_base(
     urdf: UrdfFile, spec: mujoco.MjSpec, source: Path
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Add a free joint to the base of a robot with two or more limbs, if it has none; return notes.
+
+    A base that moves by several slides and hinges, or a ball joint, gets a free joint in place of
+    these joints, and all keyframes are deleted (``join_free_base``).
 
     Args:
         urdf: URDF.

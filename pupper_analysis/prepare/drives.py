@@ -81,7 +81,7 @@ def list_dependent_joints(robot: Robot) -> list[int]:
 
 
 def add_loop_motors(robot: Robot) -> Robot:
-    """Add motors without torque to the independent joints of closed loops that have no motor.
+    """Add motors without torque to independent joints without a motor, if there are closed loops.
 
     The actuator order lists joints with motors first. With these motors, the order does not change
     when servos are added later, after stands have been solved. Without closed loops the robot is

@@ -29,8 +29,8 @@ _LIMIT_ATOL = 1e-3
 rounded. Chosen, not tuned."""
 
 _CONTINUOUS_LIMIT = 2 * math.pi
-"""Limit of a continuous joint in a closed loop, in both directions [rad]. Chosen as one revolution:
-larger angles are not needed."""
+"""Limit of a continuous joint of a robot with closed loops, in both directions [rad], if the MJCF
+has none. Chosen as one revolution: larger angles are not needed."""
 
 
 def limit_continuous_joints(robot: Robot) -> Description | None:

@@ -161,8 +161,9 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
     """Compare the published file with the prediction for a stand, with the causes of differences.
 
     Returns:
-        Comparison. None if nothing is predicted for the stand, if MuJoCo refuses the URDF, or if
-        the file frees a base that the robot has fixed.
+        Comparison. None if the robot has no file, or a free base without feet; if nothing is
+        predicted for the stand; if MuJoCo refuses the URDF; if there is no published model of a
+        robot with a fixed base; or if the file frees a base that the robot has fixed.
     """
     if robot.published is None or (robot.floating and not robot.feet):
         return None
@@ -309,8 +310,8 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     Returns:
         Predictions: with feed-forward, then without. For a fixed base, only with feed-forward.
         Empty if the stand on soft ground cannot be solved. The prediction without feed-forward is
-        left out if joints have no servo in the file, if a servo of the file was replaced, or if no
-        steady state without failures is found.
+        left out if a joint of the prepared robot has no position servo, if a servo of the file was
+        replaced, or if no steady state without failures is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]

@@ -405,8 +405,8 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
     """Return joint positions (nu,) with each foot at a bounded horizontal distance from the hip.
 
     Legs that are straight to the side, such as a spider's at zero angles, cannot reach the
-    ground from their foot positions. If no leg posture reaches the targets, the pose is
-    returned.
+    ground from their foot positions. If the legs cannot reach the targets, the result has the
+    smallest foot errors that are found.
     """
     qpos = robot.make_qpos(pose)
     config = Configuration(robot, qpos)
@@ -572,8 +572,9 @@ def _solve_first_guess(
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
     """Compute the maximum height of the base above the ground, with the longest leg straight.
 
-    The height is the sum of the distances between consecutive joints of a leg. Slides are at their
-    positions in ``qpos``, shape (nq,).
+    The height is the sum of the distances from the contact point over the joints of a leg to its
+    first joint, minus the height of this joint above the base in ``qpos``, shape (nq,), plus the
+    contact radius. Slides are at their positions in ``qpos``.
 
     Returns:
         Height [m].

@@ -1,9 +1,9 @@
 """Disable contacts of other shapes of the foot bodies, and of bodies that overlap.
 
-Input is a robot with a start pose; output is a robot in which only the feet touch the ground, as
-the statics assume. Disabled are contacts of other shapes of a foot's body that would touch the
-ground when the foot penetrates it, and contacts between bodies that overlap in the start pose.
-Visual geoms are discarded.
+Input is a robot with a start pose; output is a robot that touches the ground only with the feet in
+a stand, as the statics assume. Disabled are contacts of other shapes of a foot's body that would
+touch the ground when the foot penetrates it, and contacts between bodies that overlap in the start
+pose. Visual geoms are discarded.
 """
 
 from __future__ import annotations

@@ -61,8 +61,8 @@ class GroundClearance:
         """Return a lower bound of the distance between the ground and the parts [m].
 
         The parts are the colliding geoms of the robot without the feet. The bound is 0 if it is
-        unavailable (``is_available``), or if a bounding box reaches the ground. It is infinite
-        without such geoms or without ground.
+        unavailable (``is_available``), or if a bounding box reaches the contact margin of the
+        ground. It is infinite without such geoms or without ground.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).

@@ -85,7 +85,7 @@ class GrowthTrial(Result):
         nudge: Largest initial deviation of a joint (rad, m).
         duration: Simulated time (s).
         doubling_time: Half the time of the last two doublings (s); None if the deviation does not
-            grow by ``2 ** DOUBLINGS``.
+            grow by ``2 ** DOUBLINGS``, or the growth slows down.
         joints: Joints with the largest final deviations, the largest first.
         sustained: Whether modes that shake leave an oscillation that does not decay.
     """

@@ -400,8 +400,9 @@ class ContactRecord:
     """Contacts of a rollout, sampled, with the settled forces and torques.
 
     Attributes:
-        failures: Bodies that touch the ground and must not; stance feet that unload and must not;
-            and, for a fixed base without stance feet, all pairs of bodies that push on each other.
+        failures: Bodies and swing feet that touch the ground; stance feet that unload and must not;
+            for a fixed base without stance feet, instead of touching bodies, all pairs of bodies
+            that push on each other.
         touching: Pairs of robot bodies that push on each other in the settled state.
         torques: Settled motor torques, shape (nu,) [N m].
         forces: Settled force on each foot, and constraint force of each weld or grip, shape (3,)

@@ -124,8 +124,9 @@ def weld_generalized_forces(
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
     """Lower a stand into MuJoCo's soft ground until the contacts carry the weight.
 
-    Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal,
-    with constant joint positions, until the balance along the normal is zero. The simulation then
+    Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal
+    (of the first stance foot; vertically if feet are on separate planes), with constant joint
+    positions, until the balance along this direction is zero. The simulation then
     starts at rest instead of with a fall of some millimetres.
 
     A stand is not lowered if the base is fixed or welded, a contact is welded, or the stand has

@@ -213,7 +213,7 @@ def judge_stance(
         published: Differences between the published MJCF and the simulated model.
         converted: Model that was converted from the other model; empty without a conversion.
         unknown: Whether the answer depends on torque limits that no file states; a passing verdict
-            is then ``LIMITS_UNKNOWN``.
+            is then ``LIMITS_UNKNOWN``, unless ``masses_unknown``.
         masses_unknown: Whether moving links have masses that no file states; a passing verdict is
             then ``MASSES_UNKNOWN``.
         remarks: Other assumptions. With a remark of severity error, the verdict does not pass.

@@ -237,8 +237,9 @@ def verify_stand(
     stand for rigid ground tilts by milliradians and the loads change by percents. Use
     ``solve_stand_on_soft_ground`` for a stand that holds as predicted.
 
-    The settled values are measured first. Then all coordinates are nudged (``NUDGE``), and the
-    robot must come to rest again. No mode of the spectrum may grow within ``HOLD_DURATION`` (12 s).
+    The settled values are measured first. Then all coordinates are nudged (``NUDGE_SPEED`` of
+    ``robot.fall``), and the robot must come to rest again. No mode of the spectrum may grow within
+    ``HOLD_DURATION`` (12 s).
 
     Args:
         robot: The robot.

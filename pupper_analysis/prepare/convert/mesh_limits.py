@@ -37,7 +37,7 @@ _GLB_HEADER: Final = struct.Struct("<4sIIII")
 def check_gltf(data: bytes) -> Diagnostic | None:
     """Return the reason if a glTF binary (bytes) describes too many vertices; None otherwise.
 
-    Vertices and indices of all primitives are counted, and all numbers of accessors without data.
+    Vertices and indices of all primitives are counted, and all elements of accessors without data.
     """
     size = int(_GLB_HEADER.unpack_from(data)[3])
     document = json.loads(data[_GLB_HEADER.size : _GLB_HEADER.size + size])
@@ -94,9 +94,10 @@ class _ColladaScene:
 
 
 def check_collada(data: bytes) -> Diagnostic | None:
-    """Return the reason if the scenes of a COLLADA file have too many parts; None otherwise.
+    """Return the reason if the scenes of a COLLADA file have too many parts or too much text.
 
-    Each instance of a node or shape counts. The text of the shapes may be twice as long as a file.
+    None otherwise. Each instance of a node or shape counts. The text of the shapes may have up to
+    twice `MAX_MESH_BYTES` characters.
     """
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     root = etree.fromstring(data, parser)

@@ -270,8 +270,8 @@ f 1 2 4
 f 1 4 3
 f 2 3 4
 """
-"""OBJ of a tetrahedron with edges of 1 cm, which represents deferred meshes: MuJoCo refuses a geom
-without mesh."""
+"""OBJ of a tetrahedron with three edges of 1 cm at a right-angled corner, which represents deferred
+meshes: MuJoCo refuses a geom without mesh."""
 
 
 @dataclass(frozen=True)

@@ -336,7 +336,7 @@ ShapeGeometry = tuple[str, dict[str, str], pin.SE3]
 
 _NUM_VISIBLE_GROUPS = 3
 """Number of geom groups, from 0, that MuJoCo's viewer shows by default: groups 0, 1 and 2. Their
-geoms become visual shapes."""
+geoms become visual shapes; so do geoms of other groups that do not collide."""
 
 
 class UrdfShapes:
@@ -371,7 +371,10 @@ class UrdfShapes:
                 self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
 
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
-        """Add the collidable and the visible geoms of a body to a ``<link>`` as shapes.
+        """Add the geoms of a body to a ``<link>`` as collision shapes, visual shapes, or both.
+
+        Geoms that collide become collision shapes; geoms that do not collide, and those of the
+        groups that MuJoCo's viewer shows by default, become visual shapes.
 
         Args:
             link: Element of the link.
