@@ -2,9 +2,9 @@
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
 pose, and may have disabled contacts. The run of the published file from its keyframe (the "own
-run") shows whether the file alone stands in MuJoCo: 5 s, or less with short time steps, with a
-nudge at the start.
-Results are computed when a verdict is first requested.
+run") shows whether the file alone stands in MuJoCo: 5 s, or less with short time steps; with a
+nudge at the start, with the opposite nudge, and without a nudge. Results are computed when a
+verdict is first requested.
 """
 
 from __future__ import annotations

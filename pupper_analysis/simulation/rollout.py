@@ -58,7 +58,7 @@ class StandStart:
         stand: The stand.
         prediction: Statics of the stand with minimum tangential contact forces.
         drive: Servos and MuJoCo model.
-        start: State (mjSTATE_FULLPHYSICS) at rest, lowered into the soft ground.
+        start: State (mjSTATE_FULLPHYSICS) at rest, from `place_on_ground`.
         ctrl: Actuator commands, shape (model.nu,).
     """
 

@@ -1,4 +1,4 @@
-"""How a robot can stand."""
+"""Solve stands: configurations of a robot on planted feet, by inverse kinematics."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

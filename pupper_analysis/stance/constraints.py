@@ -186,7 +186,7 @@ class Loops(Constraint):
     def violation(self, goal: Goal, at: Kinematics) -> float:
         """Return the largest opening of a closed loop beyond the static deflection [m, rad].
 
-        Infinite if the loop is closed in another assembly mode than in the MJCF.
+        Infinite if a loop has another assembly mode than the reference configuration.
         """
         if not self._closure.has_reference_assembly(at.qpos):
             return math.inf

@@ -91,7 +91,7 @@ class Field:
         frame: Whether the point may refer to another frame than the base's: (frame, x, y, z).
         per: Key of a mapping to such values: ``"foot"``, ``"joint"`` or ``"link"``; empty if the
             field is no mapping.
-        optional: Whether the default is None; otherwise 0.
+        optional: Whether the default is None; otherwise 0, or an empty mapping.
         nominal: Value of the nominal stand: ``"zero"``, an attribute of the robot, the ``"centre"``
             of the stance feet, ``"foot_places"``, or the robot's ``"own"``.
         low: Lower bound (SI units).

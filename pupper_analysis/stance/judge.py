@@ -392,8 +392,9 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
 def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     """Return True if a shape of the base link is below the required ground clearance in each stand.
 
-    The goal fixes height and orientation of the base, so that no search is needed. False on a slope
-    and for robots with a weld, which are not tested. Steps are not tested either.
+    Shapes of links that are fixed to the base count as well. The goal fixes height and orientation
+    of the base, so that no search is needed. False on a slope and for robots with a weld, which are
+    not tested. Steps are not tested either.
     """
     if goal.task.ground.slope or shapes.robot.welds:
         return False

@@ -171,7 +171,8 @@ def solve_stands(
 
     Args:
         robot: Robot with a floating base.
-        tasks: Stand tasks.
+        tasks: Stand tasks. Their ``contacts`` must be at the same parts, and have the same friction
+            and forces, as those of the first task; surfaces and positions may differ.
         explain: As in `solve_stand`, for an unreachable task; takes about a second.
 
     Returns:
@@ -179,9 +180,8 @@ def solve_stands(
 
     Raises:
         ConfigurationError: As for `solve_stand`; raised before the first solve, with the index of
-            the task.
-        UnknownNameError: As for `solve_stand`; raised before the first solve, with the index of the
-            task.
+            the task, unless the robot lacks a required clearance or the first task's contacts.
+        UnknownNameError: As for `solve_stand`; raised before the first solve.
         ModelError: As for `solve_stand`.
         StanceUnreachableError: For the first unreachable task, with the task index.
     """

@@ -66,8 +66,8 @@ class StandTask:
         self_clearance: Smallest distance between links that are not neighbours (m); unchecked by
             default.
         posture: {joint that carries no foot, or a pattern such as ``*elbow*``: position (rad, m)}.
-            If several patterns match a joint, the last counts. A search starts other joints of this
-            kind at ``home``, and changes the positions by some milliradians at most.
+            If several patterns match a joint, the last counts. A search starts with other joints of
+            this kind at ``ik_seed``, or else at ``home``.
         ik_seed: Initial guess of the joint positions, shape (nu,) (rad), which selects an IK branch
             of the legs. Default: the robot's ``home``.
     """

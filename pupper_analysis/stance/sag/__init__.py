@@ -1,1 +1,1 @@
-"""Where position servos let a robot come to rest."""
+"""Predict the rest position of a standing robot on position servos, without feed-forward."""
