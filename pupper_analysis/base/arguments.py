@@ -86,6 +86,7 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _is_real_number(value: object) -> bool:
+    """Return True for a real number that is no Boolean."""
     return isinstance(value, Real) and not isinstance(value, _BOOLEAN_TYPES)
 
 
@@ -156,6 +157,7 @@ def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        """Check the arguments, and call the function."""
         type_tests = _make_type_tests(function)
         # Arguments that do not match the signature raise Python's own TypeError in the call.
         for arguments in (zip(positional, args, strict=False), kwargs.items()):
@@ -202,6 +204,7 @@ def check_type(name: str, value: object, hint: Any) -> None:
 
 @cache
 def _get_type_hints(described: Any) -> dict[str, Any]:
+    """Return the type hints of a function or class, resolved and cached."""
     return typing.get_type_hints(described)
 
 
@@ -273,6 +276,7 @@ def _make_type_test(hint: Any) -> Callable[[Any], bool]:
 
 
 def _accept_anything(_: Any) -> bool:
+    """Return True, for types that are not checked."""
     return True
 
 
@@ -287,6 +291,7 @@ def _make_elements_test(
     """
 
     def has_valid_elements(value: Any) -> bool:
+        """Return True for a container of the required kind with valid elements."""
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim
         if of_known_length and not is_sequence and not is_array:

@@ -26,6 +26,7 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
 
 
 def _line(row: Iterable[object]) -> str:
+    """Return a row as a line of CSV."""
     text = io.StringIO(newline="")
     # The writer quotes a carriage return only if its line terminator contains one.
     csv.writer(text, lineterminator="\r\n").writerow([_escape_formula(cell) for cell in row])
@@ -47,6 +48,7 @@ def _escape_formula(cell: object) -> object:
 
 
 def _is_number(text: str) -> bool:
+    """Return True if Python can convert a text to a float."""
     try:
         float(text)
     except ValueError:

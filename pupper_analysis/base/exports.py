@@ -44,6 +44,7 @@ def make_lazy_exports(
     sources = {name: source for name, source in sources.items() if not name.startswith("_")}
 
     def get_attribute(name: str) -> Any:
+        """Import a name of the stub at its first use, and return it."""
         if name not in sources:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, attribute = sources[name]
@@ -54,6 +55,7 @@ def make_lazy_exports(
         return value
 
     def list_names() -> list[str]:
+        """Return the names of the stub and the package's special names, sorted."""
         special = [name for name in vars(sys.modules[package]) if name.startswith("__")]
         return sorted({*special, *sources})
 

@@ -95,6 +95,7 @@ def remove_stale_files(folder: Path) -> None:
 
 
 def _is_running(process: int) -> bool:
+    """Return True if a process with this id exists."""
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
@@ -571,6 +572,7 @@ class _StagedFile:
                     path.unlink(missing_ok=True)
 
     def _make_error(self, problem: object) -> OutputError:
+        """Return the error of this file for a problem."""
         return OutputError(self.writing.path, problem)
 
 

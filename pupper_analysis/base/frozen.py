@@ -14,6 +14,7 @@ class FrozenDict(dict[_K, _V]):
     """Read-only dictionary; hashable if all values are hashable."""
 
     def _raise_read_only(self, *_: Any, **__: Any) -> NoReturn:
+        """Raise TypeError; replaces the methods that modify a dictionary."""
         raise TypeError("it belongs to a result or a task, and cannot be changed: dict(it) copies")
 
     __setitem__ = __delitem__ = clear = pop = popitem = setdefault = update = _raise_read_only

@@ -164,6 +164,7 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _line_number(data: bytes, index: int) -> int:
+    """Return the line number, from 1, of the byte at an index."""
     return data.count(b"\n", 0, index) + 1
 
 

@@ -28,10 +28,12 @@ MiB, enough for thousands of stands. Chosen, not tuned."""
 
 
 def _match_none(_file: BinaryIO) -> bool:
+    """Return False, for kinds of which no file is recognised."""
     return False
 
 
 def _match_any(_file: BinaryIO) -> bool:
+    """Return True, for kinds of which every file is recognised."""
     return True
 
 
@@ -75,10 +77,12 @@ def match_prefix(*marks: str) -> Callable[[BinaryIO], bool]:
 
 
 def _is_page(file: BinaryIO) -> bool:
+    """Return True for an HTML page of this package."""
     return b'<meta name="generator" content="pupper_analysis ' in file.read(NUM_HEAD_BYTES)
 
 
 def _is_picture(file: BinaryIO) -> bool:
+    """Return True for a PNG figure of this package."""
     head = file.read(NUM_HEAD_BYTES)
     return head.startswith(b"\x89PNG") and f"tEXtSoftware\0{GENERATOR_NAME} ".encode() in head
 
@@ -125,10 +129,12 @@ def _read_measured_cells(file: BinaryIO) -> list[str] | None:
 
 
 def _is_empty_plan(file: BinaryIO) -> bool:
+    """Return True for a plan of stands without measurements."""
     return _read_measured_cells(file) == []
 
 
 def _has_measurements(file: BinaryIO) -> bool:
+    """Return True for a plan of stands with measurements."""
     return bool(_read_measured_cells(file))
 
 

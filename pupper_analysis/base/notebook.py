@@ -102,6 +102,7 @@ def format_value(value: object) -> str:
 
 
 def _number_text(value: float) -> str:
+    """Return a number as text with 4 digits."""
     return format_number(value, NUMBER_FORMAT)
 
 

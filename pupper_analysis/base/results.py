@@ -109,6 +109,7 @@ class Result:
         return f"{type(self).__name__}({text})"
 
     def _format_fields(self) -> list[tuple[str, str]]:
+        """Return (name, short text) of each field."""
         return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
 
     def _repr_html_(self) -> str:

@@ -66,6 +66,7 @@ class Tool(NamedTuple):
 
     @property
     def _source_text(self) -> str:
+        """Text of the package's ``__init__.py``."""
         return (self.folder / "__init__.py").read_text(encoding="utf-8")
 
 

@@ -319,6 +319,7 @@ def pass_robot_options(command: Command) -> Command:
 
     @wraps(command)
     def wrapped(**values: Any) -> None:
+        """Call the command with the options of the robot as first argument."""
         command(RobotOptions.pop_from(values), **values)
 
     return wrapped
@@ -330,6 +331,7 @@ def add_options(
     """Return a decorator that adds the options of the given groups to a command, in this order."""
 
     def add(command: Command) -> Command:
+        """Add the options to a command."""
         for option in reversed([option for group in groups for option in group]):
             command = option(command)
         return command

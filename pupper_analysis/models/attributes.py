@@ -94,6 +94,7 @@ def known_limit(stated: float) -> float:
 
 
 _POSITION_UNITS, _FORCE_UNITS = ("rad", "m"), ("N m", "N")
+"""Units of positions, and of torques or forces: for a hinge, and for a slide."""
 
 JOINT_ATTRIBUTES: Final = (
     JointAttribute(

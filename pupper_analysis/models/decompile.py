@@ -271,6 +271,7 @@ class _Writer:
             _copy_fields(site, model, "site", index, {name: name for name in _SITE_FIELDS})
 
     def _add_joint(self, body: mujoco.MjsBody, index: int) -> None:
+        """Add a joint to its body, with the fields of the model."""
         model = self.model
         joint = body.add_joint(name=self._names["joint", index])
         _copy_fields(joint, model, "jnt", index, _JOINT_FIELDS)
@@ -282,6 +283,7 @@ class _Writer:
             joint.ref, joint.springref = model.qpos0[address], model.qpos_spring[address]
 
     def _add_tendons(self) -> None:
+        """Add the tendons, with joints, sites, pulleys and geoms of their paths."""
         model = self.model
         for index in range(model.ntendon):
             tendon = self.spec.add_tendon(name=self._names["tendon", index])
@@ -305,6 +307,7 @@ class _Writer:
                     tendon.wrap_geom(self._names["geom", target], side)
 
     def _add_actuators(self) -> None:
+        """Add the actuators with their transmissions."""
         model, kinds = self.model, mujoco.mjtTrn
         targets = {
             kinds.mjTRN_JOINT.value: "joint",

@@ -40,15 +40,15 @@ class Description:
             spherical foot has a single contact point, with the name of the foot.
         frames: {frame: (name in the URDF, name in the MJCF)} of further frames in both files.
         feet: {foot: contact points} of the feet with several contact points.
-        foot_geoms: {contact point: (geom in the MJCF, radius [m])} of contact points that are not
-            the centre of a sphere. The radius of a corner of a box is 0.
+        foot_geoms: {contact point: (geom in the MJCF, radius [m])}. The radius of a corner of a box
+            is 0. A contact point without an entry is the centre of a collision sphere.
         nominal: {joint: position [rad, m]} of the nominal stand; missing joints are at zero.
         made_frames: Contact points without a frame in either file.
         added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written
             get the same additions.
         made_servos: Servos in ``mjcf`` that the file does not contain.
-        efforts: {joint: effort limit} of motors that were replaced by servos, whose own attributes
-            are no longer in ``mjcf``.
+        efforts: {joint: effort limit} in place of the limits in ``mjcf``: requested limits, and
+            limits of motors that were replaced by servos.
         null_efforts: {joint: empty force range of the MJCF}; a compiled model lacks them.
         converted: ``"urdf"`` or ``"mjcf"`` if this model has no file and was generated from the
             other; "" if both have files.

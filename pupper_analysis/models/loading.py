@@ -36,7 +36,7 @@ class CheckFinding:
         message: Description of the problem.
         child: Path below the element, for the line number.
         place: Location, if the element cannot be found by name.
-        severity: Severity, if lower than that of the rule.
+        severity: Severity, if different from that of the rule; None for that of the rule.
     """
 
     kind: str

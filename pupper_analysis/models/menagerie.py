@@ -43,6 +43,7 @@ def is_menagerie_name(word: str) -> bool:
 
 
 def _exists(word: str) -> bool:
+    """Return True if a text is an existing path; False for a text that is no valid path."""
     try:
         return Path(word).exists()
     except (OSError, ValueError):  # no path: for example a zero byte

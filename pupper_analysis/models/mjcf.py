@@ -241,6 +241,7 @@ class _WarningSuppressor:
         self._lock, self._num_users, self._restore = Lock(), 0, ExitStack()
 
     def begin(self) -> None:
+        """Register a user; the first user replaces the warning handler."""
         with self._lock:
             self._num_users += 1
             if self._num_users == 1:
@@ -251,6 +252,7 @@ class _WarningSuppressor:
                 warnings.simplefilter("ignore")
 
     def end(self) -> None:
+        """Remove a user; the last user restores the warning handler."""
         with self._lock:
             self._num_users -= 1
             if not self._num_users:

@@ -62,6 +62,7 @@ def leave_out_missing(
     in_memory = {Path(name).name for name in spec.assets}
 
     def is_missing(file: str, folder: str) -> bool:
+        """Return True if a file is neither in memory nor in a folder of the model."""
         name = Path(file).name if spec.strippath else file
         if Path(name).name in in_memory:
             return False
@@ -776,6 +777,7 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
     index = index_of(tree.root)
 
     def copy_spec() -> tuple[mujoco.MjSpec, list[Diagnostic]]:
+        """Return a copy of the spec without missing files, and the diagnostics."""
         copy = spec.copy()
         return copy, [*notes, *leave_out_missing(copy, tree, index)]
 

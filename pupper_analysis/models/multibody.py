@@ -140,6 +140,7 @@ class MultibodyTree:
 
     @cached_property
     def _children_by_body(self) -> dict[str, list[str]]:
+        """{body: joints whose parent is the body}, for bodies with such joints."""
         found: dict[str, list[str]] = {}
         for name, joint in self.joints.items():
             found.setdefault(joint.parent, []).append(name)
@@ -155,6 +156,7 @@ class MultibodyTree:
 
     @cached_property
     def _frames_by_body(self) -> dict[str, list[str]]:
+        """{body: frames that are fixed to the body}, for bodies with frames."""
         found: dict[str, list[str]] = {}
         for name, (owner, _) in self.frames.items():
             found.setdefault(owner, []).append(name)

@@ -142,6 +142,7 @@ class _Writer:
             set_origin(joint, frame.placement)
 
     def _add_joint(self, index: int) -> None:
+        """Add the joint with an index; raise ModelError for a slide without limits."""
         model = self._model
         is_flyer = self._floating and index == 1
         name, parent = str(model.names[index]), int(model.parents[index])

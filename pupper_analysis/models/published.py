@@ -198,6 +198,7 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
     """Import a description without downloading: its clone function only returns cached folders."""
 
     def find_in_cache(repository: str, commit: str | None = None) -> str:
+        """Return the cached folder of a repository; raise an error if there is none."""
         del commit
         repositories = importlib.import_module("robot_descriptions._repositories").REPOSITORIES
         default = Path.home() / ".cache" / "robot_descriptions"
@@ -275,6 +276,7 @@ def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[N
     find_by_ros = substitution._eval_find
 
     def find(package: str) -> str:
+        """Return the folder of a ROS package by `find_packages`, else by ROS."""
         folders = find_packages(package, path.absolute().parent, packages)
         if folders:
             return str(folders[0].absolute())

@@ -36,7 +36,7 @@ ASYMMETRIC_PART_NAME = re.compile("gripper|finger|camera|imu|sensor", re.IGNOREC
 
 
 LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
-"""Names of leg joints. Joints of arms and hands, whose base is bolted down, do not match."""
+"""Names of leg joints. Names of arm and hand joints, whose base is bolted, rarely match."""
 
 _MOTOR_PARAMETER_RTOL = 0.02
 """Relative tolerance for equal motor parameters. In published models, motors of the same type have
@@ -113,4 +113,5 @@ def find_unlike_pairs(
 
 
 def _are_equal(left: float, right: float) -> bool:
+    """Return True if two values differ by at most ``_MOTOR_PARAMETER_RTOL``."""
     return left == right or abs(left - right) <= _MOTOR_PARAMETER_RTOL * abs(right)

@@ -137,6 +137,7 @@ class SpecTree:
 
     @cached_property
     def _compiled_model(self) -> mujoco.MjModel:
+        """Model of a copy of the spec, cached until `_clear_cache` is called."""
         return compile_spec(self.spec.copy(), Path(self.spec.modelname))
 
     def _clear_cache(self) -> None:
@@ -314,6 +315,7 @@ class SpecTree:
         return motor
 
     def _add_actuator(self, joint: str) -> mujoco.MjsActuator:
+        """Add an actuator with transmission ``joint`` at a joint."""
         transmission = mujoco.mjtTrn.mjTRN_JOINT
         return self.spec.add_actuator(name=f"{joint} (servo)", target=joint, trntype=transmission)
 
@@ -427,6 +429,8 @@ _MIN_SINGULAR_VALUE: Final = 0.1
 all directions. For coordinate axes the value is 1. Chosen, not tuned."""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
+"""Types of the joints that move a base in three directions."""
+
 _FREE_BASE_JOINTS: Final = (
     [*_THREE_SLIDES, JointKind.BALL],
     [*_THREE_SLIDES, *[JointKind.HINGE] * 3],
@@ -477,6 +481,7 @@ def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
 
 
 def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
+    """Delete the sensors that refer to an element with a name; none for ""."""
     for sensor in list(spec.sensors):
         if name and name in (sensor.objname, sensor.refname):
             spec.delete(sensor)

@@ -372,6 +372,7 @@ def _check_numbers(
     count: int,
     subject: tuple[str, str],
 ) -> None:
+    """Raise an error unless an attribute has ``count`` valid numbers."""
     values = {"tag": part.tag, "attribute": attribute, "value": quote_short(value)}
     numbers = value.split()
     if len(numbers) != count:

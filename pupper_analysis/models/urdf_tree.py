@@ -173,6 +173,7 @@ class UrdfJoint(UrdfElement):
         return self._link_name("child")
 
     def _link_name(self, tag: str) -> str:
+        """Return the link in the child element with a tag; "" without the element."""
         element = self.element.find(tag)
         return "" if element is None else str(element.get("link"))
 

@@ -157,6 +157,7 @@ def _read_model_text(path: Path) -> str:
 
 
 def _make_parser() -> etree.XMLParser:
+    """Return a parser that removes comments and resolves no entities."""
     return etree.XMLParser(
         encoding="utf-8",
         resolve_entities=False,

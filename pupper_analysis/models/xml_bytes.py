@@ -135,6 +135,7 @@ def read_document(path: Path) -> XmlDocument:
     elements: list[Element] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        """Append an element at its start tag."""
         parent = stack[-1] if stack else None
         here = parser.CurrentByteIndex
         element = Element(tag, attributes, path, here, parser.CurrentLineNumber, parent)
@@ -144,6 +145,7 @@ def read_document(path: Path) -> XmlDocument:
         elements.append(element)
 
     def end(_: str) -> None:
+        """Return to the parent element at an end tag."""
         stack.pop()
 
     parser.StartElementHandler, parser.EndElementHandler = start, end

@@ -40,6 +40,8 @@ _LINE_ENTRY = re.compile(r'^"?([^"\n]+?)"? = (\{ en = .*\})$', re.MULTILINE)
 """Pattern of an entry on one line: key and inline table with the text per language."""
 
 _TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE = "terms.toml", "texts.toml", "meanings.toml"
+"""Catalogue files of terms, of texts of documents, and of descriptions of the fields of results."""
+
 LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
 """Files with a line per entry."""
 
@@ -149,6 +151,7 @@ def word_files() -> Mapping[str, Path]:
 
 
 def _select_language(words: Mapping[str, str], language: str) -> str:
+    """Return the text in a language; the English text if it is missing."""
     return words.get(language) or words["en"]
 
 
@@ -223,5 +226,6 @@ def list_entries(file: str) -> Mapping[str, str]:
 
 @cache
 def _parse_entry(file: str, key: str) -> Mapping[str, str]:
+    """Return {language: text} of a one-line entry."""
     texts: dict[str, str] = tomllib.loads(f"entry = {list_entries(file)[key]}")["entry"]
     return MappingProxyType(texts)

@@ -37,6 +37,7 @@ class Severity(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Severity | None:
+        """Return NOTE for "info"; None for other unknown values."""
         return cls.NOTE if value == "info" else None  # name in older audits and configurations
 
     @property
@@ -100,7 +101,7 @@ class Diagnostic:
 
     Attributes:
         code: Key of the catalogue entry, such as ``"mesh-missing"``. Codes are stable.
-        severity: Severity of the catalogue, or a lower severity in less severe cases.
+        severity: Severity of the catalogue, unless `diagnose` received another.
         subject: Subject; None for the whole robot or task.
         values: {name: number with unit, name, term, tuple of such values, or another diagnostic}.
         sources: Locations of the values.

@@ -255,6 +255,7 @@ class _TemplateFormatter(Formatter):
         self.language = language
 
     def get_field(self, field_name: str, _args: Any, kwargs: Any) -> tuple[Any, str]:
+        """Return the value of a placeholder, or the word for its number; and the name."""
         name, *forms = field_name.split("|")
         value = kwargs[name]
         if forms:
@@ -264,6 +265,7 @@ class _TemplateFormatter(Formatter):
         return value, name
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
+        """Apply a conversion; ``!r`` quotes names, also in tuples and subjects."""
         if conversion == "r" and isinstance(value, tuple):
             return tuple(repr(item) for item in value)
         if conversion == "r" and hasattr(value, "kind"):
@@ -271,6 +273,7 @@ class _TemplateFormatter(Formatter):
         return super().convert_field(value, conversion)
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a value as text in the language of the formatter."""
         if isinstance(value, tuple):
             return self._format_list(value, format_spec)
         if isinstance(value, Term):

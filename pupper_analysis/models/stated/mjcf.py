@@ -318,7 +318,7 @@ def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
 
 
 def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, Value]:
-    """Return the compiled values of an element, for the attributes that audits compare.
+    """Return the compiled values of the attributes of an element in ``ELEMENT_ATTRIBUTES``.
 
     Args:
         model: Compiled model.
@@ -360,4 +360,5 @@ def select_rows(model: mujoco.MjModel, array: str, row: int) -> int | slice:
 
 
 def _to_tuple(value: object) -> Value:
+    """Return a number or an array as a flat tuple of floats."""
     return tuple(np.asarray(value, dtype=float).ravel().tolist())

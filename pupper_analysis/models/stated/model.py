@@ -215,6 +215,7 @@ class RobotModel:
 
     @cached_property
     def _children_by_name(self) -> dict[str, list[Link]]:
+        """{link: child links}, for all links."""
         children: dict[str, list[Link]] = {name: [] for name in self.links}
         for body in self.links.values():
             if body.parent is not None:

@@ -72,6 +72,7 @@ def _read_number(element: etree._Element | None, attribute: str, default: float)
 
 
 def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
+    """Return the record of a joint; ``pose`` is that of the child link in the base frame."""
     element = joint.element
     axis = element.find("axis")
     raw = parse_numbers(None if axis is None else axis.get("xyz"), "1 0 0")
@@ -112,6 +113,7 @@ def _make_link(
     pose: Pose,
     joints: tuple[Joint, ...],
 ) -> Link:
+    """Return the record of a link with pose, joints, inertia and shapes."""
     shapes = [
         _make_shape(file, shape, geometry, tag == "collision")
         for tag, shape, geometry in link.shapes
@@ -120,6 +122,7 @@ def _make_link(
 
 
 def _make_inertial(link: UrdfLink) -> Inertial | None:
+    """Return the inertia of a link; None without ``<inertial>``."""
     element, inertia = link.inertial, link.inertia
     if element is None or inertia is None:
         return None
@@ -141,6 +144,7 @@ def half_digit(text: str) -> float:
 def _make_shape(
     file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
 ) -> Shape:
+    """Return the record of a shape; its kind is ``none`` if ``<geometry>`` is empty."""
     pose, name = _read_origin(element), element.get("name", "")
     if tag is None:
         return Shape(name, "none", pose, (), collides)

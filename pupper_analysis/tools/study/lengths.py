@@ -362,6 +362,7 @@ def _raise_keyframes(robot: Robot, spec: mujoco.MjSpec) -> float:
     before, after = robot.mj_model, compile_spec(spec.copy(), description.mjcf_source)
 
     def height(model: mujoco.MjModel, qpos: Array) -> float:
+        """Return the base height [m] of a configuration of a model."""
         sites = {
             point: foot_site(model, frame, description.mjcf_source)
             for point, (_, frame) in description.contact_points.items()

@@ -202,6 +202,7 @@ def initialise_worker() -> None:
     parent = parent_process()
 
     def follow() -> None:
+        """End this process when the parent ends."""
         if parent is not None:
             parent.join()
             os._exit(1)
