@@ -418,7 +418,7 @@ class StudyError(PupperAnalysisError):
     """Study that cannot be run, resumed or read.
 
     Attributes:
-        folder: Folder of the study.
+        folder: Folder of the study; for an error of workers, the name of the machine or ``-``.
         problem: Message text, with a remedy.
     """
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
 
 EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
-"""Exit statuses of all commands."""
+"""Exit statuses of all commands: success, failed verification, invalid input, and a bug."""
 
 CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 """Settings of click for all commands: names of the help option, and width of the help

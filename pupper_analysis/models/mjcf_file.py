@@ -208,8 +208,8 @@ MAX_INCLUDES: Final = 1000
 to bound the time."""
 
 MAX_INCLUDE_DEPTH: Final = 30
-"""Largest nesting depth of includes and attached models of an MJCF; a deeper file is refused.
-Chosen, to bound the time."""
+"""Largest number of files above an included file, and of files in a chain of attached models; an
+MJCF with more is refused. Chosen, to bound the time."""
 
 MAX_COPIES: Final = 10_000
 """Largest number of elements that the replicates and attached models of an MJCF create; a file with

@@ -107,9 +107,10 @@ PACKAGE_PREFIX: Final = "package://"
 
 
 def is_published_name(word: str) -> bool:
-    """Return True if a word names a published robot, and no existing file.
+    """Return True if a word names a published robot.
 
-    The robot is a description of ``robot_descriptions`` or a robot of MuJoCo Menagerie.
+    The robot is a description of ``robot_descriptions`` or a robot of MuJoCo Menagerie. A word
+    without the prefix `DESCRIPTION_PREFIX` must not be an existing path.
     """
     return _is_description(word) or is_menagerie_name(word)
 

@@ -165,7 +165,7 @@ class MadeServo:
         joint: Joint of the servo.
         kp: Stiffness (N m/rad).
         kd: Damping (N m s/rad).
-        instead_of: What the MJCF has there.
+        instead_of: Type of the actuator of the joint in the MJCF.
     """
 
     joint: str
