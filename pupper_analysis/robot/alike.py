@@ -1,8 +1,8 @@
 """Detection of a limb without a foot among limbs with the same structure.
 
-Limbs with the same joints, and with equal masses or dimensions, have the same function. If most of
-these limbs end in a foot on the ground and one limb does not, the file of that limb contains a
-wrong value or lacks a shape.
+Limbs with the same types of joints, and with similar masses or dimensions, usually have the same
+function. If at least half of these limbs end in a foot and one limb does not, the file of that limb
+probably contains a wrong value or lacks a shape.
 """
 
 from __future__ import annotations
@@ -129,6 +129,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
 def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report the limbs without a foot if at least half of the similar limbs have a foot.
 
+    The limb itself is counted as one of the similar limbs.
     Empty unless the feet were detected by this package (note ``feet-found``).
     """
     if not any(note.code == "feet-found" for note in robot.notes):

@@ -476,6 +476,9 @@ class Configuration(Pictured):
 
         Returns:
             Generalised forces that the motors must exert, same shape.
+
+        Raises:
+            ConfigurationError: If a closed loop is singular.
         """
         closure = self.robot.closure
         if closure is None:

@@ -55,7 +55,7 @@ class PinocchioConvention:
     """Maps between public coordinates and those of a Pinocchio model with another joint order.
 
     Attributes:
-        floating: Whether the first joint is a free flyer.
+        floating: Whether the base is free.
         nq: Size of Pinocchio's q.
         nv: Size of Pinocchio's v.
         q_index: Address (n,) of each joint in Pinocchio's q.

@@ -98,7 +98,8 @@ class EqualityCompliance:
 
     Args:
         model: MuJoCo model.
-        data: Data with constraint rows; not referenced afterwards.
+        data: Data in which all constraint rows belong to equality constraints; not referenced
+            afterwards.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 
 
 OBLIQUE_MOTIONS = ("oblique", "oblique slide")
-"""Motion types of hinges and slides whose axis is not parallel to an axis of the base."""
+"""Motion types of hinges and slides whose axis is more than 1 degree from each world axis (see
+`joint_motions`)."""
 
 
 def joint_motions(robot: Robot) -> dict[str, str]:
@@ -54,7 +55,7 @@ def is_slide(robot: Robot, joint: str) -> bool:
 
 
 def _classify_motion(axis: Array, *, is_slide: bool) -> str:
-    """Return the motion type of a joint axis (3,): oblique if no base axis is within 1 degree."""
+    """Return the motion type of a joint axis (3,): oblique if no world axis is within 1 degree."""
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
     if is_slide:
@@ -136,7 +137,7 @@ def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, .
 
 
 def free_joints(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that carry no foot and are not coupled, in actuator order."""
+    """Return the joints without foot, loop and coupling, in actuator order."""
     model = robot.structure.model
     foot_or_coupled_joints = {
         model.names[joint]
@@ -150,7 +151,7 @@ def free_joints(robot: Robot) -> tuple[str, ...]:
 
 
 def _foot_joints(robot: Robot) -> set[str]:
-    """Return the joints between the base and the feet."""
+    """Return the names of Pinocchio's joints from the world to the feet, without other joints."""
     model = robot.structure.model
     return {
         model.names[joint]

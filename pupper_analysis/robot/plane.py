@@ -437,10 +437,10 @@ KINDS: dict[str, Point] = {
 
 
 def slope_normal(angle: float, uphill: float) -> Point:
-    """Return the upward unit normal of a sloped plane, in the world frame.
+    """Return the unit normal of a sloped plane, in the world frame.
 
     Args:
-        angle: Angle to the horizontal [rad].
+        angle: Angle to the horizontal [rad]: the normal is upward for 0, and downward for pi.
         uphill: Direction of steepest ascent, as an angle about z from the x axis [rad].
     """
     rise = math.sin(angle)

@@ -56,8 +56,8 @@ class Servos:
 
     Attributes:
         model: MuJoCo model, a copy of the robot's.
-        kp: Stiffness at the joints, shape (nu,) [N m/rad]; 0 for coupled joints without motor.
-        kd: Damping at the joints, shape (nu,) [N m s/rad]; 0 for coupled joints without motor.
+        kp: Stiffness at the joints, shape (nu,) [N m/rad]; 0 for dependent joints of loops.
+        kd: Damping at the joints, shape (nu,) [N m s/rad]; 0 for dependent joints of loops.
         gear: Actuator length per joint angle, shape (nu,).
         integrator: Name of MuJoCo's integrator.
     """
@@ -175,8 +175,8 @@ def model_with_servos(
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range, or the
             integrator is unknown.
-        ModelError: If a joint without coupling has no motor, or the motor is no position servo and
-            kp and kd are not both given.
+        ModelError: If a joint has no motor, or the motor is no position servo and kp and kd are not
+            both given; except dependent joints of loops and couplings.
     """
     model = copy.copy(robot.mj_model)
     wanted = resolve_servo_gains(robot, kp, kd)
@@ -222,14 +222,14 @@ def write_position_servos(
 class Gains:
     """Checked gains of the motors of a robot.
 
-    Coupled joints have gains of 0, and need no motor.
+    Dependent joints of loops and couplings have gains of 0, and need no motor.
 
     Attributes:
         kp: Stiffness at the joints, shape (nu,) [N m/rad].
         kd: Damping at the joints, shape (nu,) [N m s/rad].
         gear: Actuator length per joint angle, shape (nu,).
         servo: Mask, shape (nu,): the motor is a position servo in the robot's model, or the joint
-            is coupled.
+            is dependent.
     """
 
     kp: Array

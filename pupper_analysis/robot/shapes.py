@@ -157,7 +157,7 @@ def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
     """Return True if MuJoCo checks two geoms for contact: by a ``<pair>``, or by contact bits.
 
     A ``<pair>`` has priority. Otherwise the bits (``contype``, ``conaffinity``) must match, and the
-    MJCF must not exclude the two bodies.
+    MJCF must not exclude the two bodies. MuJoCo's filter of parent and child bodies is ignored.
 
     Args:
         model: MuJoCo model.

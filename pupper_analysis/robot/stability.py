@@ -125,14 +125,15 @@ deviation doubles in 30 s."""
 
 SETTLING_TIME = 0.5
 """Time for which a state settles before it is evaluated [s]. Contacts settle within 0.05 s; a mode
-that doubles in a second grows by 1.4 only."""
+that doubles in a second grows by a factor of 1.4 only."""
 
 _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen: no simulation of a stand is
 longer."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance of a joint from a limit [rad, m] up to which the limit is moved for the differences.
+"""Distance of a joint from a limit [rad, m] up to which the limit is moved for the differences, and
+distance of the moved limit from the joint position (`_evaluate_at_limits`).
 Centred differences across a limit mix two regimes: ANYmal at a knee limit seemed to oscillate
 at 9 Hz, but came to rest in simulations."""
 
@@ -444,8 +445,8 @@ def _evaluate_at_limits(
     """Evaluate the spectrum of a state in which joints may be at their limits.
 
     Finite differences are invalid across a limit. If joints are within `_LIMIT_DISTANCE` of limits,
-    the limits are moved by this distance, once outward and once inward. The result with the
-    larger spectral radius is returned.
+    these limits are set to this distance from the joint positions, once so that the joints are
+    inside and once so that they are beyond. The result with the larger spectral radius is returned.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]

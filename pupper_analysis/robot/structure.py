@@ -53,8 +53,8 @@ class Structure:
         convention: Maps between public coordinates and coordinates of the model.
         links: {link: frame index}.
         joints: {joint: joint index}.
-        feet: {foot: frame index}.
-        parents: {foot: index of the joint that moves the foot}.
+        feet: {contact point: frame index}.
+        parents: {contact point: index of the joint that moves the point}.
         rest: Zero velocity (nv,), read-only.
         carried: Mask (nv, nv): whether coordinate i (row) is not before coordinate j (column) in
             the model, or both are rotations of the base. For two coordinates on one chain: whether
@@ -261,7 +261,7 @@ class Kinematics:
     Attributes:
         qpos: Current configuration (nq,), read-only.
         com: CoM (x, y, z) [m] in the world.
-        feet: {foot: centre (x, y, z) [m]} in the world.
+        feet: {contact point: centre (x, y, z) [m] of the sphere} in the world.
         links: {link: rotation (3, 3) and origin (3,) [m]} in the world. The arrays are views of
             Pinocchio's memory, and change with the next ``update``, unless memory sharing is
             disabled (see ``is_pinocchio_memory``).

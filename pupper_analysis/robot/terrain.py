@@ -93,7 +93,7 @@ def close_welds(
     deflection (nanometres), so that the configuration is an equilibrium.
 
     Args:
-        robot: Robot ``build_on_ground``.
+        robot: Result of ``build_on_ground``.
         model: Model of the robot, or a copy with servos.
         qpos: Configuration (nq,).
         pushes: {welded or gripping part: generalised force (nv,) [N, N m] of the weld on the

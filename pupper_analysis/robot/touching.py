@@ -42,8 +42,8 @@ tuned."""
 
 
 _BASE_ARMATURE_FACTOR = 1e4
-"""Armature [kg, kg m^2] of the free joint of a welded base, relative to the mass of the robot [kg].
-The armature represents the environment to which the base is fixed: MuJoCo's welds are soft, and a
+"""Armature [kg, kg m^2] of the free joint that a base fixed by the file gets for a weld, relative
+to the mass of the robot [kg]. The armature represents the environment to which the base is fixed: MuJoCo's welds are soft, and a
 light base would oscillate. Chosen, not tuned."""
 
 
@@ -67,7 +67,7 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
               ``offset`` in the weld of a foot or of the base;
             * a foot with several contact points touches a bar, or grips;
             * a contact other than a weld is on the base;
-            * two welds are on links that move with the same joint;
+            * a weld and another weld or hand are on links that move with the same joint;
             * a fixed base cannot be made free;
             * the robot was changed after it got other contacts.
     """

@@ -28,7 +28,8 @@ Array = NDArray[np.float64]
 
 BALANCE_TOLERANCE = 1e-9
 """Largest norm of the residual of the base's balance that counts as zero, relative to the norm of
-the base load (N and N m mixed). Chosen, not tuned."""
+the base load (N and N m mixed). Other modules use the same value as tolerance of level normals and
+as relative tolerance of contact forces. Chosen, not tuned."""
 
 
 _CONE_MARGIN = 1e-6
@@ -213,7 +214,7 @@ class Balance:
 
         Returns:
             Forces f, shape (size,) [N, N m]. None if no forces satisfy balance, friction and the
-            inequality.
+            inequality, or if the maximum is unbounded.
         """
         particular, free = self._particular_and_null_space
         if not self._is_balanced(particular):
@@ -268,7 +269,7 @@ class Balance:
         return None if coordinates is None else particular + free @ coordinates
 
     def _solve_linear(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
-        """Minimise |cost @ f - target| subject to balance alone, without cones."""
+        """Minimise |cost @ f - target| subject to balance, without cones; None without balance."""
         if isinstance(cost, np.ndarray):
             forces = self._solve_by_gglse(cost, target)
             if forces is not None and self._is_balanced(forces):
@@ -284,7 +285,8 @@ class Balance:
 
         ``gglse`` solves equality-constrained least squares by a generalised QR factorisation, in a
         third of the time of a singular value decomposition. Returns None if the equations of
-        balance are linearly dependent or nearly dependent, or the minimum is not unique.
+        balance are linearly dependent or nearly dependent, are as many as the unknowns, or if the
+        minimum is not unique.
         """
         count, size = self.base_rows.shape
         if not count < size <= count + len(cost):
@@ -340,8 +342,9 @@ class Balance:
     def _cone_rows(self, friction: Array) -> Array:
         """Return the rows of the second-order cones of n contacts and g grips, (4 n + 4 g, size).
 
-        The product of four rows with f is, for a contact, (mu f_n, tangential force), both divided
-        by mu above `_LARGE_FRICTION`; for a grip, (0, grip force).
+        The product of four rows with f is, for a contact, (mu f_n, tangential force), with mu
+        reduced by `_CONE_MARGIN`, and both divided by the coefficient if that is above
+        `_LARGE_FRICTION`; for a grip, (0, grip force).
         """
         normals, count = self.normals, len(self.normals)
         rows, index = np.zeros((count, 4, count, 3)), np.arange(count)
@@ -419,8 +422,9 @@ class Balance:
         """Minimise z^T quadratic z / 2 + linear z with ``particular + free @ z`` in the cones.
 
         ``bounds`` contains A and b of the inequality A z <= b. Returns None if Clarabel finds the
-        problem infeasible, or if the solution violates a friction cone or grip limit by more than
-        1e-9 times the norm of the first three elements of the base load (1 N if that is zero).
+        problem infeasible or unbounded, or if the solution violates a friction cone or grip limit
+        by more than 1e-9 times the norm of the first three elements of the base load (1e-9 N if
+        that is zero). A violation of ``bounds`` is not checked.
         """
         scale = np.linalg.norm(self.base_load[:3]) or 1.0  # a robot in free fall has no weight
         rows = self._cone_rows(friction)
@@ -445,7 +449,7 @@ class Balance:
         )
         coordinates = np.array(solver.solve().x) * scale
         if not np.abs(coordinates).max(initial=0.0) < 1e9 * scale:
-            return None  # Clarabel returned a certificate of infeasibility, not a solution
+            return None  # Clarabel returned a certificate (infeasible, unbounded), not a solution
         # Check the solution itself instead of the solver's status.
         excess = self._largest_violation(particular + free @ coordinates, friction)
         return coordinates if excess <= 1e-9 * scale else None

@@ -74,7 +74,9 @@ class Contacts:
         """Compute the horizontal distance from a point to the edge of the support region.
 
         The support region contains the horizontal CoM positions for which forces of these contacts
-        exist, within friction and grip limits, that balance the weight.
+        exist, within friction and grip limits, that balance the weight. If all normals are equal
+        and neither grips nor prescribed forces exist, it is the convex hull of the contacts,
+        independent of friction. The hull is also used if no CoM position allows equilibrium.
 
         Args:
             place: Shape (2,) or (3,) [m]; the CoM or zero-moment point in the world frame.
@@ -82,8 +84,9 @@ class Contacts:
             points: Shape (n, 3) [m]; positions of these contacts in the world frame.
 
         Returns:
-            Distance [m]: positive inside, negative outside. Minus infinity if ``place`` is not
-            finite. Infinity if a part is welded, since a weld holds any CoM.
+            Distance [m]: positive inside, negative outside. Infinity if a part is welded, since a
+            weld holds any CoM. Otherwise minus infinity if a horizontal coordinate of ``place`` is
+            not finite.
         """
         if len(self.welds) > len(self.grips):
             return math.inf
@@ -207,9 +210,9 @@ def make_contacts(
 
     Raises:
         UnknownNameError: If a foot is unknown.
-        ConfigurationError: If a friction coefficient is not in [0, `MAX_FRICTION`], a normal is
-            not a direction, a foot is named twice, the ground's friction is unknown, or a robot
-            with a fixed base has contacts.
+        ConfigurationError: If a friction coefficient is missing or not in [0, `MAX_FRICTION`], a
+            normal is not a direction, a foot is named twice, the ground's friction is unknown, or a
+            robot with a fixed base has contacts.
     """
     feet = tuple(robot.bearing_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
@@ -333,7 +336,8 @@ def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] 
     """Return the friction coefficient of a contact point; None means that of MuJoCo's model.
 
     Raises:
-        ConfigurationError: If the coefficient is missing, or not in [0, ``MAX_FRICTION``].
+        ConfigurationError: If the coefficient is missing or not in [0, `MAX_FRICTION`], or MuJoCo's
+            model has no contact of the point with the ground.
     """
     if friction is None:
         if foot not in robot.contacts:

@@ -170,9 +170,11 @@ class Equilibrium(Tabular):
         joint_torques: Motor torques, shape (nu,) (N m).
         motor_utilisation: |torque| / effort limit, shape (nu,): NaN if no file states the limit,
             infinite for a loaded motor with a limit of zero, 0 for dependent joints of loops.
-        contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
-        contact_points: {foot: (3,)} point of application, in the world (m).
-        friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
+        contact_forces: {contact point: (3,)} force of the ground on the contact point, in world
+            axes (N).
+        contact_points: {contact point: (3,)} point of application, in the world (m).
+        friction_utilisation: {contact point: tangential force / (friction coefficient x normal
+            force)}.
         residual_force: Norm of what is left of the balance of forces (N).
         residual_torque: Norm of what is left of the balance of moments and joint torques (N m).
     """
@@ -487,10 +489,11 @@ def _make_result(
     Args:
         config: State of the robot.
         remainder: Shape (nv,) [N, N m]; ``load`` minus the generalised force of ``forces``. The
-            joint part are the motor torques, the base part is the residual.
-        load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce. Its
-            scale is the tolerance of friction utilisations; without contacts, its base part is the
-            external base wrench.
+            joint part contains the motor torques, the base part is the residual.
+        load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce. The
+            friction utilisation is 0 for tangential forces below `BALANCE_TOLERANCE` times the
+            force on the base. Without contacts and welds, the base part is the external base
+            wrench.
         carrying: Contacts that carry load.
         forces: Contact forces, weld wrenches and grip forces, as in `Balance`.
         point: Shape (3,) [m]; zero-moment point. Default: the centre of mass.
@@ -557,9 +560,9 @@ def _make_result(
 
 
 _UNLIMITED_FRICTION = 1e4
-"""Friction coefficient, and factor on grip limits, with which a contact practically cannot slide.
-If balance is possible with this value but not with the real value, friction is reported as the
-cause. Chosen, not tuned."""
+"""Friction coefficient with which a contact practically cannot slide, and factor on grip limits
+with which a grip practically cannot fail. If balance is possible with this value but not with the
+real value, friction or the grips are reported as the cause. Chosen, not tuned."""
 
 
 def explain_infeasibility(
@@ -705,7 +708,8 @@ of a prescribed contact force is computed. Chosen: legs do not press harder."""
 
 MIN_TORQUE_PER_MASS = 1e-9
 """Torque per payload mass [N m/kg] below which a motor counts as not loaded by the payload: the
-lever arm is a rounding error. Chosen, not tuned."""
+lever arm is a rounding error. Also torque per robot mass, up to which a motor with an effort limit
+of zero has the utilisation 0 (`compute_utilisation`). Chosen, not tuned."""
 
 
 def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:

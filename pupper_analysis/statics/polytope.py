@@ -34,8 +34,9 @@ the unit normals of three faces, for the faces to meet in one vertex; and of the
 value of all unit normals, for the polytope to be bounded. Rounding is 1e-16; chosen, not tuned."""
 
 _VERTEX_RTOL = 1e-9
-"""Distance up to which a vertex may be outside of a face, or two vertices are equal, relative to
-the largest coordinate of a vertex. Chosen, not tuned."""
+"""Distance up to which a vertex may be outside of a face, relative to the largest coordinate of the
+vertex; and difference up to which two vertices are equal, relative to the largest coordinate of all
+vertices. Coordinates below 1 N count as 1 N. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +69,8 @@ class ForcePolytope(Tabular):
     def largest_force(self, direction: ArrayLike) -> float:
         """Return the largest external force [N] along a direction.
 
-        Infinite if no motor bears the force; NaN if a motor that bears the force has an unknown
-        limit; 0 if the static load alone exceeds the limit of a motor.
+        NaN if a motor that bears the force has an unknown limit. Otherwise 0 if the static load
+        alone exceeds the limit of a motor, and infinite if no motor bears the force.
 
         Args:
             direction: Direction (3,) of the force, in world axes; normalised here.
@@ -147,7 +148,7 @@ def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
 
     Raises:
         UnknownNameError: If the robot has no such frame.
-        ConfigurationError: If the place is not valid.
+        ConfigurationError: If the place is not valid, or a closed loop is singular.
     """
     robot = config.robot
     tool = _find_point(config, point)
@@ -220,9 +221,10 @@ def force_limits_along(
         directions: Unit vectors, shape (k, 3).
 
     Returns:
-        Largest forces, shape (k,) [N]: infinite if no motor bears the force, NaN if a motor that
-        bears the force has an unknown limit, 0 if an element of ``slack`` is negative; and indices
-        (k,) of the motors that reach the effort limit first, -1 if the force is not finite.
+        Largest forces, shape (k,) [N]: NaN if a motor that bears the force has an unknown limit;
+        otherwise 0 if an element of ``slack`` is negative, and infinite if no motor bears the
+        force. And indices (k,) of the motors that reach the effort limit first, -1 if the force is
+        not finite.
     """
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):

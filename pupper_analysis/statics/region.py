@@ -39,7 +39,7 @@ class SupportRegion(Tabular):
 
     Attributes:
         corners: Corners of the region in the world, counter-clockwise, shape (n, 2) (m). Two
-            corners for a line, none if no CoM position permits equilibrium.
+            corners for a line, one for a single point, none if no CoM position permits equilibrium.
         area: Area of the region (m^2).
         center_of_mass: Horizontal position of the CoM in the world, shape (2,) (m).
         com_margin: Distance from the CoM to the edge of the region (m): positive inside, negative
@@ -76,8 +76,9 @@ def support_region(
     e_z and sum p x f = m g com x e_z, and with ``|l - J^T f| <= limits`` if ``torque_limits`` is
     True.
 
-    On level ground without torque limits, the region is the convex hull of the contact points.
-    Otherwise it is the convex hull of its extreme points in 48 directions, which lies inside.
+    On level ground, without torque limits and prescribed forces, the region is the convex hull of
+    the contact points. Otherwise the result is the convex hull of the region's extreme points in 48
+    directions, which is slightly smaller than the region.
 
     Args:
         config: State of the robot. The velocity is ignored.

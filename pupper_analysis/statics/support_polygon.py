@@ -31,8 +31,8 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
             vertical projections.
 
     Returns:
-        Distance [m]: positive inside, negative outside. Minus infinity if ``com`` is not finite,
-        for example the zero-moment point of feet that would have to pull.
+        Distance [m]: positive inside, negative outside. Minus infinity if x or y of ``com`` is not
+        finite, for example the zero-moment point of feet that would have to pull.
     """
     x, y, *_ = com.tolist()
     return margin_of_position((x, y), tuple([_corner(point) for point in points.values()]))
@@ -130,10 +130,11 @@ def support_corners(
     (gravity along the plane is not checked here). Otherwise the region contains all CoM
     positions for which forces f_i in the friction cones exist with
 
-        sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z.
+        sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z,
 
-    This set is convex (Bretl and Lall 2008, "Testing static equilibrium for legged robots"). Its
-    extreme points in `SIDES` directions are solutions of cone programs.
+    and with a sum of normal forces up to `_MAX_TOTAL_NORMAL_FORCE`. This set is convex (Bretl and
+    Lall 2008, "Testing static equilibrium for legged robots"). Its extreme points in `SIDES`
+    directions are solutions of cone programs.
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.
@@ -255,13 +256,14 @@ def polygon_sides(contacts: Array, count: int = 0) -> Array:
     """Compute the line equations of the sides of the support polygon.
 
     Args:
-        contacts: Shape (k, 2) or (k, 3) [m]; contact points or other corners.
-        count: Number of returned rows; k by default.
+        contacts: Shape (k, 2) or (k, 3) [m]; at least three contact points or other corners that
+            are not on a common line.
+        count: Number of returned rows, not smaller than the number of sides; k by default.
 
     Returns:
         Shape (count, 3): (a, b, c), so that a x + b y + c is the distance [m] from the side to the
-        point (x, y), positive inside. If the polygon has fewer sides than ``count``, because a
-        contact is inside the polygon of the other contacts, the last row is repeated.
+        point (x, y), positive inside. If the polygon has fewer sides than ``count``, the last row
+        is repeated.
     """
     sides = _hull_sides(tuple([_corner(point) for point in contacts]))
     rows = [
