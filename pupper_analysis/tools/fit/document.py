@@ -150,7 +150,7 @@ def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
-    """Yield the error of samples that were not fitted, and the robot's repeatability."""
+    """Yield the error of held-out samples (of fitted ones if none are), and the repeatability."""
     if math.isfinite(fit.held_out):
         yield text(
             "held-out-error",

@@ -23,7 +23,7 @@ _VERDICT_KEYS = {
     (True, False): "gains-beyond",
     (False, False): "gains-unstable",
 }
-"""{(modes are stable, all bounds are met): key of the verdict's text}."""
+"""{(modes are stable, `GainStudy.passed`): key of the verdict's text}."""
 
 
 @build_document.register(GainStudy)
@@ -49,7 +49,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
 
 
 def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
-    """Yield texts: the unstable mode, and joint classes whose gains exceed a bound."""
+    """Yield texts: unstable mode, sag without feed-forward, joint classes that exceed a bound."""
     if not study.worst.stable:
         joints = join_words([doc.Name(name) for name in study.worst.joints])
         time = f"{1e3 * math.log(2) / study.worst.growth_rate:.3g}"

@@ -113,7 +113,7 @@ class JointClass(Result):
         largest_kd: Largest stable damping, if the damping of all joints is scaled together
             (N m s/rad); None without a bound.
         largest_kd_alone: Largest stable damping, if only the damping of this class changes
-            (N m s/rad); None without a bound.
+            (N m s/rad); None without a bound, or if ``kd`` is 0.
         largest_kp_of_torque: Stiffness with which the requested position error reaches the torque
             limit (N m/rad); None without an error or a limit.
         largest_kd_of_encoder: Damping with which one encoder count per control period is
@@ -458,7 +458,7 @@ class _Gains:
         Args:
             stiffness: Lower and upper bound of the factor on the stiffness; None without a bound.
             least_kp_alone: Smallest stiffness, equal at all joints, with which the robot stands
-            without feed-forward [N m/rad]; None if there is none.
+                without feed-forward [N m/rad]; None if there is none.
 
         Returns:
             Factors on stiffness and damping; (None, None) if the margins exclude all gains, all

@@ -126,7 +126,7 @@ class ControlledStand:
 
     Attributes:
         period: Control period [s].
-        timestep: Time step of the model [s]: the file's, or a fraction that divides the period.
+        timestep: Time step of the model [s]: the file's, or a smaller one that divides the period.
         delay: Delay, rounded to time steps [s].
 
     Raises:

@@ -103,8 +103,8 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 def _describe_worst_posture(hold: Hold) -> doc.Words:
     """Return the text of the motor with the largest utilisation in all postures, and the payload.
 
-    Without a known utilisation, the largest torque of a motor is stated; with unknown limits, the
-    payload is omitted.
+    Without a known utilisation, the largest torque of a motor is stated; with unknown limits, a
+    word replaces the payload.
     """
     worst = hold.worst
     known = np.isfinite(worst.limits) & ~np.isnan(worst.utilisation)

@@ -64,18 +64,16 @@ class JointMotions:
         steps: Velocities of all joints per velocity of each independent joint, at the posture,
             shape (nu, n).
         moved: Indices of the joints that move with each motion; for a nonlinear motion, all joints
-        that
-            are coupled to the independent joint.
+            that are coupled to the independent joint.
         nonlinear: True if the motion is part of a loop with joints that do not move in proportion,
-        shape
-            (n,).
+            shape (n,).
         ranges: Joint ranges, shape (nu, 2) [rad, m]. An infinite limit is replaced by the posture
             -+ pi.
         shares: Motor torques per load of the joints, shape (nu, nu), at the posture.
         constant: True if the row of ``shares`` is taken as the same in all postures, shape (nu,):
             false for joints of nonlinear motions.
         slides: True for a slide, shape (nu,).
-        endless: True for a slide without a limit.
+        endless: True if a slide lacks a limit.
     """
 
     def __init__(self, robot: Robot, posture: Posture) -> None:

@@ -263,7 +263,7 @@ def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
 def restore_garbage_collection() -> None:
     """Restore Python's default thresholds of garbage collection, and exempt all present objects.
 
-    Commands postpone collections because commands end soon (``cli.GARBAGE``). A page runs for
+    Commands postpone collections because commands end soon (``cli.GC_THRESHOLDS``). A page runs for
     hours, and the PlaCo robots are in reference cycles: 60 KB per action were not released.
     """
     gc.collect()

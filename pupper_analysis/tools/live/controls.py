@@ -540,7 +540,7 @@ def choose_slider_step(span: float) -> float:
 
 
 def round_up_slider_end(value: float) -> float:
-    """Return the next larger number of the form 1, 1.5, 2, 3, 4, 5, 6 or 8 x 10^k."""
+    """Return the smallest number 1, 1.5, 2, 3, 4, 5, 6 or 8 x 10^k of at least ``value``."""
     power = 10.0 ** math.floor(math.log10(value))
     factors = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
     return next(round(f * power, 9) for f in factors if f * power >= value * (1 - 1e-9))

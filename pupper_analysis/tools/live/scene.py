@@ -54,7 +54,7 @@ NO_LIMIT_COLOUR: Colour = (150, 150, 150)
 
 
 def choose_utilisation_colour(utilisation: float | None) -> Colour:
-    """Return the colour (RGB, 0 to 255) of a motor utilisation; None is a motor without limit."""
+    """Return the colour (RGB, 0 to 255) of a utilisation; grey if None or not finite."""
     if utilisation is None or not math.isfinite(utilisation):
         return NO_LIMIT_COLOUR
     for (low, low_colour), (high, high_colour) in pairwise(UTILISATION_COLOURS):

@@ -254,8 +254,8 @@ class WalkPage(ServedPage):
         **server_options: See `ServedPage`.
 
     Raises:
-        ConfigurationError: If the server cannot use this address, the base is fixed, or the
-            language is unknown.
+        ConfigurationError: If the server cannot use this address, the base is fixed, the robot has
+            no feet, or the language is unknown.
         MissingPackageError: If viser is not installed.
         ModelError: If the policy does not fit the robot.
     """

@@ -65,9 +65,9 @@ class Drop:
 def simulate_drop(robot: Robot) -> Drop:
     """Simulate a drop with the servos at the joint positions of the keyframe ``home``.
 
-    The robot falls for `DROP_SECONDS` from the height of the keyframe (v3: 0.28 m). If the lowest
-    foot is less than `DROP_HEIGHT` / 2 above the ground, the robot is raised until this foot is at
-    `DROP_HEIGHT`.
+    The simulation lasts `DROP_SECONDS` and starts at the height of the keyframe (v3: 0.28 m). If
+    the lowest foot is less than `DROP_HEIGHT` / 2 above the ground, the robot is raised until this
+    foot is at `DROP_HEIGHT`.
     """
     data = make_home_data(robot)
     model = robot.mj_model

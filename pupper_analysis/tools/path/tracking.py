@@ -60,8 +60,8 @@ knee of A1 (kd 13 N m s/rad, no armature), whose fastest squat then has a torque
 loses ground contact; at 40 us the error is 3 %."""
 
 MIN_TIMESTEP = 1e-5
-"""Lower bound of the default time step [s]. A path of 1 s then takes 1 or 2 s to
-simulate. Chosen, not tuned."""
+"""Lower bound of the default time step [s], unless the model's is smaller. A path of 1 s then takes
+1 or 2 s to simulate. Chosen, not tuned."""
 
 _STEP_ROUNDING = 1e-6
 """Fraction of a time step by which a duration may fall short of a whole number of time steps and
@@ -289,6 +289,7 @@ def study_path(
     Raises:
         StanceUnreachableError: If a sample is out of reach. The error states the time.
         StaticsInfeasibleError: If a sample cannot be held. The error states the time.
+        NoEquilibriumError: If the rolling displacement of the feet does not converge.
         ConfigurationError: If the task or another argument is invalid for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
@@ -373,7 +374,9 @@ class PathTracking(Result):
         kd: Shape (nu,); servo damping.
         joint_error: Largest deviation of a joint position from the path.
         height_error: Largest deviation of the height of the base.
-        orientation_error: Largest angle between the orientation of the base and of the path.
+        orientation_error: Largest angle between the orientation of the base and of the path, in
+            the checked states. This error, ``torque_error`` and ``foot_slip`` are infinite if the
+            simulation diverged.
         torque_error: Largest deviation of a motor torque from the commanded feed-forward, in any
             time step, divided by the largest torque of the path.
         foot_slip: Largest distance, along the ground, between the centre of each loaded foot and

@@ -770,10 +770,9 @@ def read_value(prim: Any, name: str, kind: str) -> Any:
         prim: Prim.
         name: Attribute name.
         kind: Required kind: ``"number"`` (bool, int or float), ``"vector"`` (Gf.Vec3, components
-            may
-            be infinite), ``"point"`` (Gf.Vec3 with finite components), ``"quaternion"`` (Gf.Quat
-            with finite components: GetReal() is w, GetImaginary() is x, y, z), ``"text"`` (str), or
-            ``"list"`` (Vt array or list).
+            may be infinite), ``"point"`` (Gf.Vec3 with finite components), ``"quaternion"``
+            (Gf.Quat with finite components: GetReal() is w, GetImaginary() is x, y, z), ``"text"``
+            (str), or ``"list"`` (Vt array or list).
 
     Raises:
         ModelError: If the value is not of this kind; a file may declare any type.

@@ -70,7 +70,8 @@ def read_as_urdf(path: Path) -> UsdAsUrdf:
     """Read a USD file as a URDF with the same numbers.
 
     Raises:
-        ModelError: If the file cannot be read, or contains a joint that no URDF can state.
+        ModelError: If the file cannot be read, contains a joint that no URDF can state, or a mass
+            would follow from shapes.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -204,7 +205,8 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
     """Read a USD file as an MJCF with the same numbers.
 
     Raises:
-        ModelError: If the file cannot be read, or MuJoCo refuses the numbers.
+        ModelError: If the file cannot be read, MuJoCo refuses the numbers, or a mass would follow
+            from shapes.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -377,7 +379,7 @@ def _add_loop_constraint(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> No
 
 
 def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
-    """Yield notes on numbers that a USD file does not state.
+    """Yield a note on the bodies whose mass a USD file does not state.
 
     Raises:
         ModelError: If a mass would follow from shapes.
@@ -436,7 +438,7 @@ def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def joint_numbers_contradict(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each joint for which several USD schemas state different numbers."""
+    """Yield findings for joint numbers, except efforts, on which several USD schemas disagree."""
     for name, edge in robot.edges.items():
         for kind, stated in edge.stated.items():
             values = np.array(list(stated.values()))

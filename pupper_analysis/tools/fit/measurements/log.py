@@ -31,8 +31,8 @@ from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
 Array = NDArray[np.float64]
 
 _MIN_JUMP = 0.5
-"""Smallest time [s] between two samples that counts as a jump of the clock, which ends a run.
-Chosen, not tuned."""
+"""Time [s] between two samples above which the clock has jumped, which ends a run; ten median
+intervals if these are longer. Chosen, not tuned."""
 
 MIN_SAMPLES = 100
 """Smallest number of samples of a log: half a second at 200 Hz. Chosen, not tuned."""

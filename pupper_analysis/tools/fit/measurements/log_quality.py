@@ -179,7 +179,8 @@ def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator
     A servo supplies the energy that friction dissipates: over a motion the integral of (command -
     position) d position is positive. With swapped columns this integral is negative, and so is the
     integral of (command - position) d command, which is larger by [(command - position)^2] / 2
-    between start and end. A joint is listed if both integrals are negative. A single negative
+    between start and end. A joint is listed if both integrals are clearly
+    negative (`_MAX_SWAPPED_CORRELATION`). A single negative
     integral is no evidence: the motion may end with a loaded servo, or the load may have decreased.
     """
     backwards = []
@@ -241,8 +242,8 @@ def find_degrees(
 def _compute_column_ratio(first: Array, second: Array) -> float | None:
     """Return the median over the joints of std(first) / std(second), dimensionless.
 
-    Both arrays have the shape (n, joints); NaN is ignored. Joints without variation in either array
-    are left out; None if no joint remains.
+    Both arrays have the shape (n, joints); NaN is ignored. Left out are joints with a constant
+    ``first`` or with std(second) of at most `_MIN_JOINT_RANGE`; None if no joint remains.
     """
     is_finite = np.isfinite(first) & np.isfinite(second)
     pairs = [

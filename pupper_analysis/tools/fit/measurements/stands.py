@@ -159,12 +159,12 @@ class MeasuredStands:
             raise MeasurementError(self.source, finding)
 
     def average_repeats(self) -> MeasuredStands:
-        """Return the measured stands with repeated readings of joint positions averaged.
+        """Return the measured stands with the commands and positions of repeated readings averaged.
 
         Repeated readings are rows with the same name, feet in the air, heading and added masses.
 
         Raises:
-            MeasurementError: If repeated readings differ by more than `_MAX_REPEAT_RANGE`, so that
+            MeasurementError: If repeated positions differ by more than `_MAX_REPEAT_RANGE`, so that
                 the robot moved.
         """
         loads = np.column_stack([self.heading, *self.added.values()]).tolist()
