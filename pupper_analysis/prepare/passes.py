@@ -450,8 +450,8 @@ def _find_feet(draft: Draft) -> PassOutput:
 
 
 _MAX_ELLIPSOID_FITS = 6
-"""Upper bound of the number of fits of spheres to ellipsoids. Half axes of 30, 20 and 10 mm,
-tilted by 0.6 rad, need 2 to 5 (measured for all orders of the axes)."""
+"""Upper bound of the number of fits of spheres to ellipsoids after the first. Half axes of 30, 20
+and 10 mm, tilted by 0.6 rad, need 2 to 5 (measured for all orders of the axes)."""
 
 
 def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:

@@ -112,7 +112,7 @@ class ClearanceShapes:
 
     Attributes:
         robot: Robot.
-        shapes: All shapes, including foot shapes.
+        shapes: Collision shapes of the moving bodies (``robot.shapes``), including foot shapes.
         kinematics: Kinematics of links, CoM and feet.
         parts: Shapes that must be above the ground: without feet, shapes that cannot touch the
             ground, and shapes on the link of a sole, hand or weld.
@@ -142,7 +142,8 @@ class ClearanceShapes:
         """Index pairs, shape (n, 2), of shapes whose distances count.
 
         Pairs on neighbouring links are left out: links on equal or adjacent joints, links that the
-        MJCF excludes from contact, and links that overlap in the home configuration.
+        MJCF excludes from contact, and links that overlap in the home configuration. The base of a
+        robot with a fixed base has no shapes here, unless this base is MuJoCo's world body.
         """
         model, shapes = self.robot.pin_model, self.shapes
         joints = [model.getJointId(shape.joint) if shape.joint else 1 for shape in shapes]

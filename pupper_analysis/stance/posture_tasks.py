@@ -336,7 +336,8 @@ class SelfClearanceTask(PostureTask):
     """Smallest distance between links that are not neighbours, by MuJoCo's collision shapes.
 
     Links that the MJCF excludes from contact, and links that overlap in the home configuration, may
-    overlap.
+    overlap. Shapes that are fixed in the world are not checked, for example those of a fixed base,
+    unless the base is MuJoCo's world body.
 
     Attributes:
         distance: Required distance [m], at least 0.

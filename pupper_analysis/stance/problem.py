@@ -133,7 +133,7 @@ class Support:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Numerical goal of a stand task for one robot. Goals may share arrays, which are read-only.
+    """Numerical goal of a stand task for one robot. Goals may share arrays: do not change them.
 
     Attributes:
         task: Task, with height and CoM filled in.

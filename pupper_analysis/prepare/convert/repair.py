@@ -145,7 +145,7 @@ class LinkBodies:
 def repair_inertials(
     urdf: UrdfFile, bodies: LinkBodies, *, repair: bool
 ) -> tuple[list[Diagnostic], list[Repair]]:
-    """Make all inertials of a URDF valid for MuJoCo, in place: move or repair them.
+    """Make the inertials of a URDF valid for MuJoCo, in place: move or repair them.
 
     An inertial of zeros is removed. An invalid inertial is added to that of a body to which it is
     fixed by any number of joints, which changes no motion. If no such sum is valid, an inertial
