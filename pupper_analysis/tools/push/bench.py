@@ -578,7 +578,8 @@ def simulate_push(
         The outcome, with the motion. If the simulation diverges, the finite states are included.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, the base is fixed, or the stand contains
+            a weld or grip.
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """

@@ -47,7 +47,7 @@ class PushedStance(Result):
         name: Name of the robot.
         joint_names: (nu,) joints, in actuator order.
         stand: Pushed stand: the feet penetrate the simulated ground; on rigid ground if that stand
-            is out of reach (``solve_stand_as_simulated``).
+            is out of reach or soft loops do not converge (``solve_stand_as_simulated``).
         recovery: Largest pushes in MuJoCo; upper bounds if ``code`` is ``unknown``, since a motor
             without a torque limit is simulated with unlimited torque.
         impulse: Impulse in the weakest direction [N s]; not a number if ``code`` is ``unknown``.
@@ -104,6 +104,7 @@ def study_pushes(
     Raises:
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance: a robot slides or tips.
+        NotSettlingError: If the penetration depths of the feet do not converge.
         ConfigurationError: If the task, or another argument, is invalid for a robot.
         ModelError: If a robot has no position servos, and kp and kd are not both given.
     """

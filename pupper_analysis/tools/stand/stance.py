@@ -148,6 +148,7 @@ def study_stance(
     Raises:
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance: the robot slides or tips.
+        NotSettlingError: If the penetration depths of the feet do not converge.
         ConfigurationError: If the task, or another argument, is not valid for the robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground cannot be added (``build_on_ground``).
@@ -244,7 +245,7 @@ class Preparation(Result):
         floating: Whether the base is free.
         joints: Names of the joints, in actuator order.
         feet: Names of the feet.
-        passes: Passes that were run, in this order; empty if none was needed.
+        passes: Passes that were run, with the fixing of the base last; empty if none was needed.
         notes: Findings in the files, and defaults that were added.
     """
 
