@@ -201,7 +201,7 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
 
 
 def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report forces at rest other than weight and motors; make gravity compensation passive.
+    """Report sleep, and forces at rest except weight and motors; make compensation passive.
 
     MuJoCo adds gravity compensation to the motor torques if ``actuatorgravcomp`` is set, which is
     cleared in place: here the compensation reduces the torques of the motors.

@@ -285,9 +285,9 @@ def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
 def _are_checked(model: mujoco.MjModel, one: CarriedShape, other: CarriedShape) -> bool:
     """Return True if MuJoCo checks two geoms of the robot for contact.
 
-    Not checked are geoms of one body, and geoms of a body and its parent, unless the parent is
-    fixed to the world. Exceptions: a ``<pair>`` is always checked, and the MJCF may disable the
-    filter of parents.
+    Not checked are geoms that `may_touch` excludes (contact bits, ``<exclude>``), geoms of one
+    body, and geoms of a body and its parent, unless the parent is fixed to the world. Exceptions: a
+    ``<pair>`` is always checked, and the MJCF may disable the filter of parents.
     """
     for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if set(pair) == {one.geom, other.geom}:

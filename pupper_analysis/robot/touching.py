@@ -43,8 +43,8 @@ tuned."""
 
 _BASE_ARMATURE_FACTOR = 1e4
 """Armature [kg, kg m^2] of the free joint that a base fixed by the file gets for a weld, relative
-to the mass of the robot [kg]. The armature represents the environment to which the base is fixed: MuJoCo's welds are soft, and a
-light base would oscillate. Chosen, not tuned."""
+to the mass of the robot [kg]. The armature represents the environment to which the base is fixed:
+MuJoCo's welds are soft, and a light base would oscillate. Chosen, not tuned."""
 
 
 def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:

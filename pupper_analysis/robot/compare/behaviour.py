@@ -241,7 +241,7 @@ nv^3 bytes, 0.26 GB for nv = 200 and 256 GB for nv = 2000.
 
 _MAX_STATE_BYTES: Final = 80e6
 """Maximum size of the mass matrices of all states in each of the five evaluations [bytes]. A robot
-with 306 degrees of freedom is compared at 106 states, a robot with 1000 at 10."""
+with 306 degrees of freedom is compared at no more than 106 states, a robot with 1000 at 10."""
 
 _MIN_STATES: Final = 2
 """Smallest number of random states of a comparison, however large the robot is: a single state

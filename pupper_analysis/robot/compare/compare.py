@@ -158,7 +158,7 @@ def _collect_limb_shapes(
     of_mjcf: tuple[RobotModel, MjcfFile],
     data: mujoco.MjData,
 ) -> Limb | None:
-    """Return the collision shapes that move with a joint; None if an extent is unknown."""
+    """Return the collision shapes that move with a joint; None if a link or extent is unknown."""
     (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
     bases = matched.mjcf_body.get(base), matched.urdf_link.get(base)

@@ -222,8 +222,9 @@ class Difference(Stated, Result):
     def tier(self) -> int:
         """Tier of urgency.
 
-        0: structure or convention. 1: relative effect of at least ``_MIN_RELATIVE_EFFECT``, or mass
-        difference of at least ``_MIN_RELATIVE_MASS``. 2: limits and efforts. 3: others.
+        0: structure, convention or gravity (``_STRUCTURE_KINDS``). 1: relative effect of at least
+        ``_MIN_RELATIVE_EFFECT``, or relative mass difference of at least ``_MIN_RELATIVE_MASS``. 2:
+        limits and efforts. 3: others.
         """
         if self.kind in _STRUCTURE_KINDS:
             return 0

@@ -251,8 +251,9 @@ def _candidate_steps(
     """Yield candidate displacements (3,) [m] of the origin of a joint, in the axes of the body.
 
     First zero. The origin of a hinge may move along the joint axis, the origin of a slide in any
-    direction, unless ``still`` forbids it. Candidates are the origin in the first tree, and the
-    median displacement of the points on the body (`_matching_points`).
+    direction, unless ``still`` forbids it. Candidates are the origin in the first tree, the median
+    displacement of the points on the body (`_matching_points`), and for a slide the part of the
+    first candidate that is perpendicular to the axis.
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]

@@ -261,8 +261,9 @@ def _find_pose_of_joints(
 
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
-"""Smallest number of joints on the base that determine the pose of its frame, and smallest distance
-between them [m]. Two joints with axes state ten numbers, a pose has six. Chosen."""
+"""Smallest number of joints on the base that determine the pose of its frame; and smallest extent
+[m] of their positions along an axis of the base, also required across the best line through the
+fitted points. Two joints with axes state ten numbers, a pose has six. Chosen, not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
