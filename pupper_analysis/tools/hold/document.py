@@ -87,7 +87,7 @@ def _find_overloaded_motors(hold: Hold) -> list[str]:
 
 
 def _select_next_step(hold: Hold) -> doc.NextStep:
-    """Return the next command: `hold` with the payload that all postures hold, rounded down.
+    """Return the next command: `hold` with the payload that all found postures hold, rounded down.
 
     If this payload is unknown, unlimited or zero, or the posture fails, the next command is
     `audit`, which checks the files.

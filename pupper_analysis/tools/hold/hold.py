@@ -297,9 +297,9 @@ def servo_payload(
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
 
     Returns:
-        Mass [kg], 0 if the stiffness is not positive definite or a command is out of range without
-        mass, infinite without limit; and the joint of the command that reaches the end of the
-        range, "" if the stiffness limits the mass, or nothing.
+        Mass [kg], infinite without limit; 0 if, without mass, the stiffness is not positive
+        definite, or the command of a joint that bears the mass is out of range. Joint of the
+        command that reaches the end of the range; "" if the stiffness limits the mass, or nothing.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.

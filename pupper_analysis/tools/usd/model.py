@@ -378,7 +378,7 @@ class UsdModel(RobotModel):
         edges: {joint: joint data} of all enabled joints.
         body_masses: {body: mass properties and the origin of these}.
         loops: Joints that close loops, or are excluded from the articulation.
-        floating: Whether the base can move.
+        floating: True if no joint connects the base to the world.
         mount: Pose of the base in the world, z up [m].
         gravity: Gravity, shape (3,) [m/s^2], z up; None if not stated in the file.
     """
@@ -393,7 +393,7 @@ class UsdModel(RobotModel):
 
     @cached_property
     def has_free_base(self) -> bool:
-        """Whether the base of the robot is free to move."""
+        """Whether no joint connects the base to the world."""
         return self.floating
 
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
@@ -590,7 +590,7 @@ class _JointForest:
         self.base = max(self._sizes, key=lambda root: (self._sizes[root], root in roots))
 
     def _rank_root(self, body: str) -> tuple[bool, bool, bool, int]:
-        """Sort key of roots: marked root, fixed to the world, without parent, most children."""
+        """Sort key of roots: marked root, joint to the world, without parent, most children."""
         edges = self._adjacent_edges[body]
         num_children = sum(edge.bodies[0] == body for edge in edges)
         return (

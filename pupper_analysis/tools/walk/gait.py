@@ -455,6 +455,8 @@ def describe_fall(stage: Stage, run: Run, duration: float) -> Diagnostic:
 class ContactSample(NamedTuple):
     """Feet in contact at a time, and the static motor torques there, shape (nu,) [N m].
 
+    The static torques are zero if `find_ground_contacts` does not compute them.
+
     The static torques hold the same joint positions without motion. Vertical forces at the contact
     points carry the weight, with the centre of pressure as close below the centre of mass as
     possible. If the centre of mass is outside the contact points, a standing robot would tip.

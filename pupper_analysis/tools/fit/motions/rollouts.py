@@ -75,7 +75,7 @@ class Run:
         position: Measured positions, shape (n, nu) [rad]; NaN if missing.
         command: Commands from each sample on, shape (n, nu) [rad]; resting positions of joints that
             are not in the log.
-        start: Joint positions [rad] and velocities [rad/s] at the start, shape (2, nu).
+        start: Encoder positions [rad] and velocities [rad/s] at the start, shape (2, nu).
         counts: Whether a position is fitted, shape (n, nu).
         held_out: Whether a position is predicted instead, shape (n, nu).
     """
