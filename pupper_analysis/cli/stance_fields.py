@@ -116,6 +116,9 @@ def to_task_value(field: Field, value: Any) -> Any:
     Args:
         field: Field of the task.
         value: Value from click.
+
+    Raises:
+        ConfigurationError: If a text has another form; the message names the option.
     """
     if field.per:
         assignments = [(shared.parse_assignment(field.option, text), text) for text in value]

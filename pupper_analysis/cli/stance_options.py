@@ -162,6 +162,8 @@ class RobotAndTask:
 
         Raises:
             ConfigurationError: If an option is refused without another option, or is not valid.
+            VariantError: If a word names no robot, or a scale is not valid.
+            ModelError: If the robot cannot be loaded from its files.
         """
         if not self.payload and not payload_sought:
             refuse_alone(("--payload",), "payload_at")
@@ -365,6 +367,7 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
     Raises:
         UnknownNameError: If a pattern matches no joint.
         ConfigurationError: If a text has another form.
+        ModelError: If the patterns leave out a joint, and the model has no position servos.
     """
     from pupper_analysis.robot.servos import model_with_servos
 

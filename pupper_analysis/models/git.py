@@ -98,6 +98,7 @@ def refuse_uncommitted(path: Path) -> None:
 
     Raises:
         OutputError: If the file has uncommitted changes.
+        InputError: If a file in the repository cannot be read.
     """
     path = path.resolve()
     if shutil.which("git") is None or not any(

@@ -127,6 +127,7 @@ def read_model(
             with another file than a xacro file.
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
+        OutputError: If the run will write the file.
     """
     if is_object(path):
         with read_objects([cast(ModelObject, path)], packages) as in_memory:
@@ -155,8 +156,9 @@ def read_as_urdf(
     """Read a URDF, a file that is converted to a URDF, or a robot in memory that is a URDF.
 
     Raises:
+        ConfigurationError: If ``model`` is neither a path nor a robot in memory.
         ModelError: If the file cannot be read, or is not a URDF.
-        MissingPackageError: If the reader of the format is not installed.
+        MissingPackageError: If a package that the reader of the format needs is not installed.
     """
     reader = reader_of(model)
     if reader is not None:
@@ -175,8 +177,9 @@ def read_as_mjcf(
     """Read an MJCF, a file that is converted to an MJCF, or a robot in memory that is an MJCF.
 
     Raises:
+        ConfigurationError: If ``model`` is neither a path nor a robot in memory.
         ModelError: If the file cannot be read, or is not an MJCF.
-        MissingPackageError: If the reader of the format is not installed.
+        MissingPackageError: If a package that the reader of the format needs is not installed.
     """
     reader = reader_of(model)
     if reader is not None:

@@ -183,6 +183,7 @@ class Variants(ScalableVariant):
         Raises:
             VariantError: If a scale is not a finite positive number, or the scaled variant is not
                 valid.
+            ModelError: If a base file is missing or damaged.
         """
         spec = self.with_scales(scales)
         described = describe_variant(spec)

@@ -333,7 +333,7 @@ class Study:
             executor: Any `concurrent.futures.Executor`, such as Dask's ``client.get_executor()``;
                 by default processes on this machine.
             workers: Number of processes; by default the number of cores. With ``executor``, its
-                number of workers, if it does not report one.
+                number of workers; by default the number that it reports.
             progress: Function that is called with the progress.
 
         Returns:
@@ -364,6 +364,12 @@ class Study:
 
         Returns:
             Number of evaluated designs, failures and elapsed time.
+
+        Raises:
+            ConfigurationError: If an argument is not valid.
+            StudyError: As `run`.
+            OutputError: As `run`.
+            MissingPackageError: If pyarrow is not installed.
         """
         check_type("folder", folder, str | Path)
         check_type("executor", executor, Executor | None)
