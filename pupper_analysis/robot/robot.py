@@ -262,8 +262,9 @@ class Robot(EngineModels):
         imu: Frame with gyro and accelerometer; None if there is none.
         pin_convention: Coordinate maps of Pinocchio's model.
         mj_convention: Coordinate maps of MuJoCo's model.
-        fingerprint: Name, and hash of all properties that a stand depends on: joints, limits,
-            masses and feet. Robots with equal hashes have equal stands.
+        fingerprint: Name, and hash of the URDF's joint names, kinematics, inertias and joint
+            limits, and of the contact points; identifies the robot of a stand. A copy with a
+            payload, the ground of a task, or contacts of a task keeps the fingerprint.
         notes: Diagnostics of assumptions, additions and errors in the files.
         published: Published file, which verdicts simulate; None if there is none.
         touching: {foot or hand: changes for a contact of a task}; see ``robot.touching``.

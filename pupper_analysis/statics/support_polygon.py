@@ -32,7 +32,8 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 
     Returns:
         Distance [m]: positive inside, negative outside. Minus infinity if x or y of ``com`` is not
-        finite, for example the zero-moment point of feet that would have to pull.
+        finite, for example the zero-moment point of feet that would have to pull. NaN without
+        contact points.
     """
     x, y, *_ = com.tolist()
     return margin_of_position((x, y), tuple([_corner(point) for point in points.values()]))
