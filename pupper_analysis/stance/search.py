@@ -486,7 +486,7 @@ def _count_leg_joints(robot: Robot, point: str) -> int:
 def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
     """Replace the foot targets of a goal by the positions that IK reached, if the error is small.
 
-    Most legs with fewer than six joints cannot lay the sole exactly. The goal is unchanged if
+    A leg with fewer than six joints may be unable to lay the sole exactly. The goal is unchanged if
     IK converged, the foot error is at least `_MAX_SOLE_ERROR`, or no sole is on a leg with fewer
     than six joints.
 

@@ -644,6 +644,7 @@ class SagEquilibrium:
     def _solve_with_softer_soles(self, guess: Solution) -> Solution | None:
         """Solve with a larger compliance of the soles first, which is reduced in steps.
 
+        None if one of these solves fails.
         If all points of a sole slip, their slip directions depend on each other, and Newton's
         method may alternate between two solutions. With compliance the directions change gradually.
         """
@@ -664,9 +665,8 @@ class SagEquilibrium:
     def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:
         """Iterate Newton's method until the scaled residual is below `RESIDUAL_TOLERANCE`.
 
-        A derivative is reused if the predicted residual e[k]^2 / e[k-1] is at most ``left``. Stops
-        without result after `_MAX_ITERATIONS`, if the derivative is singular, or if a step is too
-        long.
+        A derivative is reused if the predicted residual e[k]^2 / e[k-1] is at most ``left``. None
+        after `_MAX_ITERATIONS`, if the derivative is singular, or if a step is too long.
         """
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stack_forces(guess), None
