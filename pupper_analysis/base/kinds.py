@@ -28,12 +28,12 @@ MiB, enough for thousands of stands. Chosen, not tuned."""
 
 
 def _match_none(_file: BinaryIO) -> bool:
-    """Return False, for kinds of which no file is recognised."""
+    """Return False: no file passes this test."""
     return False
 
 
 def _match_any(_file: BinaryIO) -> bool:
-    """Return True, for kinds of which every file is recognised."""
+    """Return True: every file passes this test."""
     return True
 
 

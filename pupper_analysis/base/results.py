@@ -80,7 +80,7 @@ completely. Chosen, not tuned."""
 
 
 class Result:
-    """Base class of results. Fields cannot be modified in place.
+    """Base class of results. Dictionaries and arrays in the fields are read-only.
 
     ``repr`` is short: long arrays and lists are represented by their sizes. ``to_json`` returns all
     public fields, and the properties that the class lists in ``_reported``.

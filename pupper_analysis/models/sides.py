@@ -113,5 +113,5 @@ def find_unlike_pairs(
 
 
 def _are_equal(left: float, right: float) -> bool:
-    """Return True if two values differ by at most ``_MOTOR_PARAMETER_RTOL``."""
+    """Return True if the difference is at most ``_MOTOR_PARAMETER_RTOL`` of the right value."""
     return left == right or abs(left - right) <= _MOTOR_PARAMETER_RTOL * abs(right)

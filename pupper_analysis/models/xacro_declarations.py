@@ -1,8 +1,8 @@
 """Xacro elements that declare something, and that a URDF does not use.
 
 Converters and hand-written URDFs keep such elements, and every reader of URDF ignores them: 88 of
-674 public URDFs contain only such elements. A file that uses xacro otherwise must be expanded
-first.
+674 public URDFs contain xacro elements of this kind only. A file that uses xacro otherwise must be
+expanded first.
 """
 
 from __future__ import annotations

@@ -229,8 +229,8 @@ CHUNK_SECONDS = 0.5
 sending a chunk takes about 1 % of this time."""
 
 MAX_CHUNK_DESIGNS = 256
-"""Largest number of designs per chunk; at most so many rows are lost if a worker crashes. Chosen,
-not tuned."""
+"""Largest number of designs per chunk. If a worker crashes, all chunks in flight are evaluated
+again. Chosen, not tuned."""
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
 """Number of rows, and largest time [s] since the last shard (Parquet file), after which the results
