@@ -38,8 +38,8 @@ class SupportRegion(Tabular):
     """Horizontal CoM positions for which contact forces in equilibrium exist.
 
     Attributes:
-        corners: Corners of the region in the world, counter-clockwise, shape (n, 2) (m). Two
-            corners for a line, one for a single point, none if no CoM position permits equilibrium.
+        corners: Corners of the region in the world, counter-clockwise, shape (n, 2) (m). Two or
+            three corners for a line, one for a point, none if no CoM position permits equilibrium.
         area: Area of the region (m^2).
         center_of_mass: Horizontal position of the CoM in the world, shape (2,) (m).
         com_margin: Distance from the CoM to the edge of the region (m): positive inside, negative
@@ -155,7 +155,11 @@ def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Ar
 
 
 def _make_polygon(positions: Iterable[tuple[float, float]]) -> Array:
-    """Return the corners of the convex hull of positions, counter-clockwise, shape (n, 2)."""
+    """Return the corners of the convex hull of positions, counter-clockwise, shape (n, 2).
+
+    Corners within `_MIN_DEPTH` of the line between their neighbours are removed, but not if only
+    three remain: positions on a line up to rounding may have three corners.
+    """
     import shapely  # slow to import
 
     hull = shapely.MultiPoint(list(positions)).convex_hull

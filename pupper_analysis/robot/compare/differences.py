@@ -419,8 +419,8 @@ def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
 
 
 MIN_FACTOR = 10.0
-"""Ratio of the MJCF's number to the URDF's number above which a message states the ratio as a
-factor instead of a percentage. Chosen, not tuned."""
+"""Ratio of the MJCF's number to the URDF's number, or relative effect of a difference, above which
+a message states a factor instead of a percentage. Chosen, not tuned."""
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
