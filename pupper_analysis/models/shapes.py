@@ -257,7 +257,7 @@ class Shape:
 
         Args:
             link: Rotation (3, 3) and position (3,) [m] of the body in the world.
-            normal: Unit normal of the plane in the world.
+            normal: Unit normal of the plane in the world; a vertical normal points upwards.
         """
         rotation, position = link
         a, b, c = normal

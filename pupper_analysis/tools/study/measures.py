@@ -341,7 +341,8 @@ class UserFunction:
     def fingerprint(self) -> str:
         """Return the import path of the user's function and a hash of its source text.
 
-        The text changes if the function changes, so that old results are not reused.
+        The text changes if the source text changes, so that old results are not reused. Without
+        source text, for example of a built-in function, only the path counts.
         """
         try:
             text = inspect.getsource(self.function)
