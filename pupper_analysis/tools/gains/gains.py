@@ -240,6 +240,7 @@ def study_gains(
     Raises:
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance.
+        NotSettlingError: If the depths of the feet in the soft ground do not converge.
         ConfigurationError: If an argument is out of range or invalid for the robot, or no tried
             gains are stable.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not

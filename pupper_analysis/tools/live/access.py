@@ -1,9 +1,9 @@
 """Access control of the page server.
 
 Any web page can connect to a server on the same machine, also under a host name of its own that it
-directs there (DNS rebinding). Therefore a request must name the server by a known name, and an
-origin, if stated, must be the server's own page. If other machines can reach the server, a
-request must also contain a token.
+directs there (DNS rebinding). Therefore a request must name a server that only this machine can
+reach by a known name. If other machines can reach the server, any name is accepted, but a request
+must contain a token. In both cases an origin, if stated, must be the server's own page.
 """
 
 from __future__ import annotations

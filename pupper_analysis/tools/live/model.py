@@ -91,7 +91,7 @@ class StanceSolver:
     def solve_state(self, state: State) -> Answer:
         """Solve the stance of a state, and compute its static torques and contact forces.
 
-        An error is not raised, but becomes part of the result.
+        An error of this package is not raised, but becomes part of the result.
         """
         robot = task = stand = None
         try:

@@ -290,6 +290,7 @@ def study_path(
         StanceUnreachableError: If a sample is out of reach. The error states the time.
         StaticsInfeasibleError: If a sample cannot be held. The error states the time.
         NoEquilibriumError: If the rolling displacement of the feet does not converge.
+        NotSettlingError: If the depths of the feet in the soft ground do not converge.
         ConfigurationError: If the task or another argument is invalid for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """

@@ -342,8 +342,8 @@ SERVO_KINDS = ("kp", "kd")
 
 _SAME_ROBOT_RTOL = 1e-6
 """Tolerance between the robot and its files: relative for masses, in m for the CoM; 1e3 times as
-large, relative, for inertias. Conversion and alignment are accurate to about 1e-9;
-later changes are larger than the last written digit. Chosen, not tuned."""
+large, relative, for inertias. Conversion and alignment are accurate to about 1e-9; later changes
+are larger than the last written digit. Chosen, not tuned."""
 
 
 def make_refusal(robot: Robot, reasons: Mapping[Key, Diagnostic]) -> ModelError:

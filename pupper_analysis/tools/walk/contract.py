@@ -1,8 +1,7 @@
 """Contract of a policy and a robot: the observation, and the meaning of the actions.
 
-Inputs are statements {contract key: value} of several files: the policy, its source files and a
-TOML file. `make_contract` merges these statements, checks them against the sizes of the network,
-and returns a `Contract`.
+Inputs are statements {contract key: value} of the policy file and of a TOML file. `make_contract`
+merges these statements, checks them against the sizes of the network, and returns a `Contract`.
 """
 
 from __future__ import annotations
@@ -155,14 +154,14 @@ _KEY_OF_QUANTITY = {
     "upper limit": "upper",
     "latency": "latency",
 }
-"""{quantity that a policy's source file states: key of the contract}. ``rate`` is not listed: it is
-the reciprocal of the stated policy step."""
+"""{quantity that a source, such as a policy file, states: key of the contract}. ``rate`` is not
+listed: it is the reciprocal of the stated policy step."""
 
 
 def convert_source_statements(source: Source) -> dict[str, Any]:
-    """Return the quantities that a policy's source file states as {contract key: value}.
+    """Return the quantities that a source, such as a policy file, states as {contract key: value}.
 
-    The keys and values are those of a contract TOML file.
+    The keys and values are those of a contract TOML file. Scales of observations are left out.
     """
     values: dict[str, Any] = {}
     for statement in source.statements:

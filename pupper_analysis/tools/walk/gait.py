@@ -80,7 +80,7 @@ class Gait(Result):
         duration: Time until the fall, or until the end.
         velocity: Mean forward speed and speed to the left, in the heading of the base, shape (2,);
             zero if the run ends before the warm-up or diverges.
-        turning: Mean turning rate to the left; zero in the same cases.
+        turning: Mean turning rate to the left; zero if the run ends before the warm-up or diverges.
         tracks: True if the robot does not fall and tracks the command.
         torque_rms: Root mean square of each motor's torque, shape (nu,).
         torque_peak: Largest magnitude of each motor's torque, shape (nu,).
@@ -514,8 +514,8 @@ def find_ground_contacts(
 
 _SUM_WEIGHT, _REGULARISATION = 1e3, 1e-5
 """Weights [m] in the least-squares problem of static forces, relative to weight 1 of the distance
-[m] from the centre of pressure to the projected CoM: of the error of the sum of the force fractions
-(1), and of their norm (regularisation). Chosen, not tuned."""
+[m] from the centre of pressure to the projected CoM: of the deviation of the sum of the force
+fractions from 1, and of the norm of these fractions (regularisation). Chosen, not tuned."""
 
 
 def _compute_static_torques(
@@ -524,7 +524,8 @@ def _compute_static_torques(
     """Return the motor torques of a static pose, shape (nu,) [N m].
 
     Non-negative least squares of the force fractions n at the points p: minimise |sum n p - c|^2
-    with sum n = 1, where c is the projected centre of mass. Without points, no force carries.
+    with sum n = 1, where c is the projected centre of mass. Without points, no contact
+    force is included.
     """
     from scipy.optimize import nnls  # takes a quarter of a second
 

@@ -38,7 +38,7 @@ from pupper_analysis.tools.walk.runs import Case, Stage, prepare_stage, simulate
 Array = NDArray[np.float64]
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
-"""Duration of a run [s], and of the warm-up [s]. Falls occur within the first 3 s."""
+"""Duration of a run [s], and of the warm-up [s]. Chosen: most falls occur within the first 3 s."""
 
 NUM_HALVINGS = 5
 """Number of bisections between a tracked and an untracked value of a varied quantity. Derived: the

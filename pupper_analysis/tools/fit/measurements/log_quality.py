@@ -179,9 +179,9 @@ def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator
     A servo supplies the energy that friction dissipates: over a motion the integral of (command -
     position) d position is positive. With swapped columns this integral is negative, and so is the
     integral of (command - position) d command, which is larger by [(command - position)^2] / 2
-    between start and end. A joint is listed if both integrals are clearly
-    negative (`_MAX_SWAPPED_CORRELATION`). A single negative
-    integral is no evidence: the motion may end with a loaded servo, or the load may have decreased.
+    between start and end. A joint is listed if both integrals are clearly negative
+    (`_MAX_SWAPPED_CORRELATION`). A single negative integral is no evidence: the motion may end with
+    a loaded servo, or the load may have decreased.
     """
     backwards = []
     for index in moving:
