@@ -122,7 +122,8 @@ class NudgeTrial(Result):
         survived: Whether the stand survived all nudges.
         failure: Earliest failure; None if there was none.
         failing_parts: Motors, joints, feet or bodies of the failure.
-        time: Simulated time of the failure (s); None without a failure.
+        time: Simulated time of the failure (s); 0 if the simulation diverged; None without a
+            failure.
         failed_nudges: Number of nudges that ended in a failure.
         nudges: Number of nudges.
         duration: Time after each nudge for which the outcome holds (s).
