@@ -155,7 +155,7 @@ keyframe. Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (
 
 @dataclass(frozen=True)
 class OwnRun(BodyMotion):
-    """Simulation of a published file from its keyframe, with a nudge and no other changes.
+    """Simulation of a published file from its keyframe, without changes other than a nudge.
 
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,
@@ -248,7 +248,7 @@ class PublishedRun:
         torque_error: Largest torque deviation within the last second, relative to the largest
             computed torque.
         height_error: Final minus computed height of the CoM (m); None if the base is fixed.
-        joint_error: Largest joint deviation (rad).
+        joint_error: Largest joint deviation (rad; m for a slide).
         collapses: Whether the robot has fallen, sunk by ``robot.fall.MAX_HEIGHT_LOSS_RATIO`` of its
             height, travelled by its height, or diverged. For a fixed base, whether a joint has
             left the posture.

@@ -59,7 +59,8 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     A floor on another fixed body is moved to the world, a tilted, higher or lower floor is replaced
     by a level floor at z = 0, and a missing floor is added. Contacts of other fixed geoms (stairs,
     tables, walls), except planes at z = 0, are disabled, because slopes and steps are part of the
-    task. Parameters of a ``<pair>`` with the floor are moved to the other geom.
+    task. If no plane can collide, the first plane of the world body stays unchanged as the floor.
+    Parameters of a ``<pair>`` with the floor are moved to the other geom.
 
     Returns:
         Diagnostics of the changes.

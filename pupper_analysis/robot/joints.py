@@ -137,7 +137,7 @@ def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, .
 
 
 def free_joints(robot: Robot) -> tuple[str, ...]:
-    """Return the joints without foot, loop and coupling, in actuator order."""
+    """Return the joints that move no foot and are in no loop or coupling, in actuator order."""
     model = robot.structure.model
     foot_or_coupled_joints = {
         model.names[joint]

@@ -186,7 +186,8 @@ class Touching:
         radius: Radius [m] of the sphere; None for the largest sphere inside the shapes of the hand,
             or 1 cm outside of all shapes.
         force: Prescribed normal force [N]; None if it follows from balance.
-        welded: Whether the part is fixed to the world, and does not collide.
+        welded: Whether the part is fixed to the world by a weld or grip, and does not collide with
+            fixed bodies.
         grip: Maximum force [N] of a grip, which fixes a point and permits rotation; None for a
             contact or weld.
     """

@@ -185,7 +185,8 @@ class Mode(Result):
         joints: Joints with the largest motion in the mode, largest first.
         without_dry_friction: Whether the spectrum is that without dry friction of joints and
             tendons.
-        repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` has the mode as well.
+        repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` has the mode as well;
+            also True if that spectrum was not computed.
         nudge: Deviation of a joint from which growth was measured in simulation (rad or m); None if
             the mode is known from the spectrum only. With a value, ``doubling_time`` is the
             simulated time.

@@ -51,8 +51,8 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
     """Return a robot that can make the contacts of a task; often the robot itself.
 
     A part other than a foot (hand) gets a contact point: a massless sphere that collides only with
-    its plane. The friction of a plane is that of the contact. Welded parts do not collide. A base
-    that the file fixes to the world becomes free, and is held by the weld.
+    its plane. The friction of a plane is that of the contact. The contact spheres of welded hands
+    do not collide. A base that the file fixes to the world becomes free, and is held by the weld.
 
     Args:
         robot: Robot, which may already be the result of this function.

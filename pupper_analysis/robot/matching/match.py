@@ -614,7 +614,7 @@ def drop_other_objects(
 
     * beside a robot with a fixed base (table, wall), unless the body or a descendant has the name
       of a link of the URDF, because static bodies count as part of the base;
-    * beside a robot with a free base, unless the body has a plane.
+    * beside a robot with a free base, unless the body or a descendant has a plane.
 
     Limbs directly on the world belong to the robot: MuJoCo merges a fixed base with the world. They
     are identified by the joint names of the URDF. The mass of mocap bodies is set to zero.
