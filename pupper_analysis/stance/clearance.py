@@ -2,7 +2,7 @@
 
 `ClearanceShapes` evaluates both at a configuration, with their Jacobians by qvel. The shapes are
 those with which MuJoCo computes contacts; meshes are replaced by convex hulls. Distances are
-computed with coal; bounding spheres exclude most pairs of links. Pairs of neighbouring links, and
+computed with coal; bounding spheres exclude most pairs of shapes. Pairs of neighbouring links, and
 feet on the ground, are left out.
 """
 
@@ -223,7 +223,7 @@ class ClearanceShapes:
         ]
 
     def distance_jacobian(self, at: Configuration, most: int) -> Array:
-        """Return the Jacobian of the distances of the nearest pairs of links by qvel.
+        """Return the Jacobian of the distances of the nearest pairs of collision shapes by qvel.
 
         Args:
             at: Configuration.

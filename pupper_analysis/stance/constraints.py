@@ -34,8 +34,9 @@ program permits half of it, since the program is inexact at the limit of reach. 
 tuned."""
 
 _NUM_NEAREST_PAIRS = 12
-"""Number of nearest pairs of links whose distances a search constrains. Of the 300 pairs of a
-quadruped, no more than these are close to each other at once. Chosen, not tuned."""
+"""Number of nearest pairs of collision shapes whose distances a search constrains. The shapes are
+on links that are not neighbours. Chosen, not tuned: Pupper v3 has 32 such pairs, of which fewer are
+close to each other at once."""
 
 
 class Constraint:
@@ -319,16 +320,17 @@ class SelfClearance(Constraint):
     name = "self-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the distances of the nearest pairs of links minus the required distance, (n,) [m].
+        """Return the distances of the nearest shape pairs minus the required distance, (n,) [m].
 
-        Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
+        The collision shapes are on links that are not neighbours. Half of `CLEARANCE_TOLERANCE` is
+        added, so that a search may be inexact.
         """
         pairs = self._shapes.find_nearest_pairs(at.qpos, _NUM_NEAREST_PAIRS)
         least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
         return np.array([pair.distance for pair in pairs]) - least
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the distances of the nearest link pairs by qvel, (n, nv)."""
+        """Return the Jacobian of the distances of the nearest shape pairs by qvel, (n, nv)."""
         return self._shapes.distance_jacobian(at, _NUM_NEAREST_PAIRS)
 
     def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:

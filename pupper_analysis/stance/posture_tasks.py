@@ -46,7 +46,10 @@ class WholeBody(Protocol):
         """Return the position of the joint ``name`` [rad, m]."""
 
     def self_clearances(self) -> Array:
-        """Return the smallest distances [m] between links that are not neighbours, ascending."""
+        """Return the smallest distances [m] of collision shapes on links that are not neighbours.
+
+        Ascending; a pair of links may occur several times.
+        """
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
         """Return the derivatives of `self_clearances` by q, shape (n, nq), and q (nq,).

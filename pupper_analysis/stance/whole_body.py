@@ -59,8 +59,9 @@ _MAX_STEP = 0.3
 """Largest displacement of a joint in an iteration [rad, m]. Chosen, not tuned."""
 
 _NUM_NEAREST_PAIRS = 12
-"""Number of nearest pairs of links that `SelfClearanceTask` keeps apart in an iteration. Of the 300
-pairs of a quadruped, no more than these are close to each other at once. Chosen, not tuned."""
+"""Number of nearest pairs of collision shapes that `SelfClearanceTask` keeps apart in an iteration.
+The shapes are on links that are not neighbours. Chosen, not tuned: Pupper v3 has 32 such pairs, of
+which fewer are close to each other at once."""
 
 _MAX_MEASURED_DISTANCE = 1e3
 """Upper bound of the distances that MuJoCo measures [m]: larger than any robot. Chosen, not tuned.
@@ -454,7 +455,7 @@ class _PinocchioBody:
         return float(self._config.qpos[index])
 
     def self_clearances(self) -> Array:
-        """Return the smallest distances (n,) [m] of links that are not neighbours, ascending."""
+        """Return the smallest distances [m] of shapes on links that are no neighbours, ascending."""
         pairs = self._collision.shapes.find_nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
         return np.array([pair.distance for pair in pairs])
 
@@ -494,7 +495,7 @@ class _MujocoBody(_PinocchioBody):
         return rotation @ relative, self._data.xpos[body] + rotation @ offset
 
     def self_clearances(self) -> Array:
-        """Return MuJoCo's distances (n,) [m] of the link pairs that are nearest by Pinocchio.
+        """Return MuJoCo's distances (n,) [m] of the shape pairs that are nearest by Pinocchio.
 
         In ascending order.
         """
