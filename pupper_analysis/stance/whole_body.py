@@ -455,7 +455,7 @@ class _PinocchioBody:
         return float(self._config.qpos[index])
 
     def self_clearances(self) -> Array:
-        """Return the smallest distances [m] of shapes on links that are no neighbours, ascending."""
+        """Return the smallest distances [m] of shapes on links that are no neighbours, sorted."""
         pairs = self._collision.shapes.find_nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
         return np.array([pair.distance for pair in pairs])
 
