@@ -115,9 +115,10 @@ class JointClass(Result):
         largest_kd_alone: Largest stable damping, if only the damping of this class changes
             (N m s/rad); None without a bound, or if ``kd`` is 0.
         largest_kp_of_torque: Stiffness with which the requested position error reaches the torque
-            limit (N m/rad); None without an error or a limit.
+            limit (N m/rad); None without an error or a positive limit.
         largest_kd_of_encoder: Damping with which one encoder count per control period is
-            ``MAX_NOISE_RATIO`` of the torque limit (N m s/rad); None without encoder or limit.
+            ``MAX_NOISE_RATIO`` of the torque limit (N m s/rad); None without encoder or a positive
+            limit.
         recommended_kp: Recommended stiffness (N m/rad); None without a recommendation.
         recommended_kd: Recommended damping (N m s/rad); None without a recommendation.
     """

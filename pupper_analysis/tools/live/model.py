@@ -134,7 +134,7 @@ def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
 
 
 def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
-    """Predict the verdict of a stance without simulation; None if the stance is not in balance.
+    """Predict the verdict of a stance without simulation; None if out of reach or not in balance.
 
     Args:
         answer: Solved state.

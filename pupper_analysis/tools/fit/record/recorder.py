@@ -142,6 +142,7 @@ def record_stands(
         MeasurementError: If the output belongs to another plan; or, before anything moves, if a
             command exceeds the joint limits or a stand is not balanced with the file's masses.
         OutputError: If the output cannot be written, or another recording writes to the file.
+        UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
     """
     path = Path(output)
     if path.exists() and path.samefile(plan):

@@ -132,6 +132,7 @@ def plan_stands(
             fixed.
         MeasurementError: If a joint has no stated kp and ``kp`` is None, or the servos hold too few
             candidates.
+        UnknownNameError: If the robot has no frame with the name in ``added_at``.
     """
     robot.check_floating()
     robot.check_tree("fit")
