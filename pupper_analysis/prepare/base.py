@@ -43,8 +43,8 @@ def free_base(
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Add a free joint to the base of a robot with two or more limbs, if it has none; return notes.
 
-    A base that moves by several slides and hinges, or a ball joint, gets a free joint in place of
-    these joints, and all keyframes are deleted (``join_free_base``).
+    A base that moves by several slides and hinges, or a ball joint, which the URDF lacks, gets a
+    free joint in place of these joints, and all keyframes are deleted (``join_free_base``).
 
     Args:
         urdf: URDF.

@@ -72,7 +72,7 @@ class Stand(Pictured, Tabular):
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Error of the height of the base frame (m).
         com_error: Horizontal error of the CoM (m); of the base frame if the task has an offset, or
-            if the robot is an arm; zero if the CoM is free.
+            if the robot is an arm and ``com`` is no point; else zero if the CoM is free.
         com_margin: Distance of the projected CoM from the edge of the support polygon (m); negative
             outside; infinite for a welded robot and a posture.
         ground_clearance: Height of the lowest part above the ground, without feet, by MuJoCo's
