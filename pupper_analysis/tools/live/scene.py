@@ -335,7 +335,7 @@ class Scene:
         return node
 
     def _draw_only(self, names: tuple[str, ...]) -> None:
-        """Hide all nodes except the given nodes and the ground."""
+        """Hide the discs of joints, and all nodes except the given nodes and the ground."""
         for name, node in self._nodes.items():
             node.visible = name in (*names, "ground")
         for node in self._joints.values():

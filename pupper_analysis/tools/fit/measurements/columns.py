@@ -96,7 +96,8 @@ def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
 
     The first line has the names of the columns, with units in brackets if not SI units:
     ``position.FL_knee [deg]``. Separators are commas, semicolons or tabs; with semicolons, numbers
-    may have decimal commas. Empty cells and ``nan`` are missing values.
+    may have decimal commas. Empty cells, and words such as ``nan`` (`_MISSING_CELLS`), are missing
+    values.
 
     Args:
         path: CSV file.

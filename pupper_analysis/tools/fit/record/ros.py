@@ -112,7 +112,10 @@ class RosBridge(WallClock):
             self._ros.spin_once(self._node, timeout_sec=remaining)
 
     def send(self, command: Array) -> None:
-        """Publish commanded joint positions, shape (nu,) [rad], in actuator order."""
+        """Publish commanded joint positions in the joint order of the controller.
+
+        ``command`` has the shape (nu,) [rad], in actuator order.
+        """
         message = self._message()
         message.data = [float(command[joint]) for joint in self._order]
         self._publisher.publish(message)

@@ -250,6 +250,8 @@ def _compute_surprise(
 def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> Iterator[Diagnostic]:
     """Yield estimates of servos and loads that no file can state.
 
+    Left out are estimates whose 95 % interval contains 0, and a load without a known mass.
+
     Args:
         posterior: Distribution of the parameters.
         friction_error: Mean dry friction divided by the mean kp [rad]. A dead band of the servos is
