@@ -115,7 +115,7 @@ class ClearanceShapes:
         shapes: Collision shapes of the moving bodies (``robot.shapes``), including foot shapes.
         kinematics: Kinematics of links, CoM and feet.
         parts: Shapes that must be above the ground: without feet, shapes that cannot touch the
-            ground, and shapes on the link of a sole, hand or weld.
+            ground, and shapes on the link of a sole, weld or grip.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -356,7 +356,7 @@ class ClearanceShapes:
     def _list_parts(self) -> Iterator[OffGround]:
         """Yield each shape that is no foot.
 
-        Shapes on the link of a sole, hand or weld are left out. The pose of the link of a sole or
+        Shapes on the link of a sole, weld or grip are left out. The pose of the link of a sole or
         weld is given.
         """
         robot, model = self.robot, self.robot.pin_model

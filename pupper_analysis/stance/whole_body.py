@@ -541,7 +541,7 @@ def _explain_failure(
     residuals: Array,
     qpos: Array,
 ) -> PostureUnreachableError:
-    """Return the error with the task of the largest residual, and the joints at their limits."""
+    """Return the error: required task with the largest residual, and joints at their limits."""
     required = np.array([task.required for task in tasks])
     worst, first = int(np.where(required, residuals, -1.0).argmax()), robot.nq - robot.nu
     at_limit = {}
