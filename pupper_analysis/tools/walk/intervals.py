@@ -120,7 +120,7 @@ def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 
 
 def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Scale the lengths beyond the first joint of each limb with a foot; masses are unchanged."""
+    """Scale positions beyond the first joint of each limb with a foot; sizes and masses remain."""
     base, bodies_beyond = _find_base(stage, model), set()
     for body, _ in stage.robot.contact_places.values():
         chain = []
