@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 MAX_FRICTION = 1e6
-"""Maximum friction coefficient. Larger values cause overflow in the cone programs, and are
-physically equivalent."""
+"""Maximum friction coefficient that is accepted. Larger values are physically equivalent. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True)

@@ -138,8 +138,8 @@ Centred differences across a limit mix two regimes: ANYmal at a knee limit seeme
 at 9 Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
-"""Upper bound of the absolute growth rate of a mode that counts as neither growing nor decaying
-[1/s]: two hours per doubling. Chosen, not tuned."""
+"""Upper bound of |eigenvalue - 1| / (time step) of a mode that counts as neither growing nor
+decaying [1/s]: such a mode needs two hours or more to double. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Error of a well-conditioned eigenvalue of a step, measured for finite differences with
