@@ -70,6 +70,7 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
             * a weld and another weld or hand are on links that move with the same joint;
             * a fixed base cannot be made free;
             * the robot was changed after it got other contacts.
+        ModelError: If the model with the contacts cannot be built.
     """
     if not contacts and not robot.touching:
         return robot

@@ -42,8 +42,9 @@ class FootLoad(Result):
     Attributes:
         force: Force of the ground in world axes, shape (3,) (N).
         centre_of_pressure: Mean of the contact points, weighted by the normal forces, in the
-            world frame, shape (3,) (m).
-        friction_utilisation: Tangential force / (friction coefficient x normal force).
+            world frame, shape (3,) (m). Unweighted if no contact point presses.
+        friction_utilisation: Tangential force / (friction coefficient x normal force), with the
+            smallest coefficient of the contact points.
     """
 
     force: Array = field(metadata={"unit": "N"})
@@ -175,8 +176,8 @@ class Equilibrium(Tabular):
         contact_points: {contact point: (3,)} point of application, in the world (m).
         friction_utilisation: {contact point: tangential force / (friction coefficient x normal
             force)}.
-        residual_force: Norm of what is left of the balance of forces (N).
-        residual_torque: Norm of what is left of the balance of moments and joint torques (N m).
+        residual_force: Norm of the residual of the force balance of the base (N).
+        residual_torque: Norm of the residual of the moment balance of the base (N m).
     """
 
     joint_names: tuple[str, ...]
