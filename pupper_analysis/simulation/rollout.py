@@ -126,8 +126,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
 
     Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal
     (of the first stance foot; vertically if feet are on separate planes), with constant joint
-    positions, until the balance along this direction is zero. The simulation then
-    starts at rest instead of with a fall of some millimetres.
+    positions, until the balance along this direction is zero. The simulation then starts at rest
+    instead of with a fall of some millimetres.
 
     A stand is not lowered if the base is fixed or welded, a contact is welded, or the stand has
     feet on separate planes and penetration depths already. If no depth up to `_MAX_DROP` carries

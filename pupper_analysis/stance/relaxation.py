@@ -242,7 +242,10 @@ class _Search:
         return relaxation
 
     def _verify(self, relaxation: Relaxation | None) -> _StatedRelaxation | None:
-        """Return the rounded relaxation with its stand; None if the rounded task has no stand."""
+        """Return the rounded relaxation, increased if necessary, with its stand.
+
+        None without a relaxation above `_MIN_RELAXATION`, or if no rounded task has a stand.
+        """
         if relaxation is None:
             return None
         robot = self.context.robot

@@ -557,8 +557,9 @@ def convert_urdf_in_memory(
 ) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """Convert a URDF to an MJCF in memory, with a fixed base.
 
-    Invalid inertias become the nearest valid inertias; a moving link gets 1 g if the link and all
-    links fixed to the link have no mass. The notes of the MJCF report the repairs.
+    Invalid inertias are moved to fixed neighbours, or become the nearest valid inertias; a moving
+    link gets 1 g if the link and all links fixed to the link have no mass. The notes of the MJCF
+    report the repairs.
 
     Args:
         urdf: URDF.

@@ -645,6 +645,7 @@ class SagEquilibrium:
         """Solve with a larger compliance of the soles first, which is reduced in steps.
 
         None if one of these solves fails.
+
         If all points of a sole slip, their slip directions depend on each other, and Newton's
         method may alternate between two solutions. With compliance the directions change gradually.
         """
@@ -766,8 +767,8 @@ class SagEquilibrium:
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Start a backward Euler step of creep, the slow slip of loaded contacts in MuJoCo.
 
-        Stores the current contact positions, and for each contact the creep per tangential force
-        seconds / c [m/N]. c is the ``viscosity`` at the start of the step, constant in the step.
+        Stores the current slips, and for each contact the creep per tangential force seconds / c
+        [m/N]. c is the ``viscosity`` at the start of the step, constant in the step.
 
         Args:
             solution: Equilibrium at the start of the step.
