@@ -538,7 +538,10 @@ def _is_lying(data: mujoco.MjData, geom: int) -> bool:
 
 
 def _align_vectors(start: Array, end: Array) -> Array:
-    """Return the quaternion (w, x, y, z) that rotates one unit vector (3,) to another."""
+    """Return the quaternion (w, x, y, z) that rotates one unit vector (3,) to another.
+
+    Opposite vectors must be perpendicular to the x axis.
+    """
     axis, cosine = np.cross(start, end), float(start @ end)
     if np.linalg.norm(axis) < 1e-12:
         return np.array([1.0, 0, 0, 0]) if cosine > 0 else np.array([0.0, 1.0, 0, 0])

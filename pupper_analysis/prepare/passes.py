@@ -312,7 +312,7 @@ def _name_elements(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("frees the base of a robot with limbs"), _has_free_base_request)
 def _free_base(draft: Draft) -> PassOutput:
-    """Add a free joint to the base if the robot has at least two limbs (`free_base`)."""
+    """Free a base with at least two limbs, or join the joints of a free base (`free_base`)."""
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
 
@@ -463,7 +463,7 @@ def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
 
 @_register_pass(Term("adds motors to joints of loops that have none"), _may_be_altered)
 def _add_loop_motors(draft: Draft) -> PassOutput:
-    """Add motors without torque to joints of closed loops that have none."""
+    """Add motors without torque to independent joints without a motor, with closed loops only."""
     return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 
