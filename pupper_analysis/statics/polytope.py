@@ -48,7 +48,8 @@ class ForcePolytope(Tabular):
 
     Attributes:
         point: Position of the point in the world, shape (3,) (m).
-        joints: Joints of the n motors that move the point.
+        joints: Joints of the n motors between the base and the point, and of the motors that bear
+            the force through loops and couplings.
         rows: Rows of J^T in world axes, shape (n, 3) (m or 1).
         load: Static load of the motors, shape (n,) (N m or N).
         limits: Effort limits of the motors, shape (n,) (N m or N); infinite if no file states the

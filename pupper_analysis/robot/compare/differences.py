@@ -321,7 +321,7 @@ class RelativeError:
             second: Values of the other model, same shape.
 
         Returns:
-            Relative deviation; infinite if a value is NaN.
+            Relative deviation; infinite if a difference is NaN or infinite.
         """
         with np.errstate(all="ignore"):
             deviation = float(np.abs(first - second).max())
