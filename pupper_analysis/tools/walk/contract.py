@@ -161,7 +161,7 @@ listed: it is the reciprocal of the stated policy step."""
 def convert_source_statements(source: Source) -> dict[str, Any]:
     """Return the quantities that a source, such as a policy file, states as {contract key: value}.
 
-    The keys and values are those of a contract TOML file. Scales of observations are left out.
+    The keys and values are those of a contract TOML file.
     """
     values: dict[str, Any] = {}
     for statement in source.statements:
@@ -179,7 +179,10 @@ def convert_source_statements(source: Source) -> dict[str, Any]:
     if source.order:
         values["joints"] = list(source.order)
     if source.observations:
-        values["observation"] = [name.strip() for name, _, _ in source.observations]
+        values["observation"] = [
+            name.strip() if scale is None else {"term": name.strip(), "scale": scale}
+            for name, scale, _ in source.observations
+        ]
     return values
 
 

@@ -11,7 +11,7 @@ import io
 import reprlib
 import struct
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -156,13 +156,12 @@ def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
 _NUMPY_TYPES = {1: "<f4", 6: "<i4", 7: "<i8", 10: "<f2", 11: "<f8"}
 """NumPy type of each TensorProto data type."""
 
+_FLOAT16 = 10
+"""TensorProto data type of half precision: numbers that are not raw bytes are stored as integers
+with the same 16 bits (onnx.proto3, ``int32_data``)."""
+
 _FIELD_OF_TYPE = {1: 4, 6: 5, 7: 7, 11: 10}
 """TensorProto field that contains numbers of each data type, if the numbers are not raw bytes."""
-
-
-def _unpack_floats(values: Sequence[Any]) -> list[float]:
-    """Unpack single-precision numbers."""
-    return [number for value in values for (number,) in struct.iter_unpack("<f", bytes(value))]
 
 
 def _read_tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
@@ -194,6 +193,8 @@ def _read_tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
         )
     else:
         numbers = np.array(decode_integers(tensor.get(_FIELD_OF_TYPE.get(kind, 5), ())))
+        if kind == _FLOAT16:
+            numbers = numbers.astype("<u2").view("<f2")
     if numbers.size != count:
         problem = diagnose("layer-sizes", layer=name, sizes=f"{dims}, {numbers.size}")
         raise ModelError(path, problem)

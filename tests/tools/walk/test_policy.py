@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.contract.facts import Place, Role, Source
+from pupper_analysis.tools.walk.contract import convert_source_statements
+from pupper_analysis.tools.walk.policy import Policy, _read_tensor
+from tests.tools.contract.sources import field, varint
 from tests.tools.walk import made
 
 TOML = """
@@ -217,3 +220,24 @@ def test_onnx_values_that_grow_without_end_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "made.onnx"
     path.write_bytes(data)
     assert "sizes do not fit" in refusal(path)
+
+
+def test_half_precision_weights_stored_as_integers_keep_their_values(tmp_path: Path) -> None:
+    """ONNX stores float16 in ``int32_data`` as the same 16 bits (onnx.proto3): NumPy's view."""
+    numbers = np.array([0.5, -2.0, 65504.0, 6e-8], dtype="<f2")
+    packed = b"".join(varint(bits) for bits in numbers.view("<u2").tolist())
+    tensor = field(1, 4) + field(2, 10) + field(8, "w") + field(5, packed)
+    name, read = _read_tensor(tmp_path / "made.onnx", memoryview(tensor))
+    assert name == "w"
+    assert read.tolist() == numbers.astype(float).tolist()
+
+
+def test_scales_of_observations_in_a_policy_file_reach_the_contract() -> None:
+    """A term without a stated scale remains a name, for which the contract's default holds."""
+    place = Place(Path("policy.json"), 1)
+    observations = (("angular-velocity", 0.25, place), ("command", None, place))
+    source = Source("policy.json", place.path, Role.POLICY, (), observations=observations)
+    assert convert_source_statements(source)["observation"] == [
+        {"term": "angular-velocity", "scale": 0.25},
+        "command",
+    ]
