@@ -208,7 +208,9 @@ def _find_carrying_link(robot: Robot, body: int) -> str:
     if not body:
         return robot.base
     last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1  # last joint of the body
-    joint = robot.structure.joints[model.joint(last).name]
+    joint = robot.structure.joints.get(model.joint(last).name)
+    if joint is None:  # a joint of the free base
+        return robot.base
     frames = robot.structure.model.frames
     return str(
         next(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -11,8 +12,11 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
 from tests.support.engines import evaluate_mujoco, load_by_mujoco
+from tests.support.repository import ROOT
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
+
+MJCF = ROOT / "mjcf/pupper_skeleton.xml"
 
 
 @pytest.mark.parametrize("frame", ["leg_front_l_2", "leg_back_r_3_foot_site"])
@@ -87,3 +91,20 @@ def test_payload_on_a_fixed_base_is_refused() -> None:
         with_payload(load("v3", fixed_base=True), 1.0)
     with pytest.raises(pa.ConfigurationError, match="point"):
         with_payload(load("v3"), 1.0, (0.0, 0.0))
+
+
+@pytest.mark.parametrize("frame", ["geom_1", "FL_foot"])
+def test_payload_on_a_geom_shifts_the_com_by_its_place_in_mujoco(frame: str) -> None:
+    """A geom of a free base, and of a leg. Reference: the pose of the geom in MuJoCo's data, and
+    m p = (M + m) c' - M c."""
+    robot, mass, offset = pa.load_robot(MJCF), 1.0, (0.01, 0.0, 0.0)
+    loaded = with_payload(robot, mass, (frame, *offset))
+    model = robot.mj_model
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.neutral()
+    mujoco.mj_kinematics(model, data)
+    geom = data.geom(frame)
+    expected = geom.xpos + geom.xmat.reshape(3, 3) @ offset
+    before = Configuration(robot, robot.neutral()).center_of_mass() * robot.total_mass
+    after = Configuration(loaded, loaded.neutral()).center_of_mass() * loaded.total_mass
+    np.testing.assert_allclose(after - before, mass * expected, atol=1e-9)
