@@ -202,12 +202,12 @@ def read_standard_input(most: int) -> Path:
 
 
 def discard_standard_input() -> None:
-    """Discard the content of standard input."""
+    """Discard the content of standard input that ``read_standard_input`` has kept."""
     _held_content.clear()
 
 
 def is_held(path: Path) -> bool:
-    """Return True if a path represents standard input and the content is held."""
+    """Return True if a path is that of standard input, and its content is kept in memory."""
     return path == STANDARD_INPUT and bool(_held_content)
 
 

@@ -52,7 +52,9 @@ def to_json(result: object) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """Return the JSON-compatible equivalent of a value of another type.
+    """Convert a dataclass, diagnostic, array, mapping, path or float subclass to a JSON type.
+
+    Values inside of a dataclass or mapping are not converted.
 
     Raises:
         ConfigurationError: If the type is not supported.

@@ -135,7 +135,7 @@ def register_input(path: str | os.PathLike[str]) -> None:
 
 
 def identify_file(path: Path) -> Identity | None:
-    """Return the identity of a file, with links followed; None if there is no file."""
+    """Return device and inode number of a file, with links followed; None if there is no file."""
     with suppress(OSError, ValueError):
         status = path.stat()
         return status.st_dev, status.st_ino

@@ -89,7 +89,7 @@ tuned: the strongest motors have 1e4 N m."""
 
 
 def known_limit(stated: float) -> float:
-    """Return an effort [N m, N] or velocity [rad/s, m/s] of a URDF; infinite from ``UNSTATED``."""
+    """Return a URDF's effort [N m, N] or velocity limit [rad/s, m/s]; inf from ``UNSTATED`` up."""
     return math.inf if stated >= UNSTATED else stated
 
 

@@ -680,7 +680,7 @@ class MjcfFile:
         return self._model
 
     def check_compiled(self) -> None:
-        """Raise the error in ``refusal``, if any.
+        """Raise an error if MuJoCo refuses this file, or compiles a bad number (``refusal``).
 
         Raises:
             ModelError: As for `model`.

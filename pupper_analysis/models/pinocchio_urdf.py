@@ -107,7 +107,7 @@ class _Writer:
         self._joint_names = {str(name) for name in model.names}
 
     def add_links(self) -> None:
-        """Add a link for each joint, for the root, and for each further frame of a body."""
+        """Add a link per joint, root and further body frame of the Pinocchio model to the URDF."""
         model = self._model
         frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
         own: dict[int, pin.Frame] = {}

@@ -250,10 +250,10 @@ class Shape:
         return np.asarray(support)
 
     def height(self, link: tuple[Array, Array], normal: Direction) -> float:
-        """Return the height [m] of the lowest point above a plane through the world origin.
+        """Return the height [m] of the shape's lowest point above a plane through the world origin.
 
-        The lowest point is below the centre by the value of the support function at -normal. Scalar
-        arithmetic is used because this function is called often.
+        The lowest point is below the origin of the body by the value of ``support`` at -normal.
+        Scalar arithmetic is used because this function is called often.
 
         Args:
             link: Rotation (3, 3) and position (3,) [m] of the body in the world.

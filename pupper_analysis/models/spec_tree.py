@@ -168,7 +168,7 @@ class SpecTree:
         self._clear_cache()
 
     def scale_mass(self, link: str, factor: float) -> None:
-        """Multiply mass and inertia of a body by a factor, specified or computed from geoms."""
+        """Multiply a body's mass and inertia, specified or computed from geoms, by a factor."""
         body = self.spec.body(link)
         self._clear_cache()
         if body.explicitinertial:
@@ -285,7 +285,7 @@ class SpecTree:
         return equality
 
     def stiffen_couplings(self) -> None:
-        """Set the stiffness of all joint couplings as ``add_coupling``, since mimics are exact."""
+        """Make all joint couplings as stiff as ``add_coupling``, since mimic joints are exact."""
         for equality in self.spec.equalities:
             if equality.type == mujoco.mjtEq.mjEQ_JOINT:
                 self._set_stiffness(equality)

@@ -67,7 +67,7 @@ class UrdfFile:
 
     @cached_property
     def tree(self) -> UrdfTree:
-        """Links and joints."""
+        """Links and joints of this URDF."""
         return UrdfTree(self.root)
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:

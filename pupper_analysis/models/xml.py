@@ -207,7 +207,7 @@ def is_zero(text: str) -> bool:
 
 
 def write_halves(text: str) -> str:
-    """Return half of the numbers in a text: a URDF contains full lengths, an MJCF half lengths."""
+    """Return the numbers in a text divided by 2: a URDF has full lengths, an MJCF half lengths."""
     return write_numbers([float(word) / 2 for word in text.split()])
 
 

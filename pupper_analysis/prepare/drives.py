@@ -162,9 +162,9 @@ def add_position_servos(
     results: dict[tuple[int, bool], bool] = {}
 
     def rests_with(number: int, *, fed: bool) -> bool:
-        """Return True if the robot comes to rest with a candidate, with or without feed-forward.
+        """Return True if the robot comes to rest with the servo gains of candidate ``number``.
 
-        Each case is simulated once.
+        The feed-forward torques are added if ``fed``. Each case is simulated once.
         """
         parts, kp, kd = candidates[number]
         trial.mj_model.opt.timestep = timestep / parts

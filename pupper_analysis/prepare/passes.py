@@ -155,8 +155,8 @@ class Draft:
     def may_fix_base(self) -> bool:
         """Whether the base may be fixed although the user did not request a fixed base.
 
-        True if the MJCF has no free joint, and no child body of the world with
-        `_MIN_PARTIAL_FREE_JOINTS` joints or more.
+        True if the MJCF has no free joint, and no child body of the world that moves like a free
+        base, by `_MIN_PARTIAL_FREE_JOINTS` joints or more.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False
@@ -165,7 +165,7 @@ class Draft:
 
     @property
     def match(self) -> Match:
-        """Match of URDF and MJCF; available after the matching pass."""
+        """Matched joints of URDF and MJCF; available after the preparation step ``match``."""
         assert self.found_match is not None
         return self.found_match
 

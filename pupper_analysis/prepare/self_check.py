@@ -445,10 +445,10 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 
 
 def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:
-    """Return a cause of a failed run that is in the commands of the keyframe; empty without one.
+    """Return the cause of a failed run if the keyframe's ctrl is the cause; otherwise ().
 
-    The cause is a missing ctrl, if the robot does not fall with the joint angles as commands; or
-    the ctrl, if the keyframe specifies ctrl and most joints have no position servo.
+    Either the keyframe has no ctrl, and the robot does not fall if its joint angles are commanded.
+    Or the keyframe has a ctrl, and most joints have no position servo.
     """
     if run.commands is OwnCommands.ABSENT and run.held is not None and not run.held.falls:
         return (Cause("ctrl-absent", (run.keyframe,)),)
@@ -530,7 +530,7 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
         )
 
     def test_model(changed: mujoco.MjModel) -> float | None:
-        """Return 0.0 if a changed model stands, None if the model fails."""
+        """Return 0.0 (no remaining deviation) if a changed model stands, None if it fails."""
         # A single other time step may let an unstable robot stand by chance.
         finer = changed.opt.timestep < model.opt.timestep
         for parts in (1, 2, 4) if finer else (1,):
@@ -606,7 +606,7 @@ def _test_causes(
 
     @cache
     def deviation_without(removed: frozenset[CauseCandidate]) -> float | None:
-        """Return the remaining deviation without some candidates; None if the model is unsound."""
+        """Return the result of ``test_model`` for the model with some candidates switched off."""
         model = copy.copy(published.model)
         for candidate in removed:
             candidate.switch_off(model)

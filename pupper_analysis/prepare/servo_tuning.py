@@ -114,7 +114,7 @@ class ServoRequirement:
             robot: Robot.
             qpos: Configuration of the stand, shape (nq,).
             torques: Static torques of the stand, shape (nu,) [N m].
-            parts: Divisor of the model's time step.
+            parts: Divisor of the model's time step; the bounds are those for this shorter step.
         """
         inertia = compute_joint_inertia(robot, qpos)
         timestep = float(robot.mj_model.opt.timestep) / parts
@@ -149,7 +149,7 @@ class ServoRequirement:
         """Compute the requirements on the servos of a robot with a fixed base, such as an arm.
 
         The design torque of a joint is the largest gravity torque in random poses. The minimum
-        stiffness is derived from the largest inertia that the joint moves there with the other
+        stiffness is derived from the largest inertia about the joint in these poses, with the other
         joints locked.
 
         Args:
@@ -192,7 +192,7 @@ def suggest_standing_gains(
         stand: Stand.
         torques: Static torques, shape (nu,) [N m].
         sag: Deflection of the most loaded joint [rad].
-        parts: Divisor of the model's time step.
+        parts: Divisor of the model's time step; the gains are those for this shorter step.
         damping: Factor of the default damping, kd = 0.05 s * kp.
 
     Returns:

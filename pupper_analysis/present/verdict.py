@@ -398,11 +398,10 @@ def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...
 
 
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:
-    """Yield statements on the published file, simulated from the computed stand.
+    """Yield statements on simulations of the published file that deviate from the computed stand.
 
-    The first statement contains the collapse or the deviations of the worst simulation in torque,
-    joint angle [rad] and CoM height [m]; each cause is a further statement. Without such a
-    simulation there is no statement.
+    The first statement is on the worst of these simulations: a collapse, or the deviations in
+    torque, joint angle [rad] and CoM height [m]. Each cause is a further statement.
     """
     if published is None:
         return

@@ -283,7 +283,7 @@ def stand_height(
     keyframe: Array,
     foot_depth: float | None,
 ) -> float:
-    """Return the height [m] of the base in the nominal stand.
+    """Return the height [m] of the base above the ground in the nominal (default) stand.
 
     With ``foot_depth``, the centres of the feet are this distance below the first bodies of their
     legs, with all joints at the values in qpos0. Otherwise, the lowest foot touches the ground

@@ -190,7 +190,8 @@ class PinocchioConvention:
     def acceleration_offset(self, qpos: Array, qvel: Array) -> Array:
         """Return the vector dT/dt qvel (model.nv,) of a_pin = T qacc + dT/dt qvel.
 
-        It is zero for a fixed base: T changes with the orientation of the base.
+        T is the `velocity_map`. It changes only with the orientation of the base, so the vector is
+        zero for a fixed base.
 
         Args:
             qpos: Configuration, shape (nq,): quaternion (w, x, y, z), not zero, joints in actuator

@@ -199,7 +199,7 @@ class EngineModels:
     ) -> Array:
         """Convert an acceleration qacc (nv,) to Pinocchio's a = T qacc + dT/dt qvel.
 
-        With it, inverse dynamics agree: rnea(q, v, a) = T (M qacc + bias).
+        T is the `velocity_map`. Inverse dynamics then agree: rnea(q, v, a) = T (M qacc + bias).
 
         Args:
             qpos: Configuration (nq,).
@@ -246,7 +246,7 @@ class EngineModels:
         return _check_columns("jacobian", jacobian, self.nv) @ self.velocity_map(qpos).T
 
     def jacobian_to_mujoco(self, qpos: ArrayLike, jacobian: ArrayLike) -> Array:
-        """Convert the columns of Pinocchio's Jacobian (n, pin_model.nv): J = J_pin T.
+        """Convert the columns of Pinocchio's Jacobian J_pin: J = J_pin T, with T of `velocity_map`.
 
         Args:
             qpos: Configuration (nq,), quaternion (w, x, y, z), joints in actuator order.

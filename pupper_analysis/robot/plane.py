@@ -126,7 +126,7 @@ class Slope:
 
     @property
     def parameter(self) -> float:
-        """Angle to the horizontal [rad]."""
+        """Angle of this inclined plane to the horizontal [rad]."""
         return self.angle
 
     def with_parameter(self, number: float) -> Slope:

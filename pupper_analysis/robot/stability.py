@@ -362,10 +362,11 @@ def judge_settled(
 ) -> tuple[Stability, mujoco.MjData]:
     """Simulate a state for a settling time, and compute the stability in the settled state.
 
-    The result equals the result of `step_stability`, with the state to which the result applies.
-    This is the state after settling. It is the initial state if ``settle`` is below half a time
-    step, or if the simulation diverges. It is also the initial state if only this state is at rest
-    and one of its modes doubles at least ``_MIN_THROWING_DOUBLINGS`` times during settling.
+    Returns the result as of `step_stability`, and the state to which the result applies. This is
+    normally the state after settling. It is the initial state if ``settle`` is below half a time
+    step, if the simulation diverges, or if growing modes explain why the robot left the initial
+    state: only the initial state is at rest, and one of its modes doubles more than
+    ``_MIN_THROWING_DOUBLINGS`` times during settling.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)

@@ -186,7 +186,9 @@ def evaluate_stability(
 def evaluate_spectrum(
     drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Compute the modes of MuJoCo's step at a state under a constant command, without their test.
+    """Compute the modes of MuJoCo's step at a state under a constant command.
+
+    Unlike `evaluate_stability`, this function does not test growing modes by a simulation.
 
     Args:
         drive: MuJoCo model with servos.

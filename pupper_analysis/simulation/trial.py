@@ -335,10 +335,10 @@ class _FailureConditions:
         self.growth_rate = 0.0
 
     def bound_motion(self, speed: float, remaining: float) -> float:
-        """Return a bound of the motion [m, rad] in the ``remaining`` time [s].
+        """Return an upper bound of the motion of a coordinate [m, rad] in the ``remaining`` time T.
 
-        ``speed`` is the largest speed v of a coordinate [m/s, rad/s]. The bound is
-        ``_SPEED_FACTOR`` v (exp(r T) - 1) / r with the largest growth rate r [1/s].
+        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r, with ``speed`` v, the largest speed of
+        a coordinate [m/s, rad/s], and the largest growth rate r [1/s]; T is in s.
         """
         growth = self.growth_rate * remaining
         if growth > _MAX_GROWTH_EXPONENT:

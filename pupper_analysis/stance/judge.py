@@ -253,7 +253,7 @@ class Stand(Pictured, Tabular):
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
     def check(self, robot: Robot) -> Robot:
-        """Check that this stand belongs to a robot, and return the robot with the task's contacts.
+        """Check that this stand belongs to a robot; return the robot with the contacts of the task.
 
         Raises:
             ConfigurationError: If the stand belongs to another robot.

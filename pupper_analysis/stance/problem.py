@@ -709,7 +709,7 @@ def remove_penetration(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
-    """Return the targets with which steps and planes of feet are located: without penetration.
+    """Remove the penetration from targets, to locate the steps and planes below the feet.
 
     If a foot has a separate plane, the target of each stance point is moved out of the ground along
     the normal by the penetration. Otherwise the targets are returned unchanged: the horizontal

@@ -208,12 +208,12 @@ def solve_loaded_stand(
 
 
 def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
-    """Compute the opening of MuJoCo's closed loops and joint couplings under the load of a stand.
+    """Compute how far MuJoCo's soft loop and coupling constraints yield under the load of a stand.
 
     Args:
-        robot: Robot with a ``closure``.
+        robot: Robot with closed loops or joint couplings (``closure``).
         stand: Stand.
-        held: Statics of the stand.
+        held: Static contact forces and torques of the stand.
 
     Returns:
         Opening in each equation of the loops and couplings, shape (m,) [m, rad].
@@ -286,7 +286,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
         return np.asarray(basis.T @ compute_forces(basis @ coefficients) - wanted)
 
     def derivative(coefficients: Array) -> Array:
-        """Return the derivative of the residual by the coefficients, shape (k, k) [N/m]."""
+        """Return the derivative of ``residual`` by its ``coefficients``, shape (k, k) [N/m]."""
         depths = (basis @ coefficients).tolist()
         stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])
         return np.asarray(basis.T @ (stiff[:, None] * basis))

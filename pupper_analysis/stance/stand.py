@@ -131,7 +131,7 @@ def stand_statics(
 
 
 def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
-    """Return the contacts of the stance feet, with normals and depths [m] of a stand."""
+    """Return the contacts of a stand's stance feet, with ground normals and penetrations [m]."""
     # Contacts on level, rigid ground are cached by the robot.
     level = all(normal.tolist() == _UP for normal in stand.normals.values())
     normals, depths = None if level else stand.normals, stand.depths

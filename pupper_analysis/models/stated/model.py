@@ -78,7 +78,7 @@ class Inertial:
 
     @property
     def moments(self) -> Array:
-        """Principal moments (3,) [kg m^2], ascending; NaN if the inertia is not finite."""
+        """Principal moments of the inertia (3,) [kg m^2], ascending; NaN if it is not finite."""
         if not np.isfinite(self.inertia).all():
             return np.full(3, np.nan)
         return np.asarray(np.linalg.eigvalsh(self.inertia), dtype=np.float64)

@@ -183,7 +183,7 @@ class Difference(Stated, Result):
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Sort key of the urgency of the repair, most urgent first: tier, effect, kind."""
+        """Sort key of this difference, most urgent repair first: ``tier``, effects, kind."""
         kind = KIND_ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
         return (
             self.tier,
@@ -584,10 +584,10 @@ def changes_between(
 def apply_changes(
     first: MultibodyTree, second: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> MultibodyTree:
-    """Return the first tree with the second tree's value of each difference.
+    """Return the first tree with the second tree's value of each property that differs.
 
     Differences of any size are included. Properties that `changes_between` does not compare, such
-    as armature between two formats, remain those of the first tree.
+    as the armature of a URDF and an MJCF, remain those of the first tree.
     """
     patched = first
     for change in changes_between(first, second, ZERO_TOLERANCES, sides):

@@ -158,7 +158,10 @@ def measure_joint_deviation(
 def measure_tree_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> float:
-    """Return the sum of the deviations [bits] of all joints, moved bodies and frames."""
+    """Return the sum of the deviations [bits] of all joints, moved bodies and frames of two trees.
+
+    For the logarithmic unit see `measure_deviation_bits`.
+    """
     return sum(_joint_bits(first, second, name, tolerances) for name in first.joints)
 
 
@@ -180,7 +183,10 @@ def _joint_bits(
 
 
 def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolerances) -> float:
-    """Return the deviation [bits] of the CoM and inertia of two bodies; 0 if a body has no mass."""
+    """Return the deviation [bits] of the CoM and inertia of two bodies; 0 if a body has no mass.
+
+    For the logarithmic unit see `measure_deviation_bits`.
+    """
     if not (first.mass and second.mass):
         return 0.0
     scale = max(float(np.abs(first.inertia).max()), float(np.abs(second.inertia).max()), 1e-300)

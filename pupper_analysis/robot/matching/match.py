@@ -107,11 +107,11 @@ alternatives are sorted from small to large."""
 
 
 def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
-    """Return the parts that could be removed because the other file lacks their joints.
+    """Return the subtrees (parts) that could be removed because the other file lacks their joints.
 
-    The parts are grouped by the moving joint that carries them ("" for the base). The first
-    alternative of a group consists of the moving parts; each further alternative includes more of
-    the fixed parts between the moving parts and this joint.
+    The parts are grouped by the moving joint that carries them ("" for the base). Each group has
+    alternatives. In the first, each part begins at the link that a missing joint moves; in each
+    further one, it begins one fixed link closer to the carrying joint.
 
     Args:
         tree: Tree of the file.
@@ -679,10 +679,10 @@ def _has_plane(body: mujoco.MjsBody) -> bool:
 
 
 def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
-    """Return the bodies on the world that move by joints of a URDF: limbs of a merged base.
+    """Return the child bodies of the world that are limbs: joints of a URDF move them.
 
-    MuJoCo's import of a URDF merges static bodies with the world. Joints are identified by name,
-    with or without affixes.
+    MuJoCo's import of a URDF merges a fixed base with the world. Joints are identified by name,
+    with or without affixes (prefixes and suffixes).
     """
     urdf_joints = [joint.name for joint in UrdfTree(urdf).joints.values() if not joint.is_fixed]
     mjcf_joints = [joint.name for joint in spec.joints]

@@ -111,7 +111,7 @@ class Reference:
     base: str
 
     def joints(self) -> list[int]:
-        """Return the ids of the base's free joint, if any, and of the robot's joints."""
+        """Return the MuJoCo ids of the base's free joint, if any, then of the robot's joints."""
         base = self.names.body(self.base).id
         free_ids = free_joints(self.model)
         base_joints = [joint for joint in free_ids if self.model.jnt_bodyid[joint] == base]

@@ -913,12 +913,13 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
 def contact_compliance(
     robot: Robot, units: EquilibriumScales
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return tangential compliances {contact point: m/N}: of soles only, and of all points.
+    """Return two tangential compliances of the contacts, each {contact point: compliance [m/N]}.
 
-    The points of a sole move as a rigid body; without compliance their slip equations would be
-    linearly dependent. The second mapping equals the first, with 0 for a foot with one point; but
-    if `can_move_com` is False, all points are compliant: the distance of two feet whose legs swing
-    in planes is as constant as that of the points of a sole.
+    In the first mapping, the points of soles (feet with several points) are compliant, all others
+    have 0: a sole is rigid, so without compliance the slip equations of its points would be
+    linearly dependent. The second mapping is the same, unless `can_move_com` is False. All points
+    are then compliant: two feet whose legs swing in planes have a constant distance, as the points
+    of a sole have.
 
     Args:
         robot: Robot.

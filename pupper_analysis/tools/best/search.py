@@ -251,10 +251,10 @@ class StanceSearch:
         yield self.nominal
 
     def evaluate_stand(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
-        """Compute the scaled objective (level) and the constraints of a stand.
+        """Compute the objective of a stand, relative to its initial magnitude, and the constraints.
 
         Args:
-            coordinates: Coordinates of the stand, shape (n,) [m or rad].
+            coordinates: Coordinates of the stand in the `StanceSpace`, shape (n,) [m or rad].
             stand: Stand.
 
         Raises:

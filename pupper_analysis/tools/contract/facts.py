@@ -199,9 +199,9 @@ class Source:
     notes: tuple[Diagnostic, ...] = ()
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:
-        """Convert a statement of this source to a fact about a joint of the robot.
+        """Convert a statement (a number) of this source to a fact about a joint of the robot.
 
-        Without ``joint``, the fact is a setting of the source.
+        With ``joint`` empty, the fact is a setting of the whole source.
         """
         return Fact(
             self.name,

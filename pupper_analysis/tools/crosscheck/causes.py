@@ -819,9 +819,9 @@ class _LinkMistake:
 
 
 def find_link_mistakes(case: PatternCase) -> PatternFindings:
-    """Find inertial differences of bodies that single links explain.
+    """Find links that explain why bodies (links that move together) differ in their inertia.
 
-    A file lacks some links of the body, or the mass of one link differs by a factor.
+    One file lacks some links of the body, or the mass of one link differs by a factor.
     """
     bodies = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
     if not bodies:

@@ -245,9 +245,9 @@ class VersionedFile:
         return self._replace_paths(place.path)
 
     def read(self, read: Callable[[Path], _T]) -> _T:
-        """Call ``read`` with the path of the file, and return its result.
+        """Call ``read`` with the path of this file, or of its copy from git; return the result.
 
-        A ModelError of ``read`` is raised with the name of the file that the user passed.
+        If ``read`` raises a ModelError, the message names the file as the user passed it.
         """
         try:
             return read(self.path)

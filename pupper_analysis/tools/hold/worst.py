@@ -94,7 +94,8 @@ class TorqueSearch:
         """Find the posture with the largest static torque of a motor, by searches from postures.
 
         No further search starts after `_NUM_AGREEING_SEARCHES` searches have ended at the largest
-        torque. Samples along loops are refined from the best posture only.
+        torque. If joints move in closed loops, whose motion is sampled, a last search from the best
+        posture also examines postures between the samples.
 
         Args:
             joint: Index of the joint.

@@ -154,9 +154,9 @@ class State:
 
 
 def find_contact_factor(contact: Contact | Weld) -> float:
-    """Return the factor from SI to page units for the number of a contact's plane.
+    """Return the factor from SI units to the units that the page shows, for a contact's position.
 
-    From rad to degrees if the number is an angle, else from m to mm.
+    From rad to degrees if an angle positions the contact's plane (a slope), else from m to mm.
     """
     return PAGE_UNITS["angle" if contact.has_angle else "length"][1]
 

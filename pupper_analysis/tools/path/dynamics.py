@@ -265,7 +265,9 @@ def remaining_moment_fraction(
 ) -> float:
     """Compute the fraction of a resisting moment that fits into the cone beside a contact force.
 
-    Force and moment share a cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2.
+    Force and moment share a cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2, with the
+    components along the normal (n), tangential (t) and across the normal (r), and the sliding,
+    torsional and rolling friction coefficients mu [1], mu_n and mu_r [m].
 
     Args:
         robot: Robot.

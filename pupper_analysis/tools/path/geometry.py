@@ -92,7 +92,7 @@ class Segment:
     after: tuple[str, ...]
 
     def find_specified_joints(self, robot: Robot) -> list[int]:
-        """Return the indices of joints whose position a stance at either end specifies."""
+        """Return the indices of joints whose position the first or last stance's task specifies."""
         tasks = self.start.task, self.end.task
         names = {joint for task in tasks for joint in resolve_posture(robot, task.posture)}
         return sorted(map(robot.joint_names.index, names))

@@ -433,7 +433,7 @@ class PushBench:
         return peaks
 
     def find_push_point(self) -> Array:
-        """Return the point of application in the world: CoM of the base body, shape (3,) [m]."""
+        """Return the world point at which pushes act: CoM of the base body, shape (3,) [m]."""
         data = self.robot.compute_kinematics(self.stand.qpos)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 

@@ -102,10 +102,10 @@ class Design:
 
     @property
     def standing_equilibrium(self) -> SteadyState:
-        """Predicted equilibrium on the servos without feed-forward, in which the robot stays up.
+        """Predicted equilibrium of this design's stand on the servos without feed-forward.
 
         Raises:
-            NotStandingError: If the equilibrium has failures.
+            NotStandingError: If the robot does not stay up (``failures`` of the equilibrium).
             PupperAnalysisError: As `steady_state`.
         """
         if self.equilibrium.failures:

@@ -263,15 +263,15 @@ def _describe_element(element: Element) -> str:
 
 
 def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
-    """Return True if a chosen file (URDF or MJCF) states no value for a differing number.
+    """Return True if one of the two files states no value for a number that differs.
 
     Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a
     link without <inertial> as 0. A URDF must state an effort; exporters write 0 if unknown.
 
     Args:
-        key: Kind and element of a difference.
-        whose: ``"urdf"`` or ``"mjcf"``.
-        both: Both robots.
+        key: Kind and element of the differing number.
+        whose: File that is examined: ``"urdf"`` or ``"mjcf"``.
+        both: Matched robots of both files.
         urdf: URDF.
         mjcf: MJCF.
     """

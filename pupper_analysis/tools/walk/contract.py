@@ -190,9 +190,9 @@ def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -
     """Return {contract key: value} that Pupper's neural_controller implies for an RTNeural JSON.
 
     The observation of a time step (frame) is that of ``neural_controller.cpp``: angular velocity,
-    gravity, command, commanded vertical, joint positions, last action; 36 elements for twelve
-    joints, or 33 without the commanded vertical. The newest frame is the first; elements are
-    clipped at 100; an action every 20 ms.
+    gravity, command, commanded up direction in the base frame, joint positions, last action. With
+    twelve joints these are 36 elements, or 33 without the up direction. The newest frame is the
+    first; elements are clipped at 100; there is an action every 20 ms.
 
     Args:
         values: Content of the JSON. The result is empty if it has no ``observation_history``.

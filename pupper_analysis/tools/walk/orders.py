@@ -121,10 +121,10 @@ class Orders(Result):
 
     @property
     def alike(self) -> tuple[int, ...]:
-        """Indices of the interpretations that track as many commands as the best at similar cost.
+        """Indices of the candidates that are about as good as the best, which is the first one.
 
-        The cost of these candidates is at most `MIN_COST_RATIO` times the cost of the first. Empty
-        if no candidate tracks a command.
+        They track as many commands, at a cost of at most `MIN_COST_RATIO` times that of the first.
+        Empty if no candidate tracks a command.
         """
         best = self.candidates[0]
         return tuple(
@@ -137,7 +137,7 @@ class Orders(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the stated interpretation is among ``alike``, the best candidates."""
+        """True if the policy's stated interpretation is one of the best candidates (``alike``)."""
         return self.stated in self.alike
 
 

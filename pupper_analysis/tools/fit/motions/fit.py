@@ -325,10 +325,10 @@ def _get_middle_half(rows: Array) -> Array:
 
 
 def measure_replay(runs: Sequence[Run]) -> float:
-    """Return the largest correlation (-1 to 1) between held-out and fitted commands, at any shift.
+    """Return the largest correlation (-1 to 1) of held-out and fitted commands over time shifts.
 
-    The middle half of the held-out part of each run is compared with the fitted parts of all runs;
-    0 if no run has a held-out part.
+    Held-out samples are excluded from the fit, to validate it. The middle half of the held-out part
+    of each run is compared with the fitted parts of all runs; 0 if no run has a held-out part.
     """
     fitted = [run.command[run.counts.any(axis=1)] for run in runs]
     parts = [_get_middle_half(run.command[run.held_out.any(axis=1)]) for run in runs]
@@ -435,8 +435,9 @@ class MotionResiduals:
 
         The residuals are predicted minus measured joint positions, divided by the long-run standard
         deviation of the noise. If ``moments`` is the same object as ``noise_point``, the noise is
-        estimated from the residuals, and derivatives are evaluated again if the parameters are
-        farther than `_MAX_DERIVATIVE_DISTANCE` from the last evaluation.
+        estimated again from the residuals; the derivatives are also evaluated again if the
+        parameters are farther than `_MAX_DERIVATIVE_DISTANCE` from those of the last evaluation.
+        Otherwise the previous noise and derivatives are used.
 
         Args:
             moments: Parameters in first-moment coordinates (`MomentCoordinates`), shape (n,).

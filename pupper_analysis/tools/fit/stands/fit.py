@@ -172,6 +172,7 @@ def check_scale(
 ) -> Iterator[Diagnostic]:
     """Yield a failure if mean kp, total mass and load are jointly improbable, given the file.
 
+    The load is the force on the feet beyond the weight of the masses, as a fraction of it.
     Positions determine the ratio of kp to mass; the weight determines both. An error of the weight
     shifts all parameters a little, and no parameter by itself is far from the stated value.
     Therefore the mean of log kp, the logarithm of the total mass and the load are tested jointly.
@@ -634,10 +635,10 @@ class _StandProblem:
 
     @property
     def friction_ratio(self) -> float:
-        """Expected factor on the dry friction of the joints; 1 unless it is implausibly small.
+        """Ratio of expected to stated dry friction of the joints; 1 if the latter is plausible.
 
-        If the mean friction is below ``_MIN_FRICTION_RATIO`` of weight times height, the factor
-        makes the mean equal to the default.
+        The stated friction is implausible if its mean is at most ``_MIN_FRICTION_RATIO`` times
+        weight times height; the ratio then makes the mean equal to the default.
         """
         ratio = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
         return 1.0 if ratio > _MIN_FRICTION_RATIO else _DEFAULT_FRICTION_RATIO / ratio
@@ -1120,8 +1121,8 @@ class LogCoordinates:
     def transform_posterior(self, posterior: Posterior) -> Posterior:
         """Convert a distribution of the coordinates y to a distribution of the parameters x.
 
-        The conversion is linearised about the mean. The prior widths are scaled as well: twice the
-        mass has twice the width.
+        The conversion is linearised about the mean: covariance and prior widths are scaled by dx/dy
+        there. A mean mass of twice the stated mass thus has twice the prior width.
         """
         rates = self.compute_rates(posterior.mean)
         return replace(
