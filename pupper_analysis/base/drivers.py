@@ -38,7 +38,10 @@ class _MuJoCoFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the specification of ``mujoco`` with `_MuJoCoLoader`; None for other modules."""
+        """Find ``mujoco``, and let `_MuJoCoLoader` import it; None for other modules.
+
+        The signature is that of ``importlib.abc.MetaPathFinder.find_spec``.
+        """
         if fullname != "mujoco":
             return None
         found = PathFinder.find_spec(fullname, path, target)

@@ -44,7 +44,7 @@ def make_lazy_exports(
     sources = {name: source for name, source in sources.items() if not name.startswith("_")}
 
     def get_attribute(name: str) -> Any:
-        """Import a name of the stub at its first use, and return it."""
+        """Import an object that the package's stub file (``.pyi``) names, and return the object."""
         if name not in sources:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, attribute = sources[name]

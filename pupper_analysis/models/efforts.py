@@ -149,10 +149,11 @@ class EffortLimit(Result):
 
     @property
     def code(self) -> EffortCode:
-        """Status of the torque limit: stated, zero, negative or unknown.
+        """Status of this torque limit: stated, zero, negative or unknown.
 
-        ``UNKNOWN``: no file states a limit. ``NEGATIVE``: the range is inverted. ``ZERO``: all
-        other ranges without torque in either direction.
+        ``UNKNOWN``: no file states a limit. ``STATED``: the limit permits a torque in at least one
+        direction. Otherwise ``NEGATIVE`` if the lower end of the range in the file is above the
+        upper end, else ``ZERO``.
         """
         if self.origin is None:
             return EffortCode.UNKNOWN

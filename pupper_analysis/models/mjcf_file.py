@@ -149,10 +149,10 @@ def flat_mesh(error: BaseException) -> str | None:
 
 
 def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjModel, list[str], str]:
-    """Compile a spec, with flat meshes as shells.
+    """Compile a spec; meshes without volume, which MuJoCo refuses, become thin shells.
 
-    A mesh determines centre and axes of a geom. If a flat mesh also determines a mass, the error of
-    MuJoCo is raised, because a shell would have another mass.
+    MuJoCo needs the inertia of a mesh for the centre and axes of its geoms. If a flat mesh also
+    determines a mass, MuJoCo's error is raised, because a shell would have another mass.
 
     Args:
         make: Function that creates the spec; called for each attempt, because compiling modifies a

@@ -44,7 +44,7 @@ class Pose:
         return Pose(self.point(other.position), self.rotation @ other.rotation)
 
     def point(self, local: Array) -> Array:
-        """Transform a point (3,), or points (n, 3), from this frame to the outer frame."""
+        """Transform a point (3,), or points (n, 3) [m]: x = position + rotation x'."""
         transformed: Array = local @ self.rotation.T + self.position
         return transformed
 
@@ -305,15 +305,15 @@ class Shape:
         return lowest
 
     def outline(self, circle: Array, globe: Array) -> Array | None:
-        """Return the centres of equal balls whose convex hull is the shape.
+        """Return the centres of equal balls whose convex hull is the convex hull of the shape.
 
         The radius of the balls is ``minkowski_terms.ball``: for example the radius of a sphere or
-        capsule, and 0 for boxes, cylinders and meshes. An ellipse or ellipsoid of the sum is
-        approximated by the points ``circle`` or ``globe``.
+        capsule, and 0 for boxes, cylinders and meshes. Ellipses (of cylinders) and ellipsoids are
+        approximated by points.
 
         Args:
-            circle: Unit vectors (n, 2), the sampled points of ellipses.
-            globe: Points (n, 3) that represent the unit sphere in ellipsoids.
+            circle: Points of the unit circle, shape (n, 2), that represent an ellipse.
+            globe: Points of the unit sphere, shape (n, 3), that represent an ellipsoid.
 
         Returns:
             Centres, shape (n, 3) [m], in the frame of the body; None if the extent is unknown

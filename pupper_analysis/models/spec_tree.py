@@ -236,7 +236,7 @@ class SpecTree:
         element.springdamper = (0.0, 0.0)
 
     def set_options(self, values: Mapping[str, Number]) -> None:
-        """Set attributes of ``<option>``, with the texts of the XML."""
+        """Set attributes of the MJCF's ``<option>``, for example ``{"cone": "elliptic"}``."""
         for name, value in values.items():
             setattr(self.spec.option, name, _OPTION_VALUES.get((name, value), value))
 

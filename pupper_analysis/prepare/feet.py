@@ -86,10 +86,10 @@ zero. Chosen, not tuned."""
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     """Report the axis of the base frame along which the limbs point, if not downwards.
 
-    This axis has the largest component of the mean unit vector over the limbs: from the
-    origin of the limb's first body to the mean CoM of the last bodies of the limb, at joint
-    positions of zero, clipped to the limits. Nothing is reported if the robot has fewer than two
-    limbs, or if this component is below `_MIN_DIRECTION_COSINE`.
+    The direction of a limb is the unit vector from the origin of its first body to the mean CoM of
+    its last bodies, at joint positions of zero, clipped to the limits. The reported axis is the
+    axis along which the mean direction of all limbs has the largest component. Nothing is reported
+    if the robot has fewer than two limbs, or if this component is below `_MIN_DIRECTION_COSINE`.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = robot.compute_kinematics(robot.make_qpos(joints))

@@ -190,13 +190,18 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
 
 
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model, or a modified copy, from its initial keyframe.
+    """Simulate the model of the unmodified file, or a modified copy, from its initial keyframe.
 
-    Without a keyframe, the simulation starts at the nominal stand.
+    Without a keyframe, the simulation starts at the robot's nominal stand.
+
+    Args:
+        published: Model that is simulated.
+        robot: Prepared robot.
 
     Returns:
-        Simulation result. None if the robot has no file, or the model fixes the base. Without a
-        keyframe, also None in the cases of ``_simulate_nominal_stand``.
+        Simulation result. None if the robot has no file, or the base has fewer than six degrees of
+        freedom in the model. Without a keyframe, also None if the model has no level ground, the
+        base cannot be placed, or an actuator has a built-in controller.
     """
     if robot.published is None or not published.floating:
         return None

@@ -734,7 +734,7 @@ def _keeps_joint_order(robot: Robot) -> bool:
 def prepare_robot(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Robot, list[PassRun]]:
-    """Prepare a robot from two files as read: apply all preparation passes, without postponing.
+    """Prepare a robot from the contents of two files: run all preparation passes immediately.
 
     Returns:
         Robot, whose notes include the notes of the passes, and the passes that were run.

@@ -195,10 +195,15 @@ def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
 def compare_with_file(
     published: PublishedModel, robot: Robot, predictions: Sequence[PredictedRest]
 ) -> Published:
-    """Simulate the published model from the predicted states of rest, and name causes.
+    """Simulate the unmodified file from predicted equilibria, and list causes of deviations.
 
-    The model is not simulated if a joint has an internal controller, or if a free base has no level
-    ground; this is then the cause.
+    The model is not simulated if an actuator has a built-in controller, or if a free base has no
+    level ground; this is then the listed cause.
+
+    Args:
+        published: Model of the file.
+        robot: Prepared robot.
+        predictions: Predicted equilibria, from each of which the model is simulated.
     """
     if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
@@ -560,7 +565,10 @@ def find_difference_causes(
     """
 
     def test_model(model: mujoco.MjModel) -> float | None:
-        """Return the torque error of a changed model that agrees with the prediction; else None."""
+        """Return the torque error of a changed model if its simulation agrees with the prediction.
+
+        None if the simulation does not agree.
+        """
         new_run = simulate_prediction(replace(published, model=model), robot, prediction)
         if new_run is None or new_run.collapses:
             return None

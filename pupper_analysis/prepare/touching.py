@@ -141,10 +141,14 @@ disabled, in the stand on soft ground. Chosen, not tuned."""
 
 
 def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Disable contacts of the shapes, except the feet, of foot bodies that are near the ground.
+    """Disable contacts of foot bodies' other shapes if these are near the ground in a stand.
+
+    A foot body carries a foot geom; the contacts of the foot geoms themselves are kept. The stand
+    is the nominal stand on soft ground.
 
     Returns:
-        Robot, and a note if contacts are disabled.
+        Robot, and a note with the bodies if contacts are disabled. The robot is unchanged if it has
+        no such stand.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)

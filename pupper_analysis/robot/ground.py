@@ -64,7 +64,7 @@ class Step(NamedTuple):
 
     @property
     def top(self) -> Array:
-        """Centre of the top face of a box, or of the end of a bar, shape (3,) [m], world frame."""
+        """Centre of this step's top, shape (3,) [m], world frame; for a bar, of one of its ends."""
         top: Array = self.centre + self.half[2] * self.rotation[:, 2]
         return top
 

@@ -124,9 +124,10 @@ class EqualityCompliance:
         return self._compliance.copy()
 
     def max_compliance(self) -> Array:
-        """Return the largest compliance of each of m equations over all constraint violations.
+        """Return the largest compliance of each equation that any violation gives, shape (m,).
 
-        Shape (m,) [m/N, rad/(N m)].
+        The unit is m/N, or rad/(N m) for an angle. MuJoCo's compliance depends on the violation of
+        the equality constraint (``solimp``).
         """
         compliance = self._base_compliance.copy()
         for rows, solimp in self._row_groups:

@@ -279,10 +279,10 @@ class Contact:
 
     @property
     def parameters(self) -> tuple[float, ...]:
-        """Numbers that position the plane; a relaxation of the stand may change these numbers.
+        """Numbers that position the plane or bar of this contact.
 
         x, y, z of a point of a bar [m]; otherwise one number, the ``parameter`` of a plane [m] or
-        the angle of a slope [rad].
+        the angle of a slope [rad]. The search for the nearest reachable stand may change them.
         """
         return self.plane.point if isinstance(self.plane, Bar) else (self.plane.parameter,)
 
@@ -349,7 +349,7 @@ class Weld:
 
     @property
     def parameters(self) -> tuple[float, ...]:
-        """Coordinates (x, y, z) of ``place`` [m]; empty if there is no place."""
+        """Position (x, y, z) [m] at which the part is welded; empty if none is specified."""
         return self.place or ()
 
     def with_parameters(self, numbers: Sequence[float]) -> Weld:

@@ -80,7 +80,7 @@ def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
 
 
 def weld_name(name: str) -> str:
-    """Return the name of the weld of a part in MuJoCo."""
+    """Return the name, in the MuJoCo model, of the equality that welds a part to the world."""
     return f"weld_{name}"
 
 

@@ -69,7 +69,10 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
 
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
-    """Create the message about the first mode that a nudged simulation refuted; empty if none."""
+    """Create the message about a mode that grows in the spectrum, but not in a nudged simulation.
+
+    The first of `Stability.refuted_modes` is described; empty if there is none.
+    """
     if not stability.refuted_modes:
         return ()
     mode = stability.refuted_modes[0]

@@ -85,11 +85,13 @@ class GroundClearance:
         return max(float(lowest.min()) - self._margin, 0.0)
 
     def displacements(self, states: Array, reference: Array) -> Array:
-        """Return upper bounds of the displacement of each point of the robot, shape (n,) [m].
+        """Return an upper bound, per state, of the displacement of any point of the robot [m].
+
+        The shape is (n,). The displacements are measured from a reference state.
 
         Args:
             states: n states of a simulation (mjSTATE_FULLPHYSICS), shape (n, size).
-            reference: State from which the displacements are counted, shape (size,).
+            reference: Reference state, shape (size,).
         """
         moved = np.abs(states - reference)
         total = self._length * moved[:, self._hinges].sum(axis=1)

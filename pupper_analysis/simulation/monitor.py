@@ -163,9 +163,10 @@ class StandReference:
     def has_fallen(self, state: Array) -> bool:
         """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM is too low.
 
-        The CoM, fixed in the base, is too low if it has sunk below the expected position by more
-        than (1 - ``FALLEN_HEIGHT_RATIO``) of the expected height above the feet. A robot with a
-        fixed base never falls.
+        The CoM is represented by the point of the base at which it is in the expected stand. It is
+        too low if this point is below the expected position by more than
+        (1 - ``FALLEN_HEIGHT_RATIO``) times the expected height of the CoM above the feet. A robot
+        with a fixed base never falls.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS): time, qpos, qvel, ...

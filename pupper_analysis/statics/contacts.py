@@ -143,7 +143,9 @@ class Contacts:
     def weld_columns(self, config: Configuration) -> dict[str, Array]:
         """Return {part: transposed Jacobian} of each weld, (nv, 6), and of each grip, (nv, 3).
 
-        Columns: force [N] and moment [N m], in world axes, on the base, foot or hand centre.
+        It converts the force [N] on the part, and for a weld the moment [N m], to generalised
+        forces. Both are in world axes, about the origin of the base, or the centre of the foot or
+        hand.
         """
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()

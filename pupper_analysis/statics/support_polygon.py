@@ -40,7 +40,12 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 
 
 def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
-    """Compute ``com_margin`` [m] for a horizontal position and horizontal contact positions [m]."""
+    """Return the distance [m] of a position from the support polygon's edge; negative outside.
+
+    Args:
+        place: Horizontal position (x, y) [m], for example of the CoM.
+        points: Horizontal positions (x, y) of the contact points [m].
+    """
     if not math.isfinite(place[0]) or not math.isfinite(place[1]):
         return -math.inf
     inside = _depth_inside(place, points)

@@ -70,7 +70,7 @@ class Entry:
 
 
 def codes() -> Iterator[str]:
-    """Return all codes of this package, in no particular order."""
+    """Return the codes of all diagnostics of this package, in no particular order."""
     return iter(_load_tables())
 
 

@@ -79,7 +79,8 @@ def explain_differences(
         reference: Unmodified MJCF; by default the MuJoCo model of the robot.
         mimics: Mimic joints of the URDF.
         alignment: Tree of the MJCF in the link frames of the URDF; computed by default.
-        conventions: Original conventions of the URDF, relative to the MJCF.
+        conventions: Base frame and joint zeros of the URDF's file, relative to the MJCF, if the
+            robot's URDF was converted to those of the MJCF.
         unstated: {damping or friction: joints with the MJCF's value, because the URDF has none}.
     """
     tolerances = tolerances or Tolerances()

@@ -462,7 +462,15 @@ def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
 
 
 def guess_quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
-    """Return a diagnostic if the MJCF's quaternion fits the URDF in the order (x, y, z, w)."""
+    """Return a diagnostic if the MJCF's quaternion was probably written as (x, y, z, w).
+
+    Args:
+        urdf: Rotation matrix of the URDF, shape (3, 3).
+        mjcf: Rotation matrix of the MJCF, shape (3, 3), for its quaternion read as (w, x, y, z).
+
+    Returns:
+        Diagnostic if both rotations agree with the other order; otherwise None.
+    """
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
     # The numbers in the file were read as (w, x, y, z); here they are read as (x, y, z, w).
     quaternion = pin.Quaternion(np.array([w, x, y, z]))

@@ -46,7 +46,7 @@ class MjcfOnlyEffect(Stated):
     slots: tuple[Slot, ...] = ()
 
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
-        """Disable the element in a passive model, or restore its values, in place.
+        """Disable this element of the MJCF in a passive model, or restore its values, in place.
 
         Args:
             model: Model from `make_passive_model`; modified.
@@ -84,7 +84,10 @@ def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if an actuator is an enabled DC motor without controller: the back-EMF brakes."""
+    """Return True if an actuator exerts a force without a command.
+
+    This is so for an enabled DC motor without a controller, which the back-EMF brakes.
+    """
     is_dc_motor = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_DCMOTOR.value
     # Bits of the inputs: 1 and 2 are setpoints of a controller; 4, 8 and 16 are not.
     controlled = bool(model.actuator_ctrlspec[motor] & 3)

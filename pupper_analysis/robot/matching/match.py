@@ -248,7 +248,7 @@ class Match:
 
     @cached_property
     def urdf_tree(self) -> UrdfTree:
-        """Links and joints of the URDF as matched."""
+        """Links and joints of the matched URDF (`Description.urdf` of ``robot``)."""
         return UrdfTree.of(self.robot.description.urdf)
 
     def sources(self, urdf: UrdfFile, mjcf: MjcfFile) -> tuple[Sources, Sources]:

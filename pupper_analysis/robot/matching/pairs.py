@@ -46,15 +46,15 @@ def match_joints(
     joints: tuple[Sequence[str], Sequence[str]],
     wanted: Mapping[str, str],
 ) -> Pairs:
-    """Match the joints of two files.
+    """Match the joints of a URDF to those of an MJCF: by request, name, affixes and structure.
 
     Args:
         root: Root element of the URDF.
         tree: Tree of the MJCF.
-        files: URDF and MJCF.
-        joints: Names of the joints in both files.
-        wanted: {joint in the URDF: joint in the MJCF} requested by the user; may contain other
-            names.
+        files: Paths of the URDF and the MJCF.
+        joints: Names of the joints of the URDF, and of the MJCF.
+        wanted: {joint in the URDF: joint in the MJCF} requested by the user; entries with other
+            names, for example of frames, are ignored.
 
     Raises:
         ModelError: If no joint is matched, or if fewer than half of the joints are matched and not
