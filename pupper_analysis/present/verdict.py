@@ -148,9 +148,9 @@ def clause_text(clause: Clause) -> Text:
 
 
 def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
-    """Return the statements of a verdict as texts.
+    """Return the statements of a verdict as texts with an emphasis (``Text.mark``).
 
-    If the verdict is good, the marks of statements against the stand become warnings.
+    If the verdict is good, statements against the stand have the mark ``warn`` instead of ``bad``.
     """
     lines = map(clause_text, verdict_clauses(verdict))
     if not verdict.passed:

@@ -121,10 +121,10 @@ class DemandVector:
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Return the values that another task has for the numbers of this vector, (n,) [m, rad].
+        """Return the numbers of this vector as another task specifies them, (n,) [m, rad].
 
         Args:
-            task: Task with the same feet and contacts.
+            task: Task that specifies the same fields for the same feet, with other values.
         """
         fields = task.values()
         values = [

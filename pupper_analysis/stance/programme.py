@@ -237,8 +237,9 @@ class StanceProgram:
     def minimise_foot_distances(self, qpos: Array) -> Array:
         """Return the configuration, shape (nq,), with the contact points nearest to the targets.
 
-        Minimises the sum of squared distances subject to the constraints of this program: first
-        with distances in stand heights, then in units of the remaining distance.
+        The sum of squared distances is minimised subject to the constraints of this program, in
+        two runs: with the stand height as the unit of distance, then with the distance that the
+        first run leaves as the unit.
 
         Args:
             qpos: Initial configuration, shape (nq,).

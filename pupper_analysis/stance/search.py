@@ -332,10 +332,11 @@ class _Search:
         return stand if stand.solved else None
 
     def solve_program(self, programme: StanceProgram, qpos: Array) -> Stand | None:
-        """Solve a program from a configuration (nq,), and return the stand of the refined result.
+        """Solve a nonlinear program from a configuration (nq,), and refine the result by IK.
 
-        None if the violation of the program exceeds `NEAR_MISS`, or the refined feet are not at
-        their targets. The stand may violate clearances or the CoM margin.
+        Returns:
+            Stand, which may violate clearances or the CoM margin. None if the result violates the
+            program by more than `NEAR_MISS`, or if IK does not move the feet to their targets.
         """
         found = programme.solve(qpos)
         return None if found.violation > NEAR_MISS else self._refine(found.qpos)
@@ -455,8 +456,9 @@ def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
     """Create a message if the robot's mechanism may be the reason why a goal has no stand.
 
     Returns:
-        Message: closed loops must open under load; or else a sole in ``swing`` or ``foot_offsets``
-        of the task is on a leg with fewer than six joints. None if neither applies.
+        Message with the reason: closed loops open under the load; otherwise, the task moves or
+        lifts a flat foot (``foot_offsets``, ``swing``) on a leg with fewer than six joints. None
+        if neither applies.
     """
     task = goal.task
     if goal.give is not None and goal.give.any():
@@ -486,14 +488,14 @@ def _count_leg_joints(robot: Robot, point: str) -> int:
 def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
     """Replace the foot targets of a goal by the positions that IK reached, if the error is small.
 
-    A leg with fewer than six joints may be unable to lay the sole exactly. The goal is unchanged if
-    IK converged, the foot error is at least `_MAX_SOLE_ERROR`, or no sole is on a leg with fewer
-    than six joints.
+    A leg with fewer than six joints may be unable to lay a flat foot exactly on the ground. The
+    goal is unchanged if IK converged, the position error of the feet is at least
+    `_MAX_SOLE_ERROR`, or no flat foot is on a leg with fewer than six joints.
 
     Args:
         robot: Robot.
-        goal: Goal.
-        point: Result of the IK solver.
+        goal: Goal with the foot targets.
+        point: Result of the IK solver, with the reached configuration.
     """
     if point.converged or point.foot_error >= _MAX_SOLE_ERROR or not has_underactuated_feet(robot):
         return goal

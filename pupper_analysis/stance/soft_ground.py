@@ -131,10 +131,11 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
     The result is the stand of `solve_stand_on_soft_ground`. If this stance is out of reach, or the
     depths of a robot with soft closed loops do not converge, the result is the stand on rigid
-    ground, with ``depths`` of 0. In a posture (`held_stand`), joint couplings deflect under load.
+    ground, with ``depths`` of 0. A posture of a robot with a fixed base (`held_stand`) has no
+    ground: its joint couplings are deflected as under the static load in MuJoCo.
 
     Args:
-        robot: Robot with a floating base and a ground; of a posture, with a fixed base.
+        robot: Robot with a floating base and a ground; for a posture, a robot with a fixed base.
         task: Stand task, or a stand that satisfies a task on rigid ground, or a posture. Default:
             the nominal stand.
 

@@ -71,11 +71,12 @@ def ground_text(depths: Iterable[float]) -> Text:
 
 
 def ground_word(depths: Iterable[float], run: StandVerification | None = None) -> Text:
-    """Return the ground for which a stand was solved, in a few words: soft or rigid.
+    """Return a short text on the ground for which a stand was solved: soft or rigid.
 
     Args:
         depths: Penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid ground.
-        run: Simulation with feed-forward; for rigid ground, its height loss is added.
+        run: Simulation with feed-forward. For rigid ground, the text also contains the height that
+            the base loses in this simulation.
     """
     if max(depths, default=0.0):
         return text("on-simulated-ground")

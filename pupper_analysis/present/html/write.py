@@ -331,9 +331,10 @@ class ViewerLibrary:
 
 
 def load_viewer_library() -> ViewerLibrary | None:
-    """Load the script three.js from the installed package MeshCat.
+    """Load three.js, the script of the 3-D view, from the installed package MeshCat.
 
-    None if the package is not installed or unreadable, or the script has no `_EXPORT_MARKER`.
+    None if the package is not installed or unreadable, or if its script does not export three.js
+    (does not contain `_EXPORT_MARKER`).
     """
     package = find_spec(_VIEWER_PACKAGE)  # which does not import it
     if package is None or package.origin is None:

@@ -534,7 +534,8 @@ class SagEquilibrium:
     def derivative(self, qpos: Array, forces: Array) -> Array:
         """Compute the Jacobian of the equilibrium equations' residual, (nv + 3 n, nv + 3 n).
 
-        The first nv columns belong to a step in the directions of qvel, the others to the forces.
+        Columns: derivatives by a step along each component of qvel, then by each component of the
+        contact forces.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -629,9 +630,9 @@ class SagEquilibrium:
 
         Args:
             guess: Initial guess.
-            exact: A step reuses the previous Jacobian if the predicted residual after the step is
-                small. The bound is rounding if True, and a quarter of `RESIDUAL_TOLERANCE` if
-                False, which is faster.
+            exact: A step reuses the previous Jacobian if the residual that is predicted after the
+                step is below a bound. The bound is the size of rounding errors if ``exact`` is
+                True, and a quarter of `RESIDUAL_TOLERANCE` if False, which is faster.
 
         Returns:
             The solution; None if Newton's method fails.
@@ -844,10 +845,10 @@ class Welds:
         return rows, wrenches
 
     def insert(self, config: Configuration, equations: Array, scale: float) -> Array:
-        """Return a copy of the equilibrium equations, or of their derivative, with the welds.
+        """Return the equilibrium equations, or their derivative, for a robot with welds; a copy.
 
         The first ``nv`` equations, the balance of generalised forces, are replaced by the weld
-        constraints and the balance along the motions that the welds permit.
+        constraints and by the balance along the motions that the welds permit.
 
         Args:
             config: Configuration of the robot.
@@ -935,19 +936,21 @@ def contact_compliance(
 def rigid_slips(
     anchors: Mapping[str, Anchor], soles: Mapping[str, str], frames: Mapping[str, Array]
 ) -> Array | None:
-    """Return the projection of slips onto rigid motions of the soles, shape (n, 2, n, 2).
+    """Return the projection of the slips of contact points onto rigid motions of flat feet.
 
-    The points of a sole slip along the ground by the translation and rotation of the sole. A tilt
-    of the sole adds micrometres of slip between its points. These are removed, since they would
-    cause large tangential forces, which MuJoCo's creep removes within a short time.
+    The points of a flat foot (sole) slip along the ground by the translation and rotation of the
+    foot. A tilt of the foot adds micrometres of slip between its points. The projection removes
+    these, since they would cause large tangential forces, which creep removes in MuJoCo within a
+    short time.
 
     Args:
-        anchors: {touching point: pose at the first contact}.
+        anchors: {touching contact point: pose at the first contact}.
         soles: {point: foot that has the point}.
         frames: {point: rotation from the world to the ground frame, shape (3, 3)}.
 
     Returns:
-        The projection; None if no foot touches with several points.
+        Projection of the n slips along the two ground tangents, shape (n, 2, n, 2). None if no foot
+        touches with several points.
     """
     rows: dict[str, list[int]] = {}
     for row, point in enumerate(anchors):

@@ -81,7 +81,10 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
 
 
 def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the pinned contact points whose friction is saturated in a solution."""
+    """Find the contact points that slip in a solution, because friction reaches its limit.
+
+    Empty with ``feet="sliding"``, where contacts have no friction.
+    """
     forces, names = system.stack_forces(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
     return tuple(names[row] for row, *_ in system.find_slipping_contacts(forces, places))
@@ -544,10 +547,13 @@ def steady_state(
 
 
 def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
-    """Let pinned feet creep for another ``HOLD_DURATION``, unless creep hardly moves the base.
+    """Follow an equilibrium while its feet creep on the ground for ``HOLD_DURATION`` (12 s).
+
+    Nothing is computed if no foot creeps, or if the base height changes by at most
+    `MAX_CREEP_LOSS_RATIO` times the height in this time.
 
     Args:
-        path: Path that ends at ``pose``; the call extends the path.
+        path: Path of equilibria that ends at ``pose``; the call extends the path.
         pose: Stable equilibrium.
 
     Returns:
