@@ -207,7 +207,7 @@ class _SweepTrial:
         Returns:
             {pair: (height deviation [m], rest)}. The deviation is the standard deviation of the
             base height in the last second, infinite if the robot fell. ``rest`` is True if the
-            undisturbed robot has a rest that lasts, as in `GainSweep.lasts`.
+            robot without the force comes to rest and remains at rest (see `GainSweep.lasts`).
         """
         from rich.progress import track
 

@@ -211,10 +211,10 @@ class StanceSearch:
         return peak_utilisation(statics.motor_utilisation)
 
     def evaluate(self, coordinates: Array, near: Stand | None = None) -> EvaluatedStance | None:
-        """Evaluate the stance at some coordinates, and update the best stance of this search.
+        """Evaluate the stance with given coordinates, and update the best stance of this search.
 
         Args:
-            coordinates: Coordinates in the space, shape (n,) [m or rad].
+            coordinates: Coordinates in the search space (`StanceSpace`), shape (n,) [m or rad].
             near: Stand with almost the same coordinates; see `StanceSpace.find_stand`.
 
         Returns:

@@ -250,16 +250,16 @@ class StanceSpace:
     def find_stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
         """Solve the stand for a vector of coordinates, or return None if no stand is found.
 
-        The CoM margin is not enforced: the margin is a slack of `compute_slack`. Only the usual
-        initial guesses are tried, because stands in other IK branches are rare and the search
-        evaluates thousands.
+        The CoM may be closer to the edge of the support region than the task requires:
+        `compute_slack` evaluates this margin. Only the default initial guesses are tried, because
+        stands in other IK branches are rare, and the search solves thousands of stands.
 
         Args:
             coordinates: Coordinates, shape (n,) [m or rad].
             near: Stand with almost the same coordinates, as the only initial guess.
 
         Raises:
-            ConfigurationError: If the task of the coordinates is rejected.
+            ConfigurationError: If the coordinates give a task that is not valid.
         """
         task = self.make_task(coordinates)
         goal = make_goal(self.robot, replace(task, com_margin=0.0), {})

@@ -248,7 +248,11 @@ class _ConfigReader:
         return own if _contains_path(self.top, own) else key
 
     def read(self) -> GuardConfig:
-        """Return the pairs and settings of the configuration, or raise the first error in it."""
+        """Return the model pairs and settings of the configuration file.
+
+        Raises:
+            ModelError: At the first key or value that is missing or not valid.
+        """
         self.check_table(self.top, (), _TOP_KEYS)
         entries = self.top.get("pair", [])
         if not entries:

@@ -126,7 +126,7 @@ def list_depth_first(model: RobotModel) -> tuple[str, ...]:
 
 
 def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) -> PlacedSource:
-    """Assign the statements of a source, for example a driver or a policy, to robot joints.
+    """Assign the values that a source (for example a driver or a policy) states to robot joints.
 
     Args:
         source: Source.

@@ -1097,10 +1097,12 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
 
 
 def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
-    """Return a tree in which a joint has the axis of another tree; no body moves at zero angles.
+    """Return a copy of a tree in which a joint has the position and axis of another tree.
+
+    With all joint positions at zero, the bodies have the same poses as before.
 
     Args:
-        values: Tree to be modified.
+        values: Tree; not modified.
         other: Tree with the same joint, in the same frame of the parent.
         name: Joint.
     """

@@ -178,8 +178,8 @@ def list_mass_shares(
 
     Args:
         difference: Difference.
-        urdf: Lines and members of the URDF.
-        mjcf: Lines and members of the MJCF.
+        urdf: Links of the URDF that move with each joint, and the lines of their values.
+        mjcf: Bodies of the MJCF that move with each joint, and the lines of their values.
     """
     if difference.kind not in INERTIAL_KINDS:
         return ()

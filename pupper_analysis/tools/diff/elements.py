@@ -725,13 +725,13 @@ class SimulatedPair:
         """Simulate both models, and return the effects and their messages.
 
         Args:
-            explained: True if a change between the files is known. Otherwise, effects that rounding
-                can cause are dropped.
+            explained: True if the comparison of the files has found a change. If False, effects
+                that rounding errors can cause are left out.
 
         Returns:
             {quantity: largest difference of a joint coordinate [m, rad]}, and messages. Both are
-            empty if the models have no common joint, or no change is known and none is visible or
-            rounding can cause it.
+            empty if the models have no common joint; if ``explained`` is False, also if the
+            compiled models are equal, or if rounding errors can cause the effects.
         """
         old, new = self.old, self.new
         if not self._common_joints or (

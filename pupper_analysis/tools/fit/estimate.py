@@ -294,7 +294,11 @@ class _QuadraticCost:
 
     @property
     def has_minimum(self) -> bool:
-        """Whether gradient and information are finite, and the information positive definite."""
+        """Whether this quadratic model has a minimum.
+
+        It has one if the gradient and the Hessian (information matrix) are finite, and the Hessian
+        is positive definite.
+        """
         if not (np.isfinite(self.posterior_information).all() and np.isfinite(self.descent).all()):
             return False
         try:

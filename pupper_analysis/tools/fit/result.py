@@ -125,7 +125,11 @@ class Fit(Result):
 
 
 def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
-    """Yield the estimate of each parameter of a fit, parameters of the surroundings last."""
+    """Yield the estimate of each parameter of a fit.
+
+    Parameters that no robot file contains, for example of the ground (`SURROUNDINGS_KINDS`), are
+    last.
+    """
     order = sorted(
         range(len(posterior.parameters)),
         key=lambda index: posterior.parameters[index].kind in SURROUNDINGS_KINDS,

@@ -301,7 +301,10 @@ def _make_force_table(hold: Hold) -> doc.Table:
 
 
 def force_plot(force: ToolForce) -> doc.LinePlot:
-    """Create the plot of the largest forces on a tool in three sections, in N, world axes."""
+    """Create the plot of the largest forces [N] on a tool that the motors withstand.
+
+    A closed curve per plane of the world axes (x-y, x-z, y-z) shows the force by direction.
+    """
     sections = (("section-x-y", force.horizontal), ("section-x-z", force.sagittal))
     series = []
     for name, radii in (*sections, ("section-y-z", force.frontal)):

@@ -155,16 +155,16 @@ class JointMotions:
         )
 
     def move_along(self, qpos: Array, motion: int, length: float) -> Array | None:
-        """Move a posture along a motion, and close the loop.
+        """Displace an independent joint of a posture, and move the joints that depend on it.
 
         Args:
-            qpos: Posture, shape (nu,).
-            motion: Index of the motion.
+            qpos: Joint positions of the posture, shape (nu,) [rad, m].
+            motion: Index of the independent joint in ``free``.
             length: Displacement of the independent joint [rad, m].
 
         Returns:
-            Posture, shape (nu,). None for a nonlinear motion if the loop cannot be closed in its
-            assembly mode, or if a dependent joint exceeds its range.
+            Displaced posture, shape (nu,). None for a nonlinear motion if the loop cannot be closed
+            in its assembly mode, or if a dependent joint exceeds its range.
         """
         if not self.nonlinear[motion]:
             moved: Array = qpos + length * self.steps[:, motion]

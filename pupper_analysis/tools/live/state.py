@@ -140,10 +140,11 @@ class State:
         return place
 
     def with_task(self, task: StandTask) -> State:
-        """Return the state of the page with the numbers of another task, in the page's units.
+        """Return a copy of this state with the numbers of another task, in the page's units.
 
         Args:
-            task: Task with the same feet and the same mode of the base position.
+            task: Task with the same feet, and with the base position determined as in this state:
+                CoM centred or inside the support polygon, or an offset of the base (``place``).
         """
         values = {
             name: convert_to_page_units(SLIDER_FIELDS[name], value)

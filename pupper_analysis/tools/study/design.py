@@ -367,7 +367,10 @@ def is_servo_variable(name: str) -> bool:
 
 
 def is_stance_pattern(name: str) -> bool:
-    """Return True if a study variable is a stance value of a joint or link: ``posture:JOINT``."""
+    """Return True if a study variable is a requirement of the stance on a joint or link.
+
+    For example ``posture:JOINT``, the required position of a joint.
+    """
     return name.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 
 

@@ -75,7 +75,7 @@ class Design:
 
     @cached_property
     def statics(self) -> GravityCompensation:
-        """Motor torques and contact forces of the design's stand, minimum tangential forces."""
+        """Motor torques and contact forces in the design's stand, with least tangential forces."""
         return stand_statics(self.robot, self.stand)
 
     @cached_property
@@ -362,9 +362,11 @@ def format_metric(metric: Metric) -> str:
 
 
 def fingerprint_metric(metric: Metric) -> str:
-    """Return a text that changes with the name, the file, or a user's function of a metric.
+    """Return a text that identifies a metric in the hash of a study.
 
-    Changes of a named metric are represented by `METRICS_REVISION` instead.
+    The text is the fingerprint of the function for a metric that the user wrote; otherwise the
+    name and the hash of the file, if there is one. Changes of the package's own metrics increase
+    `METRICS_REVISION` instead.
     """
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()

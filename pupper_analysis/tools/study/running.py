@@ -288,7 +288,10 @@ class Progress:
 
     @property
     def remaining_time(self) -> float:
-        """Estimated remaining time of a run [s]: 0 if no design remains, infinite if no rate."""
+        """Estimated remaining time of a run [s]: 0 if no design remains.
+
+        Infinite if designs remain and none has been evaluated so far.
+        """
         rest = self.total - self.num_stored - self.done
         return rest / self.rate if self.rate else (float("inf") if rest else 0.0)
 

@@ -388,8 +388,11 @@ class Study:
     def table(self, folder: str | Path) -> pd.DataFrame:
         """Return the stored rows of the designs of this study, in the order of the study.
 
+        Args:
+            folder: Folder in which the study stores the results.
+
         Raises:
-            StudyError: If a shard is damaged.
+            StudyError: If a file with results (shard) is damaged.
             MissingPackageError: If pandas is not installed.
         """
         require_library("pandas")
@@ -458,7 +461,7 @@ def read_study(folder: str | Path) -> pd.DataFrame:
         A row per stored design, as `Study.run` returns.
 
     Raises:
-        StudyError: If the folder contains no study, or a shard is damaged.
+        StudyError: If the folder contains no study, or a file with results (shard) is damaged.
         MissingPackageError: If pandas is not installed.
     """
     check_type("folder", folder, str | Path)

@@ -163,7 +163,7 @@ class MjcfSide(Side):
     def plan(self, taken: Collection[Key]) -> None:
         """Plan the changes of the MJCF for selected differences (kind, element).
 
-        Positions come first, because children move with the parent body.
+        Changes of positions are planned first, because children move with the parent body.
         """
         for key in taken:
             if key[0] == "position":

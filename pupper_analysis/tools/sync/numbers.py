@@ -355,11 +355,13 @@ def make_refusal(robot: Robot, reasons: Mapping[Key, Diagnostic]) -> ModelError:
 
 
 def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Key, Array]:
-    """Assign numbers to the joints that move the elements, or to the base.
+    """Replace the links and bodies in the keys of numbers by the joints that move them.
+
+    The base replaces a link or body that no joint moves.
 
     Args:
         matched: Matched URDF and MJCF.
-        numbers: {(kind, link, body or joint): value}.
+        numbers: {(kind of number, name of a link, body or joint): value}.
 
     Returns:
         {(kind, base or joint that moves the element): value}.

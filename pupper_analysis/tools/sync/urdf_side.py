@@ -60,7 +60,7 @@ class UrdfSide(Side):
     def plan(self, taken: Collection[Key]) -> None:
         """Plan the changes of the URDF, without writing any file.
 
-        Positions come first, because child links move with the parent link.
+        Changes of positions are planned first, because child links move with the parent link.
 
         Args:
             taken: Differences (kind, element) whose values are taken from the MJCF.

@@ -717,7 +717,7 @@ class StageUnits:
 
     @property
     def force(self) -> float:
-        """Unit of force of the stage [N], with the second as the unit of time."""
+        """Unit of force of the USD stage [N]: unit of mass times unit of length per second^2."""
         return self.mass * self.length
 
     @property

@@ -186,7 +186,10 @@ class TrackedInterval(Result):
 
     @property
     def common(self) -> tuple[float, float]:
-        """Intersection of the tracked intervals of all seeds, in the quantity's unit: low, high."""
+        """Intersection, over all seeds, of the intervals in which the policy tracks the command.
+
+        Lower and upper end, in the unit of the quantity.
+        """
         return float(self.least.max()), float(self.most.min())
 
     @property

@@ -376,7 +376,9 @@ def _simulate_batch(
 
 
 def make_push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> Array:
-    """Return the forces of pushes that last one action, shape (runs, 6 nbody) [N].
+    """Return forces on the base that have given impulses within one step of the policy.
+
+    The shape is (runs, 6 nbody) [N, N m], as MuJoCo's ``xfrc_applied`` per run.
 
     Args:
         stage: Policy on the robot.

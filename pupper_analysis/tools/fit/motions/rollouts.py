@@ -582,9 +582,10 @@ class MomentCoordinates:
     def from_parameters(self, vector: Array) -> Array:
         """Convert physical parameters, shape (n,), to first-moment coordinates, shape (n,).
 
-        A CoM component c [m] of a body with an estimated mass m becomes c0 + (m / m0) (c - c0),
-        with the stated values c0 and m0. The delay becomes the delay minus the lag of commands.
-        Other parameters are unchanged.
+        A CoM component c [m] of a body with an estimated mass m [kg] becomes
+        c0 + (m / m0) (c - c0), with the values c0 and m0 of the robot's files. The servo delay [s]
+        becomes the delay minus the time constant of the lag of commands. Other parameters are
+        unchanged.
         """
         moments = vector.copy()
         deviation = vector[self._coms] - self._stated_com
