@@ -43,8 +43,9 @@ _OPTION_VALUES: Final[dict[tuple[str, Number], Any]] = {
 """{(option, text in the XML): value in MuJoCo's editable model}."""
 
 MIN_RANGE = 1e-9
-"""Lower bound of the upper end of a written force range [N m, N]. MuJoCo rejects a range from 0 to
-0, which converters write for a URDF without a limit."""
+"""Smallest effort [N m, N] of a written force range (-effort, effort), and smallest width of a
+written joint range [rad, m]. MuJoCo rejects a force range from 0 to 0, which converters write for a
+URDF without a limit."""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
@@ -425,8 +426,9 @@ class SpecTree:
 
 
 _MIN_SINGULAR_VALUE: Final = 0.1
-"""Smallest singular value of the matrix of three slide axes, above which the slides move a base in
-all directions. For coordinate axes the value is 1. Chosen, not tuned."""
+"""Lower bound of the smallest singular value of the unit axes of three slides (or three hinges),
+shape (3, 3), with which the joints move a base in all directions. For coordinate axes the value is
+1. Chosen, not tuned."""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
 """Types of the joints that move a base in three directions."""

@@ -221,6 +221,7 @@ _LATITUDE_ANGLES = np.linspace(-math.pi / 2, math.pi / 2, 12)
 _SPHERE_POINTS = np.array(
     [(*math.cos(up) * point, math.sin(up)) for up in _LATITUDE_ANGLES for point in _CIRCLE_POINTS]
 )
+"""Points of a unit sphere, shape (288, 3), with which round shapes are sampled."""
 
 _APEX_HEIGHT = 1.0
 """Height [m] of an auxiliary point above a sole, with which coplanar points have a convex hull with
@@ -235,8 +236,8 @@ _MAX_AXIS_COSINE = 0.1
 cylinder counts as lying on its side (a wheel). Chosen, not tuned."""
 
 _SOLE_ATOL = 1e-3
-"""Distance [m] from a plane within which facets of a mesh, and spheres, form a common sole. Chosen,
-not tuned."""
+"""Largest distance [m] of a mesh vertex, or of the surface of a sphere, from the plane of a sole,
+with which it belongs to the sole. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -230,8 +230,8 @@ _FILE_ERROR_CODES = {
     *("inertia-repaired", "meshes-left", "files-missing", "points-made-spheres"),
     *("flat-shape-left", "shape-left", "empty-shape-left", "empty-range-left", "effort-negative"),
 }
-"""Codes of notes on loading that are errors of the file, but do not prevent a simulation. A
-verdict depends on the assumptions in the notes."""
+"""Codes of notes on loading about errors of the file that do not prevent a simulation. Verdicts
+contain these notes, because the results depend on the assumptions in the notes."""
 
 
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:

@@ -188,8 +188,8 @@ _MIN_GROUND_CLEARANCE = 0.01
 searched start pose, since feet penetrate the ground. Chosen, not tuned."""
 
 _MAX_RESET_PASSES = 3
-"""Number of successive solves of a stand, before each of which arms and waist are reset to the
-pose. Chosen, not tuned."""
+"""Number of successive solves of a stand. Before each solve, the joints outside the legs (arms,
+waist) are reset to the requested pose. Chosen, not tuned."""
 
 _JOINT_MARGINS = (0.2, 0.05, 0.0)
 """Required distances of the joints from their limits [rad, m], tried in this order until a start

@@ -136,8 +136,9 @@ def find_carrying_hulls(
 
 
 _MAX_SHAPE_CLEARANCE = 5e-3
-"""Height above the ground [m] below which the contacts of other shapes of a foot's body are
-disabled, in the stand on soft ground. Chosen, not tuned."""
+"""Height above the ground [m] in the stand on soft ground, below which contacts of a collision
+shape are disabled. Applies to shapes on a foot's body other than the foot's own shape. Chosen, not
+tuned."""
 
 
 def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:

@@ -186,7 +186,8 @@ _MIN_STATED_CLEARANCE = 1e-3
 Chosen, not tuned."""
 
 _DETAIL_CODE = "own-run"
-"""Code of the keyframe run, which is part of the short answer only if it is against the stand."""
+"""Code of the statement about the simulation from a keyframe. The short answer omits the statement
+if it is favourable."""
 
 _LEADING_CODES = ("servos-given",)
 """Codes of statements that are always part of the short answer: servos that are not the file's."""

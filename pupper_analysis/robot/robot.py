@@ -48,7 +48,8 @@ values. Chosen, not tuned."""
 
 
 _NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
-"""Default of `efforts_of`: no joint has an empty force range."""
+"""Default of the argument ``null`` of `efforts_of`, an empty mapping: the MJCF has no joint with an
+empty force range."""
 
 
 def efforts_of(

@@ -35,8 +35,9 @@ from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
 Array = NDArray[np.float64]
 
 DOUBLINGS = 3
-"""Number of doublings of the deviation D that confirm a growing mode. Chosen, not tuned: growth
-that is linear for micrometres only ends earlier, when a contact opens or loads."""
+"""Number of doublings of the deviation D (module docstring, step 2) that confirm a growing mode.
+Chosen, not tuned: growth that is exponential within micrometres only ends earlier, when a contact
+opens or takes load."""
 
 NUDGE_ANGLE, NUDGE_SPEED = 1e-4, 0.1
 """Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along a mode, in the
@@ -56,8 +57,8 @@ _CHUNK_DURATION = 2.0
 """Simulated time between two evaluations of growth and decay [s]. Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Deviation D relative to the initial deviation below which a growth test ends and refutes the
-modes. Chosen, not tuned."""
+"""Ratio of the deviation D to the initial deviation below which a growth test ends: the motion has
+decayed, which refutes the growing modes of the linear model. Chosen, not tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Simulated time [s] after which a growth test ends if the deviation D is below ``_HALF_GROWTH``

@@ -50,8 +50,8 @@ MAX_BASE_ROTATION = 0.1
 stand. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
-"""Largest ratio of height deviation, height drift and foot displacement to their bounds, as of
-`_rest_ratio`, at which the settling simulation ends early. The growing modes then decide whether
+"""Value of `_rest_ratio` (largest ratio of height deviation, height drift and foot displacement to
+their bounds) up to which the settling simulation ends early. The growing modes then decide whether
 the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
@@ -68,12 +68,13 @@ _DECAY_TIME_CONSTANTS = 3.0
 nudge remains after three."""
 
 _MIN_NUDGE_TIME = 1.5
-"""Shortest simulated time after a nudge [s]. Measured: a stand that a nudge of 1 mm/s upsets is
-left within a second."""
+"""Shortest simulated time after a nudge [s]. Measured: a robot whose stand does not survive a nudge
+of 1 mm/s leaves the stand within a second."""
 
 MIN_ABSENT_DOUBLINGS = 10
-"""Number of doublings that must be absent after a nudge for the nudge to refute a mode: growth by a
-factor of 1000. Chosen, not tuned."""
+"""Smallest simulated time after a nudge that decayed, in doubling times of a growing mode, with
+which the simulation refutes the mode: the mode would have grown by a factor of 1000. Chosen, not
+tuned."""
 
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""

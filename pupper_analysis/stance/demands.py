@@ -50,8 +50,8 @@ _MAX_RELAXATION = 3.0
 """Upper bound of the change of a length by relaxation [stand heights]. Chosen, not tuned."""
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Lower bound of a relaxed value that must stay above 0, relative to the requested value. Chosen,
-not tuned."""
+"""Lower bound of a relaxed value that must stay positive (``open`` in ``fields.toml``), relative to
+the requested value. Chosen, not tuned."""
 
 _ROUNDING = 1e-12
 """Difference from the requested value [m, rad] below which a relaxed value is set to the requested

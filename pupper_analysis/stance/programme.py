@@ -44,9 +44,10 @@ first minimisation of foot distances. Measured on solves that led to a stand: wi
 1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or fewer."""
 
 _FINE_UNIT = 200.0
-"""Stand height divided by the lower bound of the length unit in which foot distances are minimised
-a second time. Measured with flat minima of the cost: in both larger units (stand heights) and
-smaller units (a thousandth), SLSQP stops before the minimum."""
+"""Ratio between the stand height and the smallest length unit in which the second minimisation
+measures foot distances; the unit is the remaining distance if that is larger. Measured with flat
+minima of the cost: in both larger units (stand heights) and smaller units (a thousandth), SLSQP
+stops before the minimum."""
 
 _MAX_ITERATIONS = 100
 """Upper bound of the SLSQP iterations that minimise foot distances a second time. About 45 are
@@ -58,11 +59,11 @@ Jacobian counts as progress. Evaluations without progress end the solve (`_PATIE
 tuned."""
 
 _PATIENCE = (4, 32)
-"""Largest number of successive Jacobian evaluations without progress; one more ends a solve:
-(without slacks, with slacks). An SLSQP iteration evaluates two Jacobians: of the equalities and of
-the inequalities. Measured without slacks: of 138 solves that led to a stand, one made more such
-evaluations; of 206 solves that led to none, two thirds did. With slacks: one of 350, and one eighth
-of 633."""
+"""Largest number of successive Jacobian evaluations without progress in an SLSQP solve: (without
+slacks, with slacks). One more ends the solve. An iteration evaluates two Jacobians: of the
+equalities and of the inequalities. Measured without slacks: the bound was exceeded in 1 of 138
+solves that led to a stand, and in two thirds of 206 solves that led to none. With slacks: in 1 of
+350, and in one eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
 """Diagonal of the pivoted QR factor of the equalities' Jacobian, relative to the largest, below

@@ -46,7 +46,8 @@ fixed-point iteration has converged. Chosen, not tuned."""
 
 
 _MAX_ITERATIONS = 50
-"""Upper bound of the fixed-point iterations between forces and depths. Chosen, not tuned."""
+"""Upper bound of the fixed-point iterations between contact forces and penetration depths of the
+feet. Chosen, not tuned."""
 
 _MAX_STALLED_ITERATIONS = 8
 """Number of successive iterations without a smaller change of the depths, after which the iteration

@@ -244,7 +244,8 @@ _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
 attributes of its ``ground``."""
 
 _DEFAULTS = {attribute.name: attribute.default for attribute in fields(StandTask)}
-"""{attribute: default}, compared by identity to skip checks."""
+"""{attribute of `StandTask`: default value}. An attribute that is this object (``is``) is not
+checked."""
 
 _SEPARATORS = {"en": ", ", "zh": "，"}  # noqa: RUF001
 """{language: separator of requirements in a text}."""

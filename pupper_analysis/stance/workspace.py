@@ -37,19 +37,20 @@ stand is followed by a full search from all initial guesses. With shorter steps 
 used only before an end is accepted. Chosen, not tuned."""
 
 _RESTART_RATIO = 0.2
-"""Step of the outward search, relative to the first step, with which the search continues after a
-full search has found a stand that IK from the last stand missed. Chosen, not tuned."""
+"""Step with which the outward search continues beyond a gap, relative to the first step: a full
+search has found a stand there that IK from the last stand missed. Chosen, not tuned."""
 
 _GAP_RATIO = 8e-3
-"""Distance beyond an unreachable stand, relative to the first step of the search, at which another
-stand is tried: another IK branch may start there. The pitch of Pupper v3 has such a gap of
-1.3 mrad."""
+"""Distance from the last reachable value of the coordinate, relative to the first step of the
+search, at which one more stand is tried before the search ends: another IK branch may start there.
+The pitch of Pupper v3 has such a gap of 1.3 mrad."""
 
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
 """Base coordinates whose reachable intervals `base_workspace` determines."""
 
 _FIRST_STEPS = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
-"""{direction: first step [m or rad]}. Chosen, not tuned."""
+"""{base coordinate: first step of the outward search from the initial stand [m or rad]}. Chosen,
+not tuned."""
 _MAX_VALUES = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
 """{angle: largest absolute value that is searched [rad]}: larger angles describe equal
 rotations."""

@@ -56,6 +56,7 @@ from pupper_analysis.prepare.convert.repair import (
 from pupper_analysis.prepare.passes import Feet
 
 _ZERO_VECTOR = "0 0 0"
+"""Text that replaces a missing vector (``xyz``, ``rpy``) of a URDF."""
 
 _POINT_RADIUS = "0.001"
 """Radius [m], as text, that replaces a zero radius of a collision sphere in the URDF. Models of
@@ -431,7 +432,8 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 
 MIN_FREE_BASE_LIMBS = 2
-"""Number of limbs from which on a converted base is free by default, as in ``load_robot``."""
+"""Smallest number of moving joints at the base with which a converted robot has a free base by
+default, as in ``load_robot``."""
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from pupper_analysis.prepare.convert.mesh_limits import (
 )
 
 _PACKAGE_PREFIX = "package://"
+"""Prefix of a file of a ROS package, as in ``package://go2_description/meshes/calf.dae``."""
 
 
 class MeshFiles:

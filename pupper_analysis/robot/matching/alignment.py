@@ -23,8 +23,8 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 Array = NDArray[np.float64]
 
 _MIN_SAVED_BITS = 0.5
-"""Minimum decrease of the deviation between two trees, in the logarithmic measure of
-`measure_deviation_bits` [bits], with which a transformed frame of a body is accepted. The minimum
+"""Smallest decrease of the deviation between two trees [bits, see `measure_deviation_bits`] with
+which a body frame with another orientation or origin replaces the best previous frame. The minimum
 excludes rounding errors. Chosen, not tuned."""
 
 

@@ -39,8 +39,9 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 Array = NDArray[np.float64]
 
 _MIN_SAVED_BITS = 3.0
-"""Minimum decrease of the deviation of the base [bits, see `measure_deviation_bits`] with which a
-displaced base frame is accepted, if no deviation remains with this frame. Chosen, not tuned."""
+"""Smallest decrease of the total deviation [bits, see `measure_deviation_bits`] with which a
+displaced base frame is accepted, if the robots agree with this frame. A decrease to less than 60 %
+is always sufficient. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Largest number of joints on the base from whose placements a candidate for the pose between the

@@ -50,7 +50,8 @@ _GLOBAL_OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "gravity": ("gravity",),
     "flag": (),
 }
-"""{kind: options of the MJCF} of kinds that concern the whole robot."""
+"""{kind of difference: attributes of ``<option>``} for the kinds that concern the whole robot. The
+attribute of a ``<flag>`` is the name of the compared element."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,8 +66,8 @@ _INDEPENDENT_FEET_ITERATIONS = 10
 evaluates several stances per coordinate (14 coordinates with four feet). Chosen."""
 
 _MIN_RELATIVE_GAIN = 3e-4
-"""Smallest decrease of the level (scaled objective), relative to the level, after which a descent
-is restarted. Chosen, not tuned."""
+"""Smallest decrease of the level (scaled objective) by a descent, relative to the level, with which
+another descent starts from the result. Chosen, not tuned."""
 
 _SLSQP_FTOL = 1e-5
 """Tolerance ``ftol`` of SLSQP: decrease of the level (scaled objective) in an iteration below which
@@ -78,14 +78,15 @@ _DIFFERENCE_STEP = 1e-6
 Chosen."""
 
 _SLACK_REDUCTION = 1e-6
-"""Amount by which the slacks [1, rad, 0.1 m], except for the penetration, are reduced in the
-nonlinear program, so that descents end at allowed stances despite SLSQP's tolerance. Chosen, not
-tuned."""
+"""Amount by which the nonlinear program reduces the slacks of its constraints [1, rad, 0.1 m],
+except for the penetration, so that descents end at stances without violations despite SLSQP's
+tolerance. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
-"""Penalty for coordinates that are not allowed. If no stand exists, the constraints are those of
-the initial guess minus this number. If slacks are negative, `StanceSearch.merit` is the level plus
-this number times their sum. Chosen, not tuned."""
+"""Penalty for coordinates without a stand, or with violated constraints. Without a stand, each
+constraint value is that of the initial guess minus this number. With negative slacks,
+`StanceSearch.merit` is the level plus this number times the sum of the violations. Chosen, not
+tuned."""
 
 
 class Objective(StrEnum):

@@ -176,7 +176,8 @@ _TOP_KEYS: Final = {
 }
 """{key: required kind of its value} at the top of a configuration."""
 _ENTRY_KEYS: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT_VALUE), "feet": _NAMES_VALUE}
-"""{key: required kind of its value} that only a [[pair]] may have, apart from ``map``."""
+"""{key: required kind of its value} of keys that are valid in a [[pair]] only. The key ``map`` is
+not included."""
 _PAIR_KEYS: Final = {**_ENTRY_KEYS, "map": _TABLE_VALUE, **_COMMON_KEYS}
 """{key: required kind of its value} in a [[pair]], without the keys of other tools."""
 _TABLE_VALUES: Final = {

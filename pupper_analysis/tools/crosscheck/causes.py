@@ -748,14 +748,16 @@ difference only six numbers."""
 
 
 _MAX_SUBSET_LINKS = 12
-"""Largest number of links of a body of which all subsets are tested as missing links: 4096 subsets
-in a millisecond. Of more links only the heaviest are used."""
+"""Largest number of links of a body of which all subsets are tested as the links that one file
+lacks: 2^12 = 4096 subsets take a millisecond. If a body has more links, only the heaviest are
+tested."""
 
 _MAX_RESIDUAL = 0.02
-"""Largest fraction of a body's difference that may remain after a mistake is undone.
+"""Largest fraction of the inertial difference of a body that may remain after a tested mistake is
+undone.
 
-Files with 5 to 6 digits leave some thousandths for a link of a hundredth of the body. A wrong
-subset of links leaves about as much as the subset removes."""
+Files with 5 to 6 digits leave some thousandths, if a link has a hundredth of the body's mass. A
+wrong subset of links leaves about as much as the subset removes."""
 
 
 _INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -1067,8 +1069,9 @@ _MIN_AXIS_SINE = 1e-9
 distance is computed: rounding. Chosen, not tuned."""
 
 _MAX_MOVED_JOINTS = 20
-"""Largest number of displaced joints for which single joints are tested. With more, the file is
-another robot, and each test takes as long as a comparison."""
+"""Largest number of joints with different positions for which a displaced axis of a single joint is
+tested as the cause. With more such joints the files describe different robots, and each test takes
+as long as a comparison."""
 
 
 def find_moved_axes(case: PatternCase) -> PatternFindings:

@@ -593,8 +593,8 @@ URDF_YOURDFPY = "URDF in yourdfpy"
 """Name of the evaluation of the URDF with yourdfpy (forward kinematics only)."""
 
 EXTRAS_EDGE = "extras (MJCF)"
-"""Name of the pair of evaluations (edge) of the MJCF in MuJoCo without and with springs, tendons,
-fluid and other terms that a URDF cannot express."""
+"""Name of an edge (pair of evaluations that are compared): the MJCF in MuJoCo without and with
+springs, tendons, fluid and other terms that a URDF cannot express."""
 
 EDGE_NAMES = {
     (URDF_PINOCCHIO, MJCF_PINOCCHIO): "models (Pinocchio)",

@@ -379,7 +379,8 @@ def _format_value(value: Any) -> str:
 
 
 _NUM_STATES = 10
-"""Number of random states, as many as for the comparison of a URDF with an MJCF."""
+"""Number of random states at which the old and the new version are compared: as many as for the
+comparison of a URDF with an MJCF."""
 
 
 @dataclass(frozen=True, eq=False)

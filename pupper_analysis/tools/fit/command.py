@@ -283,8 +283,8 @@ def command(
 
 
 _MEASURING_OPTIONS = ("--plan", "--record", "--bridge", "--prior", "--added", "--added-at")
-"""Options of plans and recordings that are omitted from the suggested next command, since its mode
-(recording or fit) refuses them."""
+"""Options that the suggested next command does not take over from the present command: its mode
+(recording or fit) refuses them, or has its own values."""
 
 
 def _select_next_step(result: Fit | StandPlan | Recording, output: Path | None) -> NextStep | None:

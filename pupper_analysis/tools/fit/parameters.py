@@ -176,9 +176,9 @@ _PRIOR_PATTERN = re.compile(
 
 
 _MIN_PRIOR_WIDTH = 1e-9
-"""Lower bound (excluded) of a nonzero width in the text of a prior, in the unit of the text. The
-upper bound is the reciprocal, so that squared widths stay within double precision. Chosen, not
-tuned."""
+"""Exclusive lower bound of a nonzero width of a prior that a user enters (``KIND=VALUE[UNIT]``), in
+the unit of the entry. The upper bound is the reciprocal, so that squared widths stay within double
+precision. Chosen, not tuned."""
 
 
 def parse_prior(text: str) -> Prior:

@@ -65,8 +65,8 @@ within the stability margins reaches the bound, the damping with the largest rat
 0.5 is an overshoot of 16 %; chosen, not tuned."""
 
 MAX_NOISE_RATIO = 0.1
-"""Upper bound of the torque step by which the damping answers one encoder count per control period,
-relative to the torque limit. Chosen, not tuned."""
+"""Upper bound of the torque that kd causes if the position reading changes by one encoder count
+within a control period, relative to the torque limit. Chosen, not tuned."""
 
 MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
 """Bounds of the accepted resolution of a joint encoder [bits per turn]. Chosen, not tuned."""

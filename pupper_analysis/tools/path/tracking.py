@@ -54,10 +54,10 @@ millimetres. Chosen, not tuned."""
 
 _MAX_ADDED_INERTIA = 0.075
 """Upper bound of kd x time step / joint inertia in `_select_timestep`, unless the time step would
-be below `MIN_TIMESTEP`. An implicit integrator adds kd x time step to the inertia of a joint.
-The bound is the value of `original` at `MAX_TIMESTEP`. At `MAX_TIMESTEP` the ratio is 0.5 for the
-knee of A1 (kd 13 N m s/rad, no armature), whose fastest squat then has a torque error of 17 % and
-loses ground contact; at 40 us the error is 3 %."""
+be below `MIN_TIMESTEP`. An implicit integrator adds kd x time step to the inertia of a joint. The
+bound is the ratio of the Pupper variant ``original`` at `MAX_TIMESTEP`. For the knee of A1 (kd 13 N
+m s/rad, no armature) the ratio is 0.5 at `MAX_TIMESTEP`: its fastest squat then has a torque error
+of 17 % and loses ground contact; at 40 us the error is 3 %."""
 
 MIN_TIMESTEP = 1e-5
 """Lower bound of the default time step [s], unless the model's is smaller. A path of 1 s then takes

@@ -114,23 +114,23 @@ UNLIMITED_MASS_RATIO = 1e4
 then is infinite. Chosen, not tuned."""
 
 MAX_BOUND_RATIO = 10.0
-"""Ratio of the largest searched payload to the first payload that fails (or to the robot's mass, if
-that is larger). After a first failure, larger bounds are reported as infinite. Chosen, not
-tuned."""
+"""Largest payload that is searched after a first failure, relative to the first payload that fails
+(or to the robot's mass, if that is larger). The bounds of the other kinds of failure (stance,
+motors, servos) are infinite if the kind does not fail up to there. Chosen, not tuned."""
 
 VERIFIED_FRACTION = 0.97
 """Fraction of the limit with which the loaded stance is judged, and simulated with nudges. Chosen,
 not tuned."""
 
 FAILING_RATIO = 1.03
-"""Mass, relative to the bound of the servos, with which `stand` is evaluated: if the stance holds,
+"""Ratio between a tested payload and the bound of the servos: if `stand` holds with this payload,
 the bound is raised. Chosen, not tuned."""
 
 SIMULATION_RTOL = 0.02
-"""Relative tolerance of a payload that is bisected by simulations: the bound of the simulation, and
-the bound of the servos if a simulation contradicts the spectrum. The bound of the simulation also
-has an absolute tolerance: the square of this value times the smallest static bound. Chosen, not
-tuned."""
+"""Relative tolerance of payload bounds that are bisected by simulations: the bound of the
+simulation, and the bound of the servos if a simulation contradicts the eigenvalues. The bound of
+the simulation also has an absolute tolerance: ``SIMULATION_RTOL**2`` times the smallest static
+bound. Chosen, not tuned."""
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """Relative tolerances of the bounds of stance, motors and servos. The first tolerance applies to
@@ -150,7 +150,8 @@ _MASS_GROWTH = 1.5
 narrower interval of masses may be missed. Chosen, not tuned."""
 
 _FAST_MASS_GROWTH = 3.0
-"""Factor between successive masses after the first failure. Chosen, not tuned."""
+"""Factor between successive tested payloads after a first kind of failure (stance, motors, servos)
+has occurred, until the others occur. Chosen, not tuned."""
 
 _MAX_FRICTION_NEEDED = 10.0
 """Largest friction coefficient that balances a stance whose failure is called sliding. If balance

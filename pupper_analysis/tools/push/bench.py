@@ -61,8 +61,9 @@ _SLOW_DURATION = 0.1
 the spectrum is evaluated. Chosen, not tuned."""
 
 _MAX_SLOW_SPEED = 0.02
-"""Largest velocity of a coordinate in ``_SLOW_DURATION`` [m/s, rad/s]. A robot that almost tips may
-be slower for a while; the spectrum then contains the mode of the fall. Chosen, not tuned."""
+"""Largest velocity of any degree of freedom within the last ``_SLOW_DURATION`` [m/s, rad/s] with
+which the spectrum is evaluated. A robot that almost tips may be as slow for a while, but its
+spectrum then contains the mode of the fall. Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.004
 """Time between the states whose ground contacts or motor torques are evaluated [s]. Chosen, not
@@ -83,9 +84,9 @@ the CoM, with which a robot counts as at rest. Measured on v3-long-leg: the robo
 0.03, and falls slowly from 0.07. """
 
 _SPEED_FACTOR = 1.5
-"""Safety factor of the predicted motion of the base after a push (speed * time). If the motion is
-too large, the robot is not at rest. The measured speed of an oscillation may be small for a while.
-Chosen, not tuned."""
+"""Safety factor on the predicted motion of the base (speed x remaining time), which has an upper
+bound for a robot at rest (`_MAX_REMAINING_RATIO`). The measured speed of an oscillation may be
+small for a while. Chosen, not tuned."""
 
 _STILL_RATIO = 0.01
 """Ratio of the predicted motion of the base to its bound (`_MAX_REMAINING_RATIO`), up to which the

@@ -276,8 +276,8 @@ A field whose name is also a metric, such as ``com_margin``, is left out: both w
 column of the table."""
 
 ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
-"""Variables of the robot without a pattern: {variable: field}. These are the payload, the friction,
-and the gains of all servos."""
+"""{variable: field} of the robot's variables that apply to the whole robot, without a pattern of
+joint or body names: payload, friction, and the gains of all servos."""
 
 FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items()} | ROBOT_VARIABLES
 """Field of each variable of the stance or robot, without patterns: {variable: field}."""

@@ -67,7 +67,8 @@ COM_OFFSET_KINDS = ("com_x", "com_y", "com_z")
 """Kinds that are offsets of centres of mass [m], along x, y and z of the link."""
 
 ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
-"""Kinds that are values or offsets instead of factors; `check_variable_range` checks no bounds."""
+"""Kinds of variables of a study that are values or offsets, not factors on numbers of the files;
+`check_variable_range` checks no bounds of these."""
 
 BODY_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
 """Kinds whose pattern selects bodies."""

@@ -21,8 +21,9 @@ the tolerances of comparisons."""
 
 
 _ROUNDING_STEPS: Final = ((10, 1e-13), (16, 4e-16))
-"""Maximum number of digits, and relative tolerance within which a number with so few digits
-replaces a value. Few digits are rarely a coincidence; the tolerance is then larger."""
+"""(largest number of digits, relative tolerance), in the order of the trials: the number with the
+fewest digits within the tolerance replaces a value. The tolerance for up to 10 digits is larger,
+since a number with so few digits is rarely this close by chance."""
 
 
 def format_number(value: float, scale: float) -> str:

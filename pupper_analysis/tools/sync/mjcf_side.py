@@ -136,7 +136,8 @@ def _make_principal_numbers(element: Element, target: Array) -> dict[str, Array]
 
 
 COPIED_BODY = diagnose("body-is-a-copy")
-"""Reason for a difference of a body that is a copy of another element."""
+"""Reason why a change of a body is not written to the MJCF: the body is a copy of another element,
+so the file contains no element with its name."""
 
 
 @dataclass(eq=False, kw_only=True)

@@ -38,8 +38,9 @@ DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
-"""Ratio of the costs of the second and the first candidate above which the first candidate counts
-as clearly better. Chosen: on v3 the ratio is 1.2 for Pupper's own policy."""
+"""Ratio between the cost of the second-best interpretation of a policy and the cost of the best
+one, above which the best one is clearly better. Chosen: for Pupper's own policy on the model v3 the
+ratio is 1.2."""
 
 SCALE_FACTORS = (0.5, 2.0)
 """Factors on the stated action scale that are tried. With smaller deviations a policy still

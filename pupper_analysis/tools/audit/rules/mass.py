@@ -488,8 +488,9 @@ def _compute_link_volume(body: Link) -> float | None:
 
 
 _MIN_REPEATED_LINKS = 2
-"""Smallest number of moving links with the same inertia of a power of ten that are reported, since
-a single link may have the value by chance. An equal mass needs one link more."""
+"""Smallest number of moving links with the same ball-shaped inertia (a power of ten times the
+identity) that are reported: a single link may have the value by chance. A mass that is a power of
+ten is reported from one link more, if all links have it."""
 
 
 def _is_round(value: float) -> bool:

@@ -227,7 +227,8 @@ MAX_SHANK_ANGLE = np.deg2rad(60.0)
 foot. Chosen: quadrupeds stand with shanks inclined by up to 50 degrees."""
 
 MIN_HULL_DEPTH = 1e-3
-"""Depth of a hull below a foot [m] above which the hull is reported. Chosen, not tuned."""
+"""Depth [m] of the convex hull of a mesh below the lowest point of the foot's sphere, above which
+the hull is reported. Chosen, not tuned."""
 
 _SHANK_ANGLES = np.linspace(-MAX_SHANK_ANGLE, MAX_SHANK_ANGLE, 25)
 """Inclinations of the shank that are compared [rad]."""

@@ -451,8 +451,8 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
 
 
 _COMMAND_ATOL = 2e-6
-"""Largest difference [rad] between the commands of a file and of the plan, with which the stands
-count as planned: six written decimals."""
+"""Largest difference [rad] between recorded and planned commands with which a recorded stand
+belongs to the plan. Files contain six decimals."""
 
 
 def _make_planned_stand(planned: MeasuredStands, row: int) -> PlannedStand:

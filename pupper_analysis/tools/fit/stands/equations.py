@@ -31,19 +31,20 @@ _TILT_HEIGHT_INDICES = [3, 4, 2]
 The measurements do not depend on the other base coordinates (horizontal position, yaw)."""
 
 _LAST_MOTION_FRACTION = 0.75
-"""Standard deviation of the dry friction that remains in joints and feet when the base comes to
-rest, as a fraction of the friction, for each of six motions of the base. Measured on v3 set down in
-MuJoCo: all feet of a stand keep moments of the same sign, and the fastest joints their full
-friction. With this value, and the other half of the friction variance independent for each joint
-and foot, the whitened residuals of robots with exact parameters have unit variance."""
+"""Standard deviation, as a fraction of the dry friction, of the common part of the friction that
+remains in all joints and feet when the base comes to rest: one independent term for each of the six
+motions of the base. Measured on v3 set down in MuJoCo: all feet of a stand keep moments of the same
+sign, and the fastest joints their full friction. With this value, and the other half of the
+friction variance independent for each joint and foot, the whitened residuals of robots with exact
+parameters have unit variance."""
 
 _RANK_RTOL = 1e-6
 """Singular value of the contact Jacobian by the joints, relative to the largest, below which it
 counts as 0: these joint motions do not move the feet. Chosen, not tuned."""
 
 _VELOCITY_ATOL = 1e-9
-"""Lower bound of the divisor that scales a motion of the base (1 m or 1 rad) by its fastest joint
-or foot rotation [rad]. Prevents a division by zero. Chosen, not tuned."""
+"""Smallest divisor [rad/m, rad/rad] when joint and foot rotations per unit motion of the base are
+scaled to a largest value of 1. Prevents a division by zero. Chosen, not tuned."""
 
 _BALANCE_RTOL = 1e-5
 """Standard deviation of the base's equations of balance, as a fraction of the weight, or of weight
@@ -64,14 +65,14 @@ _MIN_SIGN_BAND = 1e-3
 exist. Chosen, not tuned."""
 
 _SIGN_BAND_RATIO = 0.7
-"""Servo error over which the sign of friction changes smoothly, as a fraction of the dead band.
-Joints of Go1 and MEVIUS whose load is below dry friction are held by any fraction of the friction.
-"""
+"""Sign band (servo error over which the sign of friction changes smoothly), as a fraction of the
+dead band. Joints of Go1 and MEVIUS whose load is below the dry friction are held by any fraction of
+the friction."""
 
 _HELD_FRICTION_STD = 0.45
-"""Standard deviation of the friction of a joint that has not yielded, as a fraction of dead band
-times kp. The deviation decreases if the servo error exceeds the sign band. Derived from joints of
-Go1 and MEVIUS, which carry any fraction of the friction."""
+"""Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
+dead band x kp. A servo error e reduces it by the factor b / sqrt(e^2 + b^2), with the sign band b.
+Derived from joints of Go1 and MEVIUS, whose friction has any value up to the limit."""
 
 
 @dataclass(frozen=True)
@@ -136,10 +137,11 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 
 _MIN_FORCE_SIGNAL = 1.0
-"""Singular value of the whitened equations of a stand, times the weight, above which an unknown
-contact force (or tilt or height) is eliminated: a force equal to the weight then changes the
-residuals by more than one standard deviation. Smaller values belong to distributions of the force
-within a sole. Chosen, not tuned."""
+"""Lower bound of the product of singular value and robot weight for a combination of a stand's own unknowns
+(contact forces, base tilt, base height) to be eliminated. Singular values are those of the whitened
+equations of the stand: at the bound, a force equal to the weight changes the residuals by one
+standard deviation. Smaller values belong to distributions of the force within a sole. Chosen, not
+tuned."""
 
 _MIN_READING_INFORMATION = 1e-4
 """Lower bound of the information that all other readings provide about a joint reading, relative to

@@ -275,21 +275,24 @@ _SURPRISE_PROBABILITY = 0.0027
 to that of three standard deviations. Chosen, not tuned."""
 
 _MIN_VARIANCE_REDUCTION = 0.02
-"""Smallest reduction of the variance, as a fraction of the prior variance, with which a combination
-is tested. Below, the measurements determine too little. Chosen, not tuned."""
+"""Smallest reduction of the variance by the measurements, as a fraction of the prior variance, with
+which a combination of parameters is compared with its prior. With less, the measurements determine
+the combination too little. In the test of single parameters, smaller reductions are replaced by
+this value. Chosen, not tuned."""
 
 _MIN_NAMED_STDS = 2.0
-"""Deviation of a foot's parameter, in standard deviations, from which a failure names the foot. The
-foot with the largest deviation is named in any case. Chosen, not tuned."""
+"""Deviation of a foot's parameter from its prior, in standard deviations, from which the error
+message names the foot. The foot with the largest deviation is named in any case. Chosen, not
+tuned."""
 
 _MAX_FLATNESS_RATIO = 5.0
 """Upper bound of the ratio of estimated to expected unevenness of the ground. Larger noise would
 hide an error. Chosen, not tuned."""
 
 _MAX_FRICTION_RATIO = 4.0
-"""Upper bound of the ratio of estimated to expected dry friction, random and one-sided parts
-together. Half of this bound applies if a default replaces the file's friction. Chosen, not
-tuned."""
+"""Upper bound of the ratio of estimated to expected dry friction: the sum of a random part and a
+one-sided part (negative dead bands). Half of this bound applies if a default replaces the file's
+friction. Chosen, not tuned."""
 
 _MAX_PARAMETER_STDS = 4.5
 """Upper bound of the deviation of a parameter or a reading, in standard deviations. Among a hundred
@@ -410,15 +413,16 @@ def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Ite
 
 
 _LENGTH_STD = 0.005
-"""Expected standard deviation of the length factor of a leg's last link, for parts of the same
-file. The prior is wider, to allow other variants. Chosen, not tuned."""
+"""Expected standard deviation of the length factor of a leg's last link, among parts that are made
+from the same file. The default prior is wider, so that the legs of another variant can be fitted.
+Chosen, not tuned."""
 
 SCALE_RTOL = 0.002
 """Standard deviation of a mass on a scale, as a fraction of the mass. Chosen, not tuned."""
 
 KNOWN_MASS_FRACTION = 0.15
-"""Default known mass of a plan, as a fraction of the robot's mass: 480 g on Pupper v3. Measured:
-with 200 g alone kp is known to 12 to 14 %."""
+"""Default of the known mass that is added to the robot in some stands of a plan, as a fraction of
+the robot's mass: 480 g on Pupper v3. Measured: with 200 g alone, kp is determined to 12 to 14 %."""
 
 MIN_STANDS = 3
 """Smallest number of stands of a fit or a plan. Chosen, not tuned."""
@@ -771,8 +775,8 @@ _OUTLIER_STD = 0.3
 Chosen, not tuned."""
 
 _MAX_FRICTION_PASSES = 5
-"""Upper bound of the passes in which the dead band of the last pass defines the friction noise. Two
-to four suffice."""
+"""Upper bound of the repeated fits, in which the noise of friction follows from the dead band of
+the previous fit. Two to four are sufficient."""
 
 
 def _estimate_from_stands(
@@ -999,9 +1003,10 @@ def _make_scale_residual(
 
 
 _MAX_DEPTH_STDS = 1.0
-"""Largest computed depth below the ground of a foot that is reported as in the air, in standard
-deviations of the computed height. Beyond, the stand contradicts the measured data. Feet of v3 that
-sag to within a millimetre of the ground may be computed slightly below. Chosen, not tuned."""
+"""Largest computed depth below the ground, in standard deviations of the height, of a foot that a
+row of the measured stands states to be in the air. With a larger depth, the row contradicts the
+measured positions. The computed depth may be positive if the foot of v3 sags to within a millimetre
+of the ground. Chosen, not tuned."""
 
 
 def _check_feet(
@@ -1140,30 +1145,32 @@ class LogCoordinates:
 
 
 _LEVEL_LOG_STD = 1.5
-"""Prior standard deviation of the logarithm of a noise level: a factor of 4.5 either way. Chosen,
-not tuned."""
+"""Prior standard deviation of the natural logarithm of each noise level (foot moments, flatness of
+the ground, friction) relative to the expected level: a factor of 4.5 up or down. Chosen, not
+tuned."""
 
 _MIN_FLATNESS = 1e-4
 """Lower bound [m] of the estimated unevenness of the ground. Simulated ground is flatter, but the
 penetration of feet is modelled to about this accuracy only."""
 
 _MIN_MOMENT = 1e-4
-"""Lower bound [m] of the moment on a contact point over the normal force. Moments that are equal in
-similar stands appear as encoder offsets, and not in the evidence. Measured: feet of v3 in MuJoCo
-keep 2e-5 to 1e-3 after 12 s."""
+"""Lower bound [m] of a noise level: moment on a contact point, divided by the normal force. The fit
+explains moments that are equal in similar stands by encoder offsets, so that the evidence does not
+show them. Measured: feet of v3 in MuJoCo keep 2e-5 to 1e-3 after 12 s."""
 
 _MIN_FRICTION_LEVEL = 0.5
-"""Lower bound of the random dry friction over the expected friction. Parameters absorb the part
-that is equal in all stands, so that the estimate is too small: a fifth on MEVIUS, with which
-only 88 % of the intervals contained the truth."""
+"""Lower bound of the estimated random dry friction, divided by the expected friction. The fit
+explains friction that is equal in all stands by parameters, so that the estimate is too small: a
+fifth on MEVIUS, with which only 88 % of the intervals contained the truth."""
 
 _UNKNOWN_STEPS = 4
 """Number of iterations of each stand's own unknowns (`StandEquations`) before the noise is
 estimated. More iterations do not change the evidence."""
 
 _MAX_EVALUATIONS = 40
-"""Upper bound of the evaluations of the evidence in the search for three levels, which are needed
-to about 10 %. Chosen, not tuned."""
+"""Upper bound of the evaluations of the log evidence in the search for the three noise levels (foot
+moments, flatness of the ground, friction). An accuracy of about 10 % is sufficient. Chosen, not
+tuned."""
 
 
 def scale_common_widths(

@@ -329,7 +329,8 @@ def choose_stands(
 
 
 _MAX_EXCHANGE_ROUNDS = 5
-"""Upper bound of the exchange rounds. Two or three suffice."""
+"""Upper bound of the rounds in which each chosen stand may be exchanged for a more informative
+candidate. Two or three rounds are sufficient."""
 
 
 def _log_determinant(information: Array) -> float:
@@ -385,9 +386,9 @@ _TRIES_PER_STAND = 8
 """Upper bound of the tries per requested stand. A stand results from every second to fourth try."""
 
 _MAX_FAILED_TRIES = 24
-"""Number of random tasks after which the search for stands ends if none has a stand. By then the
-range of the tasks has shrunk to 2 % (`_SHRINK_FACTOR`), nearly to the nominal stand. Chosen, not
-tuned."""
+"""Number of random stand tasks after which the search ends if none of them could be solved. The
+range of the random values shrinks after each failure (`_SHRINK_FACTOR`), by then to 2 %: nearly the
+nominal stand. Chosen, not tuned."""
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
 """Factors on the range of random stands after a refused and after an accepted stand. The factors
@@ -414,12 +415,13 @@ _LIFTED_PROBABILITY = 0.4
 not tuned."""
 
 _MIN_CLEARANCE = 0.005
-"""Clearance [m] between links. Knees of v3 are displaced by this distance with an encoder offset of
-3 deg."""
+"""Clearance [m] between links that planned stands require, unless the nominal stand has too little
+(`_CLEARANCE_FRACTION`). An encoder offset of 3 deg displaces the knees of v3 by this distance."""
 
 _CLEARANCE_FRACTION = 0.5
-"""Clearance between links as a fraction of that in the nominal stand, if this is smaller: thighs
-are close to the body. Chosen, not tuned."""
+"""Clearance between links that planned stands require, as a fraction of the clearance in the
+nominal stand, if that is less than `_MIN_CLEARANCE`: thighs may be close to the body. Chosen, not
+tuned."""
 
 _COM_MARGIN_RATIO = 0.05
 """Lower bound of the CoM margin, as a fraction of the nominal height. Chosen, not tuned."""
