@@ -137,11 +137,11 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 
 _MIN_FORCE_SIGNAL = 1.0
-"""Lower bound of the product of singular value and robot weight for a combination of a stand's own unknowns
-(contact forces, base tilt, base height) to be eliminated. Singular values are those of the whitened
-equations of the stand: at the bound, a force equal to the weight changes the residuals by one
-standard deviation. Smaller values belong to distributions of the force within a sole. Chosen, not
-tuned."""
+"""Lower bound of the product of singular value and robot weight, with which a combination of a
+stand's own unknowns (contact forces, base tilt, base height) is eliminated. Singular values are
+those of the whitened equations of the stand: at the bound, a force equal to the weight changes the
+residuals by one standard deviation. Smaller values belong to distributions of the force within a
+sole. Chosen, not tuned."""
 
 _MIN_READING_INFORMATION = 1e-4
 """Lower bound of the information that all other readings provide about a joint reading, relative to
