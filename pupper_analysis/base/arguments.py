@@ -291,7 +291,7 @@ def _make_elements_test(
     """
 
     def has_valid_elements(value: Any) -> bool:
-        """Return True for a container of the required kind with valid elements."""
+        """Return True for an iterable of valid elements; a sequence or array if required."""
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim
         if of_known_length and not is_sequence and not is_array:

@@ -55,7 +55,10 @@ def make_lazy_exports(
         return value
 
     def list_names() -> list[str]:
-        """Return the names of the stub and the package's special names, sorted."""
+        """Return the names that the stub (``.pyi`` file) exports, and the special names, sorted.
+
+        Special names are the attributes of the package that begin with two underscores.
+        """
         special = [name for name in vars(sys.modules[package]) if name.startswith("__")]
         return sorted({*special, *sources})
 

@@ -96,7 +96,8 @@ def own_tools() -> Mapping[str, Tool]:
 def other_tools() -> Mapping[str, Tool]:
     """Return {name: tool} of the tools of other installed Python packages, sorted by name.
 
-    Tools with the name of an own tool, and tools without a package folder, are left out.
+    Left out are tools with the name of a tool of this package, and entry points that name a module
+    instead of a package.
     """
     return _find_plugins(TOOLS_GROUP, "command.py")
 

@@ -181,9 +181,10 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
         raise ProcessEnded
 
     def raise_again(_number: int, _frame: FrameType | None) -> None:
-        """Raise `ProcessEnded` if the first instance was lost; handler of the interval timer.
+        """Raise `ProcessEnded` again if a library has suppressed it; called by the interval timer.
 
-        Nothing is raised while an instance is being handled, and after ``ending.caught`` is set.
+        Nothing is raised while a `ProcessEnded` is being handled, or after ``ending.caught`` is
+        set.
         """
         handled = sys.exc_info()[1]
         while handled is not None and not isinstance(handled, ProcessEnded):

@@ -127,7 +127,7 @@ class Command(click.Command):
 
     @property
     def outputs(self) -> list[click.Parameter]:
-        """Options with the path of a result."""
+        """Options of this command that take the path of an output file or folder."""
         return [option for option in self.params if isinstance(option.type, OutputPath)]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:

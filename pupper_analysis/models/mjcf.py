@@ -252,7 +252,7 @@ class _WarningSuppressor:
                 warnings.simplefilter("ignore")
 
     def end(self) -> None:
-        """Remove a user; the last user restores the warning handler."""
+        """Unregister a user of the suppression; after the last, restore MuJoCo's handler."""
         with self._lock:
             self._num_users -= 1
             if not self._num_users:

@@ -184,7 +184,11 @@ class _Writer:
             add_element(element, "dynamics", damping=_write(damping), friction=_write(friction))
 
     def add_shape(self, item: pin.GeometryObject, folder: Path, index: int) -> None:
-        """Add a collision shape to the link of its joint; meshes are written to the folder."""
+        """Add a collision shape to the link that moves with the shape's parent joint.
+
+        Meshes are written to ``folder`` as ``shape_INDEX.stl``. A shape without such a link, for
+        example an obstacle in the world, is skipped.
+        """
         link = self._links.get(int(item.parentJoint))
         if link is None:  # an obstacle in the world
             return

@@ -178,7 +178,7 @@ class Shape:
 
     @property
     def diagnostic(self) -> Diagnostic:
-        """Kind, sizes and position as a diagnostic."""
+        """Diagnostic that describes this shape by kind, sizes [m] and position [m]."""
         x, y, z = (Quantity(float(value), "m") for value in self.pose.position)
         sizes = tuple(Quantity(size, "m") for size in self.size)
         return diagnose("shape", kind=Term(self.kind), sizes=sizes, x=x, y=y, z=z)

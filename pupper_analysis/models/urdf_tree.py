@@ -164,7 +164,7 @@ class UrdfJoint(UrdfElement):
 
     @property
     def parent(self) -> str:
-        """Name of the parent link."""
+        """Name of the link to which this joint attaches its child link."""
         return self._link_name("parent")
 
     @property

@@ -66,11 +66,11 @@ class CauseCandidate:
     switch_off: Callable[[mujoco.MjModel], None]
 
     def make_cause(self, remaining: float) -> Cause:
-        """Create the `Cause` of this candidate.
+        """Create the `Cause` that names the elements of this candidate.
 
         Args:
-            remaining: Deviation that remains if the candidate is switched off [unit of the
-                compared quantity].
+            remaining: Deviation that remains if the elements are switched off [unit of the compared
+                quantity].
         """
         return Cause(self.code, self.elements, None, remaining)
 
@@ -507,10 +507,10 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 
 
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Return the changes by the preparation that no change of the published model can undo.
+    """Return the changes made on loading that no disabled element of the published MJCF imitates.
 
-    These are bodies whose shapes were replaced by balls, and joints whose actuator is neither servo
-    nor motor (`Drive.has_other_law`).
+    These are bodies with collision shapes that were replaced by spheres, and joints whose actuator
+    is neither servo nor motor (`Drive.has_other_law`).
     """
     bodies = _list_ball_bodies(robot)
     named = zip(robot.joint_names, published.drives, strict=True)

@@ -21,7 +21,11 @@ from pupper_analysis.stance.problem import can_move_com
 
 
 def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
-    """Report joints with different names or zero angles, the base frame, and unmatched joints."""
+    """Report how joints and base frames of the URDF and the MJCF were matched.
+
+    Reported are joints whose names or zero positions differ, a free base whose frames differ, and
+    joints that only one file contains.
+    """
     renamed = [
         diagnose("names-of-joint", urdf=old, mjcf=new)
         for new, old in matched.urdf_joint.items()

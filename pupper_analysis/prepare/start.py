@@ -279,7 +279,7 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Returns:
-        Robot whose nominal stand this is; None if no stand is found.
+        Copy of the robot with this stand as the nominal stand; None if no stand is found.
     """
     poses = list(poses)
     return (

@@ -163,7 +163,7 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 
 
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
-    """Copy data that no description contains from a robot to the rebuilt version.
+    """Copy data that are not part of ``Robot.description`` from a robot to the rebuilt version.
 
     The data are the height of the nominal stand, the notes, and the published file. If the robot
     has contacts of a task (``touching``), these and the fingerprint are copied as well.

@@ -117,9 +117,10 @@ class EqualityCompliance:
             row += num_rows
 
     def current_compliance(self) -> Array:
-        """Return the compliance of each of m equations at the constraint violation of the data.
+        """Return the compliance of each of m scalar constraint equations, at its present violation.
 
-        Shape (m,) [m/N, rad/(N m)]: violation / constraint force.
+        The violations are those in the ``data`` passed to the constructor. Shape (m,) [m/N,
+        rad/(N m)]: violation / constraint force.
         """
         return self._compliance.copy()
 

@@ -175,9 +175,9 @@ class Bar:
         return replace(self, point=(*self.point[:2], number))
 
     def point_above(self, x: float, y: float) -> Point:
-        """Return a point (x, y, z) [m] above the bar, near a horizontal position (x, y) [m].
+        """Return a point (x, y, z) [m] above this bar, near a horizontal position (x, y) [m].
 
-        The point of the axis that is nearest to (x, y) in the horizontal plane is moved up,
+        The point of the bar's axis that is nearest to (x, y) in the horizontal plane is moved up,
         perpendicular to the axis: by 1 m for a horizontal bar, by 0 for a vertical bar.
         """
         along = np.array(self.direction)

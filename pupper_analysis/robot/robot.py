@@ -168,10 +168,11 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
-        """Return this record for a modified copy of a robot.
+        """Return this record of the published file, for a modified copy of a robot.
 
         Args:
-            robot: Robot before the modification; stored as ``loaded`` at the first modification.
+            robot: Robot before the modification. At the first modification, it is stored as
+                ``loaded``; later, the record is returned unchanged.
         """
         return self if self.loaded is not None else replace(self, loaded=robot)
 

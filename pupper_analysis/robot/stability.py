@@ -311,7 +311,7 @@ class Stability(Result):
         return tuple(mode for mode in growing if mode.shakes or not self.uses_noslip_solver)
 
     def is_stable_for(self, duration: float = HOLD_DURATION) -> bool:
-        """Return True if `modes_growing_within` is empty for a duration [s]."""
+        """Return True if no mode grows enough within a duration [s]; see `modes_growing_within`."""
         return not self.modes_growing_within(duration)
 
 
@@ -429,9 +429,10 @@ def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability)
     second = _evaluate_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
 
     def repeats(mode: Mode) -> bool:
-        """Return True if the spectrum with ``SECOND_STEP`` has a mode of nearly equal growth.
+        """Return True if the second spectrum has a mode with nearly the growth rate of ``mode``.
 
-        The relative difference is at most ``_RATE_TOLERANCE``.
+        The second spectrum is computed with the finite-difference step ``SECOND_STEP``. The rates
+        differ by at most ``_RATE_TOLERANCE`` (relative).
         """
         return any(
             abs(again.growth - mode.growth) <= _RATE_TOLERANCE * mode.growth for again in second

@@ -150,7 +150,10 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     normal = UP if on_planes else next(iter(stand.normals.values()), UP)
 
     def compute_surplus_force(drop: float) -> float:
-        """Return contact force minus weight [N] along the normal, with the base lowered [m]."""
+        """Return the supporting force minus the weight [N] after lowering the base by ``drop`` [m].
+
+        Both are components along the ground normal. Contacts and gravity compensation support.
+        """
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
         robot.mj_convention.set_state(data, qpos)

@@ -71,8 +71,8 @@ def stand_stability(
         The modes that grow, with doubling times, and the stability margin.
 
     Raises:
-        ConfigurationError: If an argument is out of range, a stand's base is fixed, or the
-            stand belongs to another robot.
+        ConfigurationError: If an argument is out of range, the stand has stance feet but the base
+            is fixed, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.

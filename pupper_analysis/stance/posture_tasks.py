@@ -388,7 +388,7 @@ class _MeasuredClearance:
     residual = 0.0
 
     def update(self) -> None:
-        """Do nothing; `PlacoTask.update_target` sets the violation."""
+        """Do nothing: `PlacoTask.update_target` has set ``residual``, which PlaCo would compute."""
 
     def error_norm(self) -> float:
         """Return the required distance between links minus the smallest distance [m], at least 0.

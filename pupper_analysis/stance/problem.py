@@ -182,7 +182,7 @@ class Goal:
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the sphere centres, with which steps and planes of feet are located.
+        """Targets of the foot spheres' centres, which determine the places of steps and planes.
 
         {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
         penetration is removed (`remove_penetration`). Otherwise these are the ``targets``,

@@ -281,9 +281,10 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     wanted, start = basis.T @ compute_forces(np.array(given)), basis.T @ np.array(given)
 
     def residual(coefficients: Array) -> Array:
-        """Return resultant minus required forces [N], projected on the columns of ``basis``.
+        """Return contact forces minus required forces, projected on the columns of ``basis``.
 
-        ``coefficients`` [m] multiply the columns, and give the penetrations.
+        The components [N] are zero if resultant force and moments on the sole are as required.
+        ``coefficients`` [m] are factors of the columns; ``basis @ coefficients`` are penetrations.
         """
         return np.asarray(basis.T @ compute_forces(basis @ coefficients) - wanted)
 

@@ -495,9 +495,10 @@ class _MujocoBody(_PinocchioBody):
         return rotation @ relative, self._data.xpos[body] + rotation @ offset
 
     def self_clearances(self) -> Array:
-        """Return MuJoCo's distances (n,) [m] of the shape pairs that are nearest by Pinocchio.
+        """Return distances between links of the robot, ascending, shape (n,) [m].
 
-        In ascending order.
+        MuJoCo measures the distances, for the n pairs of collision shapes that Pinocchio finds
+        nearest.
         """
         shapes, model = self._collision.shapes, self._robot.mj_model
         pairs = shapes.find_nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)

@@ -109,8 +109,8 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace:
     """Find the reachable intervals of the base in height [m], roll, pitch, yaw [rad], x and y [m].
 
-    Each coordinate is searched alone, outward from the task to the first unreachable stand, apart
-    from gaps below 0.8 % of the first step. Feet stay planted.
+    Each coordinate is varied alone, outward from its value in the task to the first value without
+    a stand. Gaps shorter than 0.8 % of the first search step are skipped. Feet stay planted.
 
     The CoM keeps the horizontal position that the task requires. If the task permits any position
     inside the support polygon, the CoM keeps its position in the task's stand, or stays free if the
@@ -121,7 +121,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
     Args:
         robot: Robot.
-        task: Task at which the search starts. Default: the nominal stand.
+        task: Task at which the search starts. Default: the nominal stand, the robot's default
+            stance.
 
     Raises:
         StanceUnreachableError: If the task is unreachable.
@@ -191,7 +192,10 @@ def _find_limit(
     shortest = _FULL_SEARCH_RATIO * first  # step with a full search
 
     def try_value(further: float, near: Stand | None = None) -> bool:
-        """Solve the stand at a value [m or rad]; if it exists, store both and return True."""
+        """Return True if the coordinate ``further`` [m or rad] has a stand, and store both.
+
+        The stand ``near`` is the only initial guess; None: all guesses of `search_stand`.
+        """
         nonlocal value, last
         if abs(further) > most:
             return False

@@ -197,13 +197,15 @@ def find_extreme_positions(
     grips: Array,
     inequalities: tuple[Array, Array] | None = None,
 ) -> tuple[Corner, ...]:
-    """Compute extreme CoM positions in `SIDES` directions; empty without equilibrium.
+    """Compute the extreme CoM positions with equilibrium in `SIDES` horizontal directions.
+
+    The result, points (x, y) [m], is empty if no CoM position allows equilibrium.
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.
         normals: Shape (n, 3); unit vectors out of the ground.
         friction: Shape (n,); friction coefficients.
-        stated: As in ``support_corners``.
+        stated: Prescribed contact forces, as in `Contacts.stated`; None without.
         grips: Shape (g, 4), g >= 0: position [m] and force limit in units of the weight.
         inequalities: Further bounds on the forces f, in units of the weight: rows and upper bounds
             of ``rows @ f <= upper``, for example torque limits.

@@ -217,7 +217,7 @@ def diagnose(
 def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Return the diagnostics without duplicates, sorted by group, then by severity.
 
-    The order of the groups is: wrong, assumed, found.
+    The order of the groups is: wrong (to repair), assumed (to check), found (information).
     """
     order = list(Group)
     return tuple(

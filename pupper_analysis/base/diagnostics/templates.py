@@ -255,7 +255,11 @@ class _TemplateFormatter(Formatter):
         self.language = language
 
     def get_field(self, field_name: str, _args: Any, kwargs: Any) -> tuple[Any, str]:
-        """Return the value of a placeholder, or the word for its number; and the name."""
+        """Return the value of a placeholder and its name.
+
+        For ``{name|singular|plural}`` a word takes the place of the value: the first if the number,
+        or the length of a container, is 1; otherwise the second.
+        """
         name, *forms = field_name.split("|")
         value = kwargs[name]
         if forms:

@@ -77,7 +77,7 @@ class RobotFiles:
         return load_robot(*self.models, **self.options, **more)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return files and options as a dict for TOML or JSON: ``models``, and each option."""
+        """Return the robot's files (``models``) and loading options as a dict for TOML or JSON."""
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
 
 

@@ -239,7 +239,7 @@ def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the gravity compensation of bodies."""
+    """Yield the gravity compensation (``gravcomp``) of the robot's bodies, which a URDF lacks."""
     model = scene.model
     for body in sorted(scene.bodies):
         compensation = scene.read_nonzero_values("body", body, ("gravcomp",))

@@ -144,9 +144,10 @@ def measure_deviation_bits(size: float, tolerance: float) -> float:
 def measure_joint_deviation(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation [bits] of a joint, with the moved body, its frames and child joints.
+    """Return the deviation of a joint between two trees, with moved body, frames and child joints.
 
-    Child joints count with their placements on the body.
+    The result is the sum of log2(1 + deviation / tolerance) over the compared quantities, in bits
+    (`measure_deviation_bits`). Of child joints only the placement on the body is compared.
     """
     total = _joint_bits(first, second, name, tolerances)
     for child in first.children(name):

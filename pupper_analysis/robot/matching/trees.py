@@ -118,7 +118,7 @@ class Reference:
         return [*base_joints, *(self.names.joint(name).id for name in self.joint_names)]
 
     def convention(self) -> MujocoConvention:
-        """Return the addresses of the robot's coordinates in this model.
+        """Return the indices of the robot's coordinates in ``qpos`` and ``qvel`` of this model.
 
         The model may contain other bodies with joints, such as objects of a scene.
         """

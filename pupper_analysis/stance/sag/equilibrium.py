@@ -452,14 +452,18 @@ class SagEquilibrium:
         return seen[2]
 
     def slips(self, qpos: Array, forces: Array) -> Array:
-        """Return the slips along two tangents, and the penetration, of the contacts, (n, 3) [m].
+        """Return the slips of the touching contacts along two tangents, and their penetrations.
 
-        For pinned feet, the slip at the start of the creep step is subtracted, and the product of
-        compliance and tangential force is added.
+        Slips are measured from the first contact. If ``feet`` is "pinned", they are measured from
+        the start of the creep step, if there is one, and the product of compliance and tangential
+        force is added, so that the result is zero for a contact that sticks.
 
         Args:
             qpos: Configuration, shape (nq,).
             forces: Contact forces, shape (n, 3) [N], in the ground frames.
+
+        Returns:
+            Shape (n, 3) [m].
         """
         places: Array = self.contacts_at(qpos).places.copy()
         if self.feet == "pinned" and (self.crept or self.yielding or self._is_compliant):

@@ -301,10 +301,10 @@ class HomotopyPath:
         return seen[1:]
 
     def creep_step(self, seconds: float) -> None:
-        """Let pinned feet creep for a duration [s] by backward Euler steps.
+        """Let feet that stick by friction creep (slip slowly, as in MuJoCo) for a duration [s].
 
-        A step is shortened if no equilibrium is found: twisted soles creep by a millimetre within
-        hundredths of a second, and then rest.
+        Creep is integrated by backward Euler steps. A step is shortened if no equilibrium is found:
+        twisted soles creep by a millimetre within hundredths of a second, and then rest.
 
         Raises:
             NoEquilibriumError: If no equilibrium is found with a step of `_MIN_EULER_STEP` of the

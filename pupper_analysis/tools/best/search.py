@@ -384,9 +384,10 @@ class StanceSearch:
         missing = first.rows - np.array([_CONSTRAINT_PENALTY, 0.0])
 
         def evaluate_rows(share: Array) -> Array:
-            """Return the constraints a + b level >= 0 at scaled coordinates, rows (a, b).
+            """Return the rows (a, b), shape (k, 2), of the constraints a + b level >= 0.
 
-            Shape (k, 2). The smallest level of the allowed stances is updated.
+            ``share`` are the scaled coordinates of the stance, 0 to 1. If the stance is allowed and
+            has the smallest level (scaled objective) so far, ``best`` is updated.
             """
             nonlocal best
             stance = self.evaluate(subspace.compute_coordinates(share))
@@ -395,11 +396,12 @@ class StanceSearch:
             return missing if stance is None else stance.rows
 
         def derivative(values: Array) -> Array:
-            """Return the Jacobian of the constraints a + b level, shape (k, size + 1).
+            """Return the Jacobian of the constraint functions a + b level, shape (k, size + 1).
 
-            The first columns are one-sided differences with step ``_DIFFERENCE_STEP`` in each
-            scaled coordinate (0 to 1). Such a column is zero if neither side has a stand. The last
-            column, b, is the exact derivative with respect to the level.
+            a and b are the columns of ``evaluate_rows``. The first columns of the Jacobian are
+            one-sided differences with step ``_DIFFERENCE_STEP`` in each scaled coordinate (0 to 1).
+            Such a column is zero if neither side has a stand. The last column, b, is the exact
+            derivative with respect to the level.
 
             Args:
                 values: Scaled coordinates, then the level, shape (size + 1,).

@@ -276,7 +276,7 @@ class _ConfigReader:
         return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)
 
     def list_pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
-        """Yield the pair of an entry, or a pair for each file that the patterns match."""
+        """Yield the model pair of a ``[[pair]]`` entry; with wildcards, a pair for each match."""
         self.check_table(
             entry,
             ("pair", self._entry),

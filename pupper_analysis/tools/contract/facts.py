@@ -217,9 +217,10 @@ class Source:
 
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
-        """Statements, orders and observations of the source without places, for comparisons.
+        """Content of the source without file locations, for comparisons between sources.
 
-        Configurations of a file with equal contents are merged.
+        It consists of the stated values, the orders of joints and motors, and the observations of
+        the policy. Of several configurations in a file with equal content, one is kept.
         """
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(name, scale) for name, scale, _ in self.observations]

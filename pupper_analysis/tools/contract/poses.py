@@ -37,14 +37,15 @@ computed. Chosen, not tuned."""
 def stand_poses(
     models: Sequence[Path], placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
-    """Compute the stand of the robot in the default pose of each source.
+    """Compute the stand of the robot in the default pose that each source states.
 
-    If the source states all gains, the stand is also simulated in MuJoCo. Poses with equal angles,
+    Sources are files of the training, the policy, its deployment, the driver or the model. If a
+    source states all gains, the stand is also simulated in MuJoCo. Poses with equal angles,
     gains and effort limits are computed once.
 
     Args:
         models: Files of the robot.
-        placed: Sources, with default angles [rad] and optional gains.
+        placed: Sources with the stated default angles [rad] and, optionally, gains.
         joints: Names of the robot's joints.
 
     Returns:

@@ -793,7 +793,10 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
 
 
 def find_closed_loops(case: PatternCase) -> PatternFindings:
-    """Find two or more equality constraints that only the MJCF has, as a single cause."""
+    """Find two or more equality constraints that only the MJCF has: a single cause of differences.
+
+    A constraint that an earlier cause explains does not count.
+    """
     found = [name for kind, name in case.unexplained if kind == "equality"]
     if len(found) > 1:
         message = diagnose("equalities-of-the-mjcf-alone", names=found)

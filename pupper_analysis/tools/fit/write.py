@@ -146,11 +146,11 @@ standard deviation."""
 def draw_samples(
     posterior: Posterior, vector: Array, count: int = NUM_SAMPLES, seed: int = 0
 ) -> tuple[tuple[str, ...], Array]:
-    """Draw robots from the posterior, all parameters of a robot jointly.
+    """Draw random robots from the posterior distribution, all parameters of a robot jointly.
 
-    Measurements determine sums and ratios: with a weight the total mass of v3 is known to 0.2 %,
-    but the distribution among the links hardly. Independent samples would be robots that the
-    measurements exclude.
+    Measurements determine sums and ratios: if Pupper v3 was weighed, the total mass is known to
+    0.2 %, but hardly how the links share the mass. Parameters drawn independently would give robots
+    that the measurements exclude.
 
     Robots with a mass or kp below 10 % of the written value are drawn again. (Logarithms of the
     masses would be always positive, but a sum of log-normal masses is biased: the total mass of v3
@@ -160,13 +160,13 @@ def draw_samples(
 
     Args:
         posterior: Distribution of the parameters.
-        vector: Parameter values as written, shape (n,).
+        vector: Parameter values as written to the corrected model files, shape (n,).
         count: Number of robots. Fewer are returned if 100 rounds of this number do not suffice.
         seed: Seed of the generator.
 
     Returns:
-        Names in `study`, k entries; and values, shape (count, k): factors on the values of the
-        corrected model, or displacements of a CoM [m].
+        Names of k variables of a `study`; and their values, shape (count, k): factors on the values
+        of the corrected model, or displacements of a CoM [m].
     """
     rng, parameters = np.random.default_rng(seed), posterior.parameters
     table = ParameterTable(parameters)

@@ -404,7 +404,10 @@ class _Gains:
     def make_bound(
         self, factor: float | None, gains: Callable[[float], _Pair], *, below: bool
     ) -> GainBound:
-        """Create the result of a bound of the gains: unstable mode, and bound found by simulation.
+        """Create the result of one stability bound of the gains.
+
+        It contains the bound of the linear model, the mode that is unstable beyond this bound, and
+        the bound found by simulation.
 
         Args:
             factor: Factor on the gains at the bound of the linear model; None without a bound.

@@ -395,7 +395,10 @@ class JointSliders:
             self._moved(joint, round(value, _POSITION_DIGITS) + 0.0)  # never -0
 
     def show(self, positions: Mapping[str, float]) -> None:
-        """Set sliders to joint positions [rad or m]; joints without one to the initial value."""
+        """Set the sliders to given joint positions [rad or m], the others to their initial value.
+
+        Values beyond the range of a slider are clipped.
+        """
         for joint, slider in self.sliders.items():
             value = self._initial_values[joint]
             if joint in positions:

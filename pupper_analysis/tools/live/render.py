@@ -183,7 +183,7 @@ class NumberPanel:
 
     @content.setter
     def content(self, html: str) -> None:
-        """HTML of the panel."""
+        """Show an HTML text in the number panel and in the folded section for phones."""
         self._panel_html.content = html
         summary = f"<summary>{escape(self._title)}</summary>"
         self._phone_html.content = (

@@ -242,14 +242,15 @@ def parse_angle(degrees: float) -> float:
 
 
 def make_state(task: StandTask, **robot_values: Any) -> State:
-    """Return the state of a page for a stand task.
+    """Return the state of the page of ``live`` that requests a stand task.
 
     Args:
         task: Stand task.
-        **robot_values: Values of the robot's fields, in the units of the page.
+        **robot_values: Further fields of the `State`, which concern the robot, in the units of the
+            page.
 
     Raises:
-        ConfigurationError: If a value has no slider.
+        ConfigurationError: If the page has no slider for a value of the task.
     """
     values = {
         name: value for name, value in task.values().items() if value != FIELDS[name].default_value

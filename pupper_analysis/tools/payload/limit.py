@@ -349,7 +349,7 @@ def payload_limit(
         )
 
     def holds_as_stand(mass: float) -> bool:
-        """Return True if `stand` holds with a mass [kg]."""
+        """Return True if the stance holds with a payload [kg], simulated with feed-forward."""
         try:
             return _holds_in_simulation(judge_with_feedforward(mass, None))
         except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):

@@ -422,7 +422,7 @@ class PushBench:
         """Simulate a push, and return the largest |torque| of each motor, shape (nu,) [N m].
 
         Args:
-            direction: Index of the axis.
+            direction: Index of the push direction in ``axes``.
             impulse: Impulse [N s].
         """
         (states,) = self.simulate_pushes(np.array([direction]), np.array([impulse]))

@@ -565,7 +565,7 @@ def _to_float(name: str, value: Any) -> float:
 
 
 def describe_error(error: BaseException) -> Diagnostic:
-    """Return the diagnostic of an error; a foreign error is described by type and message."""
+    """Return the diagnostic of an error; errors of other packages get one with type and message."""
     if isinstance(error, PupperAnalysisError):
         return error.diagnostic
     return diagnose("other-error", error=type(error).__name__, message=str(error))

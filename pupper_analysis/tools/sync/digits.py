@@ -42,15 +42,18 @@ def format_number(value: float, scale: float) -> str:
 
 
 def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str | None:
-    """Return a vector as text for an attribute; the file's words that are still right are kept.
+    """Return the text of a vector for an XML attribute; unchanged numbers keep the file's digits.
+
+    A number is unchanged if it differs by at most ``NUMBER_RTOL`` times the largest magnitude in
+    the vector, or times ``floor`` if that is larger.
 
     Args:
-        old: Words in the file; may be fewer than the numbers, or none.
-        new: Vector.
-        floor: Lower bound of the magnitude that tolerances refer to.
+        old: Numbers in the file, as written; may be fewer than those of ``new``, or none.
+        new: New vector.
+        floor: Lower bound of the reference magnitude.
 
     Returns:
-        Text; None if all old words are right.
+        Text; None if all numbers are unchanged.
     """
     values = np.atleast_1d(np.asarray(new, dtype=float))
     scale = max(floor, float(np.abs(values).max(initial=0.0)))

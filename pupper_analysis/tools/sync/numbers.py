@@ -107,7 +107,10 @@ class WrittenNumbers:
         ]
 
     def hash_contents(self) -> dict[str, str]:
-        """Return {path in the folder: hash of the file's content}, to recognise the files later."""
+        """Return {path in the output folder: hash of the file's content}.
+
+        A later run recognises unmodified files by the hash, and may replace them.
+        """
         return {str(place): hash_content(content) for place, content in self.contents.items()}
 
 

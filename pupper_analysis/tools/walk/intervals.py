@@ -236,10 +236,11 @@ class TrackedIntervals(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the policy tracks the command on the robot, and within all measured intervals.
+        """Whether the policy tracks on the unchanged robot, and for all values that a fit permits.
 
-        The unchanged robot must track with all seeds, each measured interval must be within the
-        tracked interval, and the files must state the masses of all links.
+        The unchanged robot must track the command with all seeds. Each interval measured by a fit
+        must be within the interval of the same quantity that all seeds track. The files must state
+        the masses of all links.
         """
         tracked = len(self.seeds) == self.requested_seeds
         inside = all(interval.inside is not False for interval in self.intervals)

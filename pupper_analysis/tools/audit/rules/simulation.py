@@ -34,8 +34,9 @@ from pupper_analysis.tools.audit.rules.files import find_first_place
 def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find an MJCF whose gravity differs by more than 0.02 m/s^2 from (0, 0, -9.80665) m/s^2.
 
-    The values 9.8 and 9.81 are accepted. NOTE instead of the rule's severity unless gravity points
-    up, is zero, or points more sideways than down, since a tilted gravity simulates a slope.
+    The values 9.8 and 9.81 are accepted. The finding has the rule's severity if gravity points up,
+    is zero, or points at least as much sideways as down. Otherwise it is a NOTE, since a tilted
+    gravity may simulate a slope.
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:

@@ -30,9 +30,10 @@ FILE_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", "
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the joint numbers that a URDF, MJCF or USD states, with the joint order limb by limb.
+    """Yield the joint parameters that a URDF, MJCF or USD states, and the order of the joints.
 
-    Nothing is yielded for a model without moving joints.
+    Parameters are, for example, effort limits and servo gains. The order is depth first, limb by
+    limb. Nothing is yielded for a model without moving joints.
     """
     model = read_model_file(request.path)
     if isinstance(model, MjcfModel) and model.refusal is not None:

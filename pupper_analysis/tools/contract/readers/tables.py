@@ -233,7 +233,10 @@ def is_trainer_config(root: Node) -> bool:
 
 
 def read_settings(root: Node) -> Iterator[Statement]:
-    """Yield the joint numbers, settings and observation scales of a legged_gym configuration."""
+    """Yield the joint values, global settings and observation scales in a legged_gym configuration.
+
+    ``root`` is the top of the configuration.
+    """
     for path, quantity in FORMAT_KEYS["settings"].items():
         parts = FIELD_TABLE["quantities"][quantity].get("parts", False)
         for statement in root.get(*path.split(".")).make_statements(quantity):

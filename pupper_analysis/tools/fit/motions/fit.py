@@ -571,10 +571,10 @@ class SeriesNoise:
 
     @staticmethod
     def fit_white(series: Sequence[Array]) -> SeriesNoise:
-        """Return white noise whose standard deviation is the RMS of some residual series.
+        """Return white noise with the RMS of given residuals as the standard deviation [rad].
 
-        The series have the shape (n,) [rad]; NaN is ignored. The deviation is at least
-        ``_MIN_NOISE_STD``.
+        Each series of residuals has the shape (n,) [rad]; NaN is ignored. The standard deviation is
+        at least ``_MIN_NOISE_STD``.
         """
         deviation = float(np.fmax(compute_rms(series), _MIN_NOISE_STD))  # fmax ignores NaN
         return SeriesNoise(np.zeros(0), deviation, deviation)

@@ -570,8 +570,9 @@ class MomentCoordinates:
     def to_parameters(self, moments: Array) -> Array:
         """Convert first-moment coordinates, shape (n,), to physical parameters, shape (n,).
 
-        The inverse of `from_parameters`: c = c0 + (m0 / m) (coordinate - c0) for a CoM component of
-        a body with an estimated mass m; the delay is the coordinate plus the lag of commands.
+        The inverse of `from_parameters`. A CoM component of a body with an estimated mass m is c =
+        c0 + (m0 / m) (coordinate - c0), with the stated values c0 and m0. The delay is its
+        coordinate plus the lag of commands. Other parameters are equal to their coordinates.
         """
         vector = moments.copy()
         deviation = moments[self._coms] - self._stated_com

@@ -44,7 +44,11 @@ class Terminal:
         return answer.strip().lower() != "s"
 
     def feet_up(self, feet: Sequence[str], planned: Sequence[str]) -> tuple[str, ...] | None:
-        """Prompt for the feet in the air; return None if the operator skips the stand."""
+        """Ask the operator for the feet in the air; the default answer is ``planned``.
+
+        Returns:
+            Names of the feet; None if the operator skips the stand.
+        """
         foot_names = {foot.lower(): foot for foot in feet}
         while True:
             default = " ".join(planned) or "none"

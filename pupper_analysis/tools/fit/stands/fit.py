@@ -130,8 +130,8 @@ def _estimate_total_mass(robot: Robot, posterior: Posterior) -> Estimate:
 def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     """Yield the estimates of x, y, z of the robot's CoM [m], in the base frame.
 
-    Joints are at their nominal positions. Body i has mass m_i, CoM c_i in the body frame, and pose
-    R_i, p_i. With M = sum m_i and x_i = R_i c_i + p_i:
+    Joints are at the positions ``robot.nominal`` of the default stance. Body i has mass m_i, CoM
+    c_i in the body frame, and pose R_i, p_i. With M = sum m_i and x_i = R_i c_i + p_i:
 
         com = sum m_i x_i / M
         d com / d m_i = (x_i - com) / M
@@ -1115,9 +1115,11 @@ class LogCoordinates:
     ) -> LinearisedResiduals:
         """Convert residuals linearised in the parameters x to residuals linearised in y.
 
+        y are the coordinates of the fit (`from_parameters`).
+
         Args:
-            linearised: Residuals, linearised with respect to the parameters.
-            coordinates: Coordinates y of the linearisation, shape (n,).
+            linearised: Residuals, linearised with respect to the parameters x.
+            coordinates: Coordinates y at which the residuals are linearised, shape (n,).
         """
         rates = self.compute_rates(coordinates)
         information = rates[:, None] * linearised.information * rates
@@ -1178,9 +1180,10 @@ def scale_common_widths(
 ) -> ParameterTable:
     """Scale the prior widths of foot moments and of one-sided joint friction with the noise levels.
 
-    Both kinds of parameters (``moment``, ``settling``) are parts of the noise that are equal in all
-    stands. The width of ``moment`` is multiplied by the ratio of estimated to expected noise, the
-    width of ``settling`` as well, but by at least 1: the evidence does not show one-sided friction.
+    Both kinds of parameters describe errors that are equal in all stands: ``moment`` the common
+    part of the moments on a foot, ``settling`` the common (one-sided) part of the dry friction. The
+    prior widths are multiplied by the ratio of estimated to expected random noise. For ``settling``
+    the factor is at least 1, because this estimate does not show one-sided friction.
 
     Args:
         table: Parameters.
