@@ -504,7 +504,10 @@ class _StagedFile:
                 raise self._make_error(describe_os_error(error)) from error
 
     def copy_existing(self) -> Path:
-        """Copy the existing file to an unused backup name, and return the path of the copy."""
+        """Copy the file that will be replaced to an unused backup name, and return its path.
+
+        The name is that of the file with the suffix ``.bak``, ``.bak2``, ``.bak3`` ...
+        """
         number = 1
         while True:
             path = self.target.with_name(f"{self.target.name}.bak{number if number > 1 else ''}")

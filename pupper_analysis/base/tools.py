@@ -103,7 +103,7 @@ def other_tools() -> Mapping[str, Tool]:
 
 
 def find_tool_modules(module: str) -> Mapping[str, str]:
-    """Return {tool: package} of all tools with a module of a given name, our own first."""
+    """Return {tool: package} of the tools with a module of a name, first those of this package."""
     tools = {**own_tools(), **other_tools()}
     return {
         name: tool.package

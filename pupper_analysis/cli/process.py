@@ -49,7 +49,7 @@ class TolerantStream(io.RawIOBase):
         return self._below.fileno()
 
     def write(self, data: Any) -> int:
-        """Write data; after an error, data are discarded."""
+        """Write data to the stream; after the first output error, discard data."""
         if not self._gone:
             try:
                 return self._below.write(data) or 0

@@ -283,7 +283,7 @@ def robot_and_task(command: Command) -> Command:
 
 
 def robot_and_stance(command: Command) -> Command:
-    """Let a command without simulation receive robot and stance as `RobotAndTask`."""
+    """Decorate a command without simulation: robot and stance are passed as a `RobotAndTask`."""
     return _gather_options(command, OUTPUT_OPTIONS)
 
 

@@ -275,14 +275,18 @@ def acting_gravity(model: mujoco.MjModel) -> Array:
 
 
 def joint_armature(model: mujoco.MjModel) -> Array:
-    """Return the effective armature (nv,) [kg m^2, kg]: joint plus gear^2 times actuator."""
+    """Return the armature of each degree of freedom, shape (nv,) [kg m^2, kg].
+
+    The sum of the joint armature and gear^2 times the armature of actuators at this joint.
+    """
     return np.array(model.dof_armature) + _sum_actuator_values(model, model.actuator_armature)
 
 
 def joint_damping(model: mujoco.MjModel) -> Array:
-    """Return the effective linear damping (nv,) [N m s/rad, N s/m].
+    """Return the linear damping of each degree of freedom, shape (nv,) [N m s/rad, N s/m].
 
-    Joint damping plus gear^2 times actuator damping; zero if damping is disabled.
+    The sum of the joint damping and gear^2 times the damping of actuators at this joint; zero if
+    damping is disabled.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
         return np.zeros(model.nv)

@@ -169,7 +169,7 @@ class EffortLimit(Result):
 
     @property
     def positive_statement(self) -> EffortStatement | None:
-        """Statement with the smallest positive limit; None if there is none."""
+        """Smallest positive torque limit that a file states; None if there is none."""
         positive = [statement for statement in self.stated if statement.symmetric_torque > 0]
         return min(positive, key=lambda statement: statement.symmetric_torque, default=None)
 
@@ -312,7 +312,7 @@ def _is_empty(
 
 
 def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
-    """Return the ``actuatorfrcrange`` of a joint as a list with at most one statement."""
+    """Return the torque limit that ``actuatorfrcrange`` of a joint states; empty without limit."""
     unknown = (
         model.jnt_actfrcrange[joint, 1] >= UNSTATED
     )  # from MuJoCo's import of a URDF without effort
@@ -337,7 +337,10 @@ def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
 
 
 def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the statements of the attributes of an actuator."""
+    """Return the torque limits that attributes of an actuator state.
+
+    They follow from ``forcerange``, and for a torque motor also from ``ctrlrange``.
+    """
     found, name = [], str(model.actuator(actuator).name)
     gear = float(actuator_gear(model, actuator)[0])
     if model.actuator_forcelimited[actuator]:

@@ -59,10 +59,10 @@ class ModelFile(Protocol):
         """Path of the file."""
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Return file and line of an element of a kind (link, joint) with a name.
+        """Return the location (file and line) of an element of this model.
 
         Args:
-            kind: Kind of the element.
+            kind: Kind of the element, for example ``link`` or ``joint``.
             name: Name of the element.
             child: Child element to locate instead. Default: the element itself.
         """

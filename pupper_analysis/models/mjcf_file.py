@@ -194,7 +194,7 @@ def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
 
 
 def taken_as_shells(names: list[str]) -> Diagnostic:
-    """Return the diagnostic of meshes that were changed to shells."""
+    """Create the note on meshes whose inertia MuJoCo computes as that of thin shells."""
     return diagnose("flat-meshes-as-shells", names=names, version=mujoco.__version__)
 
 
@@ -777,7 +777,7 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
     index = index_of(tree.root)
 
     def copy_spec() -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-        """Return a copy of the spec without missing files, and the diagnostics."""
+        """Return a copy of the spec without elements whose files are missing, and the notes."""
         copy = spec.copy()
         return copy, [*notes, *leave_out_missing(copy, tree, index)]
 

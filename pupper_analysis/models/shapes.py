@@ -169,10 +169,10 @@ class Shape:
                 return None
 
     def placed_in(self, pose: Pose) -> Shape:
-        """Express the shape in the outer frame of the body.
+        """Transform the shape from the frame of its body to an outer frame.
 
         Args:
-            pose: Pose of the body in the outer frame.
+            pose: Pose of the body in the outer frame, for example in the world.
         """
         return replace(self, pose=pose * self.pose)
 

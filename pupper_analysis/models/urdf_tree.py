@@ -328,7 +328,7 @@ class UrdfTree:
 
     @property
     def moved_links(self) -> dict[str, str]:
-        """{joint: child link}."""
+        """Child link of each joint of the URDF: {joint: link}."""
         return {name: joint.child for name, joint in self.joints.items()}
 
     def fixed_group(self, link: str) -> list[str]:

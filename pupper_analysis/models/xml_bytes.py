@@ -135,7 +135,7 @@ def read_document(path: Path) -> XmlDocument:
     elements: list[Element] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        """Append an element at its start tag."""
+        """Handle a start tag: create the element, and append it to its parent element."""
         parent = stack[-1] if stack else None
         here = parser.CurrentByteIndex
         element = Element(tag, attributes, path, here, parser.CurrentLineNumber, parent)

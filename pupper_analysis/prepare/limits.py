@@ -31,7 +31,8 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
     The message proposes the limit that the other file, or the same joint of a similar limb, has.
 
     Returns:
-        The message; None if no limit is zero, or if the first zero limit has no known origin.
+        The message; None if no limit is zero or negative, or if it is unknown which attribute of a
+        file states the first such limit.
     """
     null = [limit for limit in list_driven_limits(robot) if limit.without_torque]
     if not null or null[0].origin is None:

@@ -177,7 +177,10 @@ class Draft:
 
     @property
     def robot(self) -> Robot:
-        """Robot as built by the passes so far; available after the first build."""
+        """Robot of this draft, as built by the preparation passes that have run.
+
+        Available after the pass ``build`` or ``build-with-fixed-base``.
+        """
         assert self.built is not None
         return self.built
 

@@ -518,12 +518,14 @@ _STEPS_PER_CHECK = 25
 def simulate_published(
     published: PublishedModel, data: mujoco.MjData, hold: HoldCommands, seconds: float
 ) -> tuple[Array, Array]:
-    """Simulate a published model with hold commands, until the time is over or MuJoCo resets it.
+    """Simulate a published model that is commanded to hold a configuration.
+
+    The simulation ends when the time is over, or when MuJoCo resets the state.
 
     Args:
         published: Published model.
         data: Initial state; changed to the final state.
-        hold: Commands.
+        hold: Commands of the actuators, and external servos (computed by this function).
         seconds: Duration [s].
 
     Returns:

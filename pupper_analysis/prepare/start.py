@@ -258,7 +258,10 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 
 
 def solve_nominal_stand(robot: Robot) -> Stand | None:
-    """Solve the nominal stand of a robot; None if it is out of reach or not in equilibrium."""
+    """Solve the nominal stand of a robot (default `StandTask`).
+
+    None if the stand is out of reach or not in equilibrium.
+    """
     try:
         stand = solve_stand(robot, explain=False)
         stand_statics(robot, stand)  # the CoM may be just outside the polygon

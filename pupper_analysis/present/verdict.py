@@ -278,10 +278,10 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
 
 
 def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
-    """Describe the simulation of the published file from a keyframe, and the causes of a failure.
+    """Yield the clauses of a verdict about the published file, simulated from a keyframe.
 
-    Each run has a statement: with the file's own commands, and with angle commands if that
-    run exists. Without a run there is no statement.
+    One clause about the run with the file's own commands, one about the run with joint angles as
+    commands if that run exists, then one about each cause of a failure. None without a run.
     """
     for run in (
         ()

@@ -222,7 +222,7 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
 
 
 def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
-    """Return the variants and files that words name.
+    """Return the robots that command-line words name: variants by name, files as tuples of paths.
 
     A URDF followed by an MJCF is one robot. If the words name exactly one MJCF and then one URDF,
     the pair is one robot as well. A robot is returned once even if it is named twice.

@@ -308,12 +308,16 @@ class Configuration(Pictured):
         return index
 
     def foot_positions(self) -> dict[str, Array]:
-        """Return {contact point: centre (3,) [m] of the sphere} in the world."""
+        """Return {contact point: centre of its sphere in the world frame, shape (3,) [m]}."""
         placements, frames = self._data.oMf, self._structure.feet
         return {foot: np.array(placements[frame].translation) for foot, frame in frames.items()}
 
     def foot_centres(self, feet: Iterable[str]) -> Array:
-        """Return the centres (n, 3) [m] of the spheres of contact points in the world."""
+        """Return the sphere centres of n contact points in the world frame, shape (n, 3) [m].
+
+        Args:
+            feet: Names of the contact points.
+        """
         placements, frames = self._data.oMf, self._structure.feet
         positions = [placements[frames[foot]].translation for foot in feet]
         return np.array(positions, dtype=float).reshape(-1, 3)
@@ -364,7 +368,7 @@ class Configuration(Pictured):
         return result
 
     def center_of_mass(self) -> Array:
-        """Return the CoM (3,) [m] in the world."""
+        """Return the position of the CoM in the world frame, shape (3,) [m]."""
         # Without q, Pinocchio reuses the joint placements.
         moving = pin.centerOfMass(self._model, self._data, pin.KinematicLevel.POSITION, False)
         return np.array(self._structure.total_com(moving))

@@ -221,7 +221,7 @@ def simulate_held_keyframe(
 def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
     """Return True if MuJoCo has reset the state because numbers were not finite.
 
-    The warning counters are evaluated, since the time is equal if the first step diverged.
+    MuJoCo's warning counters are evaluated: the time alone does not show a reset in the first step.
     """
     return any(data.warning[kind].number > 0 for kind in _RESET_WARNINGS)
 

@@ -287,7 +287,11 @@ class Contact:
         return self.plane.point if isinstance(self.plane, Bar) else (self.plane.parameter,)
 
     def with_parameters(self, numbers: Sequence[float]) -> Contact:
-        """Return a copy with other ``parameters``: [rad] for a slope, else [m]."""
+        """Return a copy of this contact whose plane or bar has other ``parameters``.
+
+        Args:
+            numbers: Angle of a slope [rad], position of another plane [m], or point of a bar [m].
+        """
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
         return self.with_plane_parameter(*numbers)

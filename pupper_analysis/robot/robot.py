@@ -164,7 +164,7 @@ class PublishedFile:
 
     @property
     def is_unchanged(self) -> bool:
-        """True if the robot was loaded without changes: its own model is the published model."""
+        """True if the robot was loaded without changes, so no published file is stored."""
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
@@ -457,7 +457,7 @@ class Robot(EngineModels):
 
     @property
     def nq(self) -> int:
-        """Size of qpos: 7 for a free base, and 1 per joint."""
+        """Size of qpos of this robot: 7 for a free base, and 1 per joint."""
         return len(self.joint_names) + (7 if self.floating else 0)
 
     @property

@@ -275,12 +275,15 @@ class Stability(Result):
 
     @property
     def at_rest(self) -> bool:
-        """True if ``speed`` is at most 0.1 (m/s or rad/s), so that the spectrum is meaningful."""
+        """True if ``speed``, the largest element of qvel, is at most 0.1 (m/s or rad/s).
+
+        Only then are the growth rates of the modes meaningful.
+        """
         return self.speed <= _MAX_REST_SPEED
 
     @property
     def stable(self) -> bool:
-        """Whether no mode grows."""
+        """Whether no mode grows at the evaluated state."""
         return not self.unstable
 
     @property

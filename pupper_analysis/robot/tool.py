@@ -97,10 +97,10 @@ class Tool(Result):
         return config.frame_jacobian(self.link, config.frame_rotation(self.link) @ self.offset)
 
     def load_per_mass(self, config: Configuration) -> Array:
-        """Return the generalised load of a point mass at this point, per mass: -J^T g.
+        """Return the generalised force that supports a mass at this point, per mass: -J^T g.
 
-        Shape (nv,) [N/kg, N m/kg], with g the gravity vector: the forces that must support the
-        mass.
+        Shape (nv,) [N/kg, N m/kg], with J the Jacobian of the point, and g the gravity vector
+        [m/s^2].
         """
         load: Array = -config.robot.gravity @ self.jacobian(config)
         return load

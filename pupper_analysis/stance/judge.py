@@ -139,11 +139,11 @@ class Stand(Pictured, Tabular):
         }
 
     def lift_directions(self, robot: Robot) -> dict[str, Array]:
-        """Return the lift-off direction of each foot and contact point that carries load.
+        """Return the lift-off directions of the stance feet and their contact points.
 
         Returns:
-            {foot or contact point: unit vector, shape (3,), in the world frame}: upward, or the
-            normal of the separate plane of the foot.
+            {foot or contact point: unit vector, shape (3,), in the world frame}: upward, or for a
+            foot on a separate plane (such as a wall) the outward normal of this plane.
         """
         apart, found = self.task.ground.planes, dict[str, Array]()
         for foot in robot.feet_with(self.stance_feet):
@@ -190,11 +190,12 @@ class Stand(Pictured, Tabular):
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the sphere centres, with which steps and planes of feet are located.
+        """Targets of the sphere centres from which steps and planes of the ground are located.
 
         {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
-        penetration is removed (`remove_penetration`). Otherwise these are the ``foot_targets``,
-        since the position of a level step does not depend on the penetration.
+        targets are moved out of the ground by the penetration (`remove_penetration`). Otherwise
+        these are the ``foot_targets``, since the position of a level step does not depend on the
+        penetration.
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
@@ -209,7 +210,7 @@ class Stand(Pictured, Tabular):
 
     @property
     def blocked(self) -> tuple[Diagnostic, ...]:
-        """Messages about violated constraints: CoM margin, and clearances of links or ground."""
+        """Messages about constraints that this stand violates: CoM margin, or clearances."""
         violations = []
         if self.com_shortfall > TASK_TOLERANCE:
             violations.append(

@@ -299,8 +299,8 @@ class _Search:
     def solve_from_minimum(self, programme: StanceProgram, qpos: Array) -> Stand | None:
         """Minimise the foot error from a configuration (nq,), then solve as in `solve_program`.
 
-        None if the CoM is not free, a stand with the feet in place is known, or no such stand is
-        found.
+        None if the CoM is not free, if the search has already found a stand with the feet in place,
+        or if no such stand is found near the minimum.
         """
         if not self.goal.com_is_free or self.reached:
             return None

@@ -106,9 +106,10 @@ class Contacts:
 
     @functools.cached_property
     def metric(self) -> TangentialMetric:
-        """Weights of the tangential forces in `ForceDistribution.MIN_TANGENTIAL`.
+        """Weights of normal and tangential forces for `ForceDistribution.MIN_TANGENTIAL`.
 
-        All contacts have the same viscosity (tangential force per creep velocity).
+        The weights are equal for all contacts: the same viscosity (tangential force per creep
+        velocity) is assumed.
         """
         return TangentialMetric(self.normals)
 

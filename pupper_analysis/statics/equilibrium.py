@@ -64,8 +64,8 @@ def friction_utilisation_of(
         tiny: Tangential force [N] below which the utilisation is 0.
 
     Returns:
-        Utilisation [1]; negative if the normal force is negative (the contact pulls), infinite if
-        it is zero, or the friction.
+        Utilisation [1]; negative if the contact pulls (negative normal force), infinite if the
+        normal force or the friction coefficient is zero.
     """
     pressing, tangential = split_force(force, normal)
     if tangential < tiny:

@@ -132,9 +132,9 @@ def support_corners(
     """Compute corners of the support region, seen from above.
 
     If all normals are equal (a single plane, or parallel planes), and without prescribed forces and
-    grips, the result is the contact points, whose convex hull is used independent of friction
-    (gravity along the plane is not checked here). Otherwise the region contains all CoM
-    positions for which forces f_i in the friction cones exist with
+    grips, the corners are the contact points, whatever the friction (gravity along the plane is not
+    checked here). Otherwise the region contains all CoM positions for which forces f_i in the
+    friction cones exist with
 
         sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z,
 

@@ -141,7 +141,7 @@ def meaning(kind: type, field: str, language: str) -> str:
 
 
 def word_files() -> Mapping[str, Path]:
-    """Return {owner: file} of all texts of this package.
+    """Return {owner: TOML file} of all files with texts of this package.
 
     The owner is the name of the catalogue file, or "tools/NAME".
     """
@@ -206,7 +206,7 @@ def _load_tables() -> Mapping[str, str]:
 
 @cache
 def list_entries(file: str) -> Mapping[str, str]:
-    """Return the one-line entries of a catalogue file, and of the tools of this package.
+    """Return the texts in a catalogue file, and in the tools, whose entry is a single line.
 
     Args:
         file: Name of the catalogue file, an element of ``LINE_ENTRY_FILES``. Entries of the same

@@ -269,7 +269,10 @@ class _TemplateFormatter(Formatter):
         return value, name
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
-        """Apply a conversion; ``!r`` quotes names, also in tuples and subjects."""
+        """Apply the conversion of a template field; ``!r`` quotes names.
+
+        In a tuple each item is quoted, in a subject (such as a link) the name after the kind.
+        """
         if conversion == "r" and isinstance(value, tuple):
             return tuple(repr(item) for item in value)
         if conversion == "r" and hasattr(value, "kind"):

@@ -159,7 +159,7 @@ class Stated:
         return str(self.diagnostic)
 
     def to_difference(self, effects: dict[str, Effect]) -> Difference:
-        """Return this property as a `Difference`, with the effects {quantity: effect}."""
+        """Convert these values of two files to a `Difference` with effects {quantity: effect}."""
         return Difference(
             self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
         )
@@ -397,7 +397,7 @@ VERSION_NAMES = ModelNames(Term("the old file"), Term("the new file"), alike=Tru
 
 
 def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diagnostic:
-    """Return a message with other names of the models, {name: new name}."""
+    """Return a message in which the names of the models are replaced: {name: new name}."""
 
     def replace_names(value: Any) -> Any:
         if isinstance(value, tuple):

@@ -61,7 +61,7 @@ class Tolerances:
 
     @staticmethod
     def strict() -> Tolerances:
-        """Return tolerances for rounding errors only: 1e-9 each."""
+        """Return tolerances for rounding errors only: 1e-9 for each kind of value."""
         return Tolerances(**{kind.name: 1e-9 for kind in fields(Tolerances)})
 
     @staticmethod

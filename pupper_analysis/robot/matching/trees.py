@@ -137,7 +137,10 @@ class Reference:
         )
 
     def bodies(self) -> set[int]:
-        """Return the ids of all bodies on the trees of the robot's base and joints."""
+        """Return the ids of all bodies of the robot in the compiled MJCF.
+
+        These are all bodies of each kinematic tree that contains the base or a joint of the robot.
+        """
         model = self.model
         robot_bodies = {self.names.body(self.base).id}
         robot_bodies |= {int(model.jnt_bodyid[joint]) for joint in self.joints()}

@@ -631,11 +631,11 @@ def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0
 
 
 def release_margin(path: HomotopyPath) -> float:
-    """Compute the remaining friction if the feed-forward is removed in one step [robot weights].
+    """Compute the smallest friction reserve of a foot if the feed-forward is removed in one step.
 
-    This is `SteadyState.release_margin` at the current equilibrium of a path: the smallest
-    (friction x normal force - tangential force) / weight of the feet, at the forces 2 f - f_0, with
-    the current forces f and the forces f_0 of the stand. Infinite without feet.
+    The reserve is (friction coefficient x normal force - tangential force) / weight, in the
+    overshoot: at the contact forces 2 f - f_0, with f at the current equilibrium of the path and
+    f_0 in the stand. The result is `SteadyState.release_margin`; infinite without contacts.
     """
     held, now, robot = path.balance.contact_forces, path.solution.forces, path.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)

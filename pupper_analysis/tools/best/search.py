@@ -352,9 +352,10 @@ class StanceSearch:
         self._minimise_level(subspace, subspace.start, iterations)
 
     def merit(self, stance: EvaluatedStance | None) -> float:
-        """Return the merit of a stance: level (scaled objective) plus a penalty for violations.
+        """Return the merit of a stance, to be minimised: level (scaled objective) plus a penalty.
 
-        Violations are negative slacks, with the weight `_CONSTRAINT_PENALTY`. Infinity for None.
+        The penalty is `_CONSTRAINT_PENALTY` times the sum of the violations (negative slacks of the
+        constraints). Infinite for None.
         """
         if stance is None:
             return np.inf

@@ -240,10 +240,10 @@ class _ConfigReader:
         return ModelError(source_name(self.path, find_key_line(self._text, key)), message)
 
     def locate_key(self, *key: str) -> Key:
-        """Return the path of a key for a message.
+        """Return the full path of a key in the configuration, for a message.
 
-        The path is below the current [[pair]] if this table contains the key; otherwise the key is
-        one of the top table, whose settings apply to all pairs.
+        The path starts with the current ``[[pair]]`` if this table contains the key. Otherwise the
+        key belongs to the top-level table, whose settings apply to all pairs.
         """
         own: Key = ("pair", self._entry, *key)
         return own if _contains_path(self.top, own) else key
@@ -401,7 +401,13 @@ class _ConfigReader:
                     )
 
     def make_key_error(self, key: Key, valid: Iterable[str], *, rule: bool = False) -> ModelError:
-        """Return the error for a key that is not valid in its table, with the valid keys."""
+        """Return the error for a key of the configuration that its table does not allow.
+
+        Args:
+            key: Path of the key.
+            valid: Allowed keys, which the message lists.
+            rule: Whether the key should be the name of an audit rule.
+        """
         within = ".".join(part for part in key[:-1] if isinstance(part, str))
         code = "rule-unknown" if rule else "key-unknown"
         return self.make_error(key, diagnose(code, key=key[-1], within=within, known=tuple(valid)))

@@ -103,15 +103,16 @@ def read_contract(
     stand: bool = True,
     fail_on: str = "warning",
 ) -> Contract:
-    """Read sources, including a model of the robot, and compare the stated numbers.
+    """Compare the numbers (such as gains and limits) that a robot's model and other files state.
 
     No code of a source is imported or executed: Python files are evaluated from the syntax tree.
 
     Args:
-        *sources: Files, folders, or ``FILE:NAME`` to select a configuration in a file. Modules that
-            a Python file imports are searched in the folders as well.
-        names: {joint name in a source: joint name in the model} of joints that are not matched.
-        stand: Compute the stand in the default pose of each source.
+        *sources: Files, folders, or ``FILE:NAME`` to select a configuration in a file; at least one
+            is a model. Modules that a Python file imports are searched in the folders as well.
+        names: {joint name in a source: joint name in the model} of joints that are not matched
+            automatically.
+        stand: Whether to compute how the robot stands in the default pose of each source.
         fail_on: Lowest severity of a disagreement that makes ``passed`` False.
 
     Returns:

@@ -294,7 +294,7 @@ class Node:
 
     @property
     def table(self) -> dict[Any, Node]:
-        """Dict of the node's entries, or of the fields of its object; empty for other values."""
+        """Entries of this node if it is a dict, or fields if it is an object; otherwise empty."""
         content = getattr(self.value, "fields", self.value)
         return content if isinstance(content, dict) else {}
 

@@ -70,8 +70,8 @@ def list_urdf_links(robot: Robot) -> Links:
     """Return the inertials of the links of each body of the URDF, in the frame of the body.
 
     Returns:
-        {base or joint: links with mass that move with this joint}: mass [kg], CoM [m], inertia
-        [kg m^2] and axes.
+        {base or joint: links with mass that move with it}: mass [kg], CoM [m], inertia about the
+        CoM [kg m^2], and rotation from the link's axes to the body's axes.
     """
     model = robot.pin_model
     links_by_joint: dict[str, list[ComparedLink]] = {}
@@ -1078,10 +1078,10 @@ as long as a comparison."""
 
 
 def find_moved_axes(case: PatternCase) -> PatternFindings:
-    """Find joints whose axis is displaced or turned, while all bodies are at the same places.
+    """Find joints whose axis differs between the files, although no body is elsewhere.
 
-    Bodies are expressed in the frame of the joint. If only the axis is displaced, CoM, children and
-    frames differ too, although they are at the same places of the robot at zero angles.
+    At zero angles all bodies are at the same places. Nevertheless the values of CoM, children and
+    frames differ as well, because they are expressed in the frame of the joint.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():

@@ -204,7 +204,10 @@ class GainStudy(Result):
 
     @property
     def exceeded(self) -> tuple[JointClass, ...]:
-        """Joint classes whose present gains exceed a bound of the torque limit or the encoder."""
+        """Joint classes with present gains above a bound.
+
+        These are the bound of kp by the torque limit, and of kd by the resolution of the encoder.
+        """
         return tuple(
             one
             for one in self.classes

@@ -66,9 +66,10 @@ class Key:
     joints: Array
 
     def margin(self, feet: Sequence[str]) -> float:
-        """Compute the distance [m] of the projected CoM from the edge of the polygon of some feet.
+        """Compute the horizontal distance [m] from the CoM to the edge of a support polygon.
 
-        The distance is positive inside the polygon.
+        Args:
+            feet: Feet of the polygon. The distance is positive inside the polygon.
         """
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 

@@ -326,7 +326,7 @@ def study_path(
 
 
 def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
-    """Return the stances of a path to a stand, starting from the nominal stand.
+    """Return the stances of a path to a stand, from the default base pose and CoM position.
 
     All stances have the foot positions of the stand. If the stand lifts a foot, an intermediate
     stance first moves the CoM above the other feet.

@@ -731,8 +731,8 @@ class _PayloadSearch:
         """Return the reason why servos do not hold a stand with a payload [kg].
 
         Either a command is out of range, or a mode of the linearised step grows away from the
-        stand. The motor torques are unlimited: torque limits belong to the bound of the motors.
-        None without a failure or without a stand.
+        stand. The motor torques are unlimited here, because torque limits determine another bound
+        (that of the motors). None without a failure or without a stand.
 
         Args:
             mass: Mass of the payload [kg].

@@ -147,8 +147,8 @@ def stretch_links(
 
     Returns:
         New base height of the nominal stand [m]: the old height, scaled by the ratio of new to old
-        base height in the home posture (heights above the largest foot radius). Unchanged for a
-        fixed base or a robot without feet.
+        base height in the home posture. The largest foot radius is subtracted from all heights
+        before scaling, and added afterwards. Unchanged for a fixed base or without feet.
 
     Raises:
         ConfigurationError: If a link has no length.

@@ -217,7 +217,7 @@ class Study:
         return len(self.sampling)
 
     def designs(self) -> Iterator[tuple[list[str], Array]]:
-        """Yield the designs in blocks of n designs.
+        """Yield the designs of this study in blocks of n designs.
 
         Yields:
             Hashes of the designs, and values of the variables, shape (n, number of variables), in

@@ -259,7 +259,11 @@ def _render_mjcf(description: Description, choose_path: Any) -> str:
         return existing_file(source_folder / folder / name)
 
     def register_file(name: str, folder: str) -> str:
-        """Register a file; return the absolute path, to be replaced in the rendered XML."""
+        """Select the path of a referenced file in the output; return its absolute path.
+
+        The absolute path is replaced in the rendered XML. The name of a missing file is returned
+        unchanged.
+        """
         file = find_file(name, folder)
         if file is None:
             return name

@@ -322,12 +322,12 @@ class FileLayout:
 
     @staticmethod
     def arrange(main: Path, needed: Iterable[Path], within: Iterable[Path] = ()) -> FileLayout:
-        """Create the layout of a model's files for a copy of the model in an output folder.
+        """List the files for a copy of a model in an output folder, with their common folder.
 
         Args:
             main: Main file of the model.
             needed: Other files that the model needs, except absolute paths.
-            within: Folders whose names must be kept: ROS packages.
+            within: ROS package folders, whose names the copy must keep.
         """
         files = tuple(dict.fromkeys((main, *needed)))
         folders = {_normalise_path(path).parent for path in (*files, *within)}
@@ -363,11 +363,11 @@ def _normalise_path(path: Path) -> Path:
 
 
 def list_urdf_files(urdf: UrdfFile) -> FileLayout:
-    """Return the layout of a URDF, with the meshes and textures found relative to the URDF.
+    """List the files of a URDF that a copy needs: meshes and textures at relative paths.
 
-    A ``package://`` path to a folder around the URDF counts as relative; the ``package.xml`` of
-    this folder is then included. A path that is found by a
-    given package folder or by ``ROS_PACKAGE_PATH`` does not depend on the location.
+    A ``package://`` path to a folder that contains the URDF counts as relative; the ``package.xml``
+    of this folder is then included. Left out are files at absolute paths and in other packages,
+    which do not depend on the location of the URDF.
     """
     files: list[Path] = []
     packages: list[Path] = []
@@ -393,7 +393,7 @@ def list_urdf_files(urdf: UrdfFile) -> FileLayout:
 
 
 def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
-    """Return the layout of an MJCF's files: included and attached files, assets."""
+    """List the files of an MJCF that a copy needs: included and attached files, assets."""
     return FileLayout.arrange(mjcf.path, [*mjcf.files, *_iterate_assets(mjcf)])
 
 

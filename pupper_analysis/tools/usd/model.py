@@ -722,7 +722,7 @@ class StageUnits:
 
     @property
     def inertia(self) -> float:
-        """Unit of rotational inertia [kg m^2] and of torque [N m] of the stage."""
+        """Unit of rotational inertia of the stage in kg m^2, and also of torque in N m."""
         return self.mass * self.length**2
 
 

@@ -228,7 +228,12 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
 
 
 def list_joints_without(model: UsdModel, kind: str) -> tuple[str, ...]:
-    """Return the names of moving joints for which a USD states no number of a kind."""
+    """Return the names of moving joints for which a USD does not state a parameter.
+
+    Args:
+        model: USD.
+        kind: Parameter: ``effort``, ``damping`` or ``friction``.
+    """
     return tuple(
         name for name, joint in model.joints.items() if joint.moves and kind not in joint.stated
     )
@@ -424,9 +429,9 @@ def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each body whose mass, CoM or inertia follows from shapes.
+    """Yield a finding for each body whose mass, CoM or inertia is computed from its shapes.
 
-    A WARNING if only the CoM does.
+    The severity is WARNING if this applies to the CoM only.
     """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.SHAPES:

@@ -194,7 +194,7 @@ class TrackedInterval(Result):
 
     @property
     def inside(self) -> bool | None:
-        """Whether the measured interval is within the interval that all seeds track.
+        """Whether all seeds track the command in the whole measured interval of the quantity.
 
         None without a measured interval.
         """

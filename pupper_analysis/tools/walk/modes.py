@@ -59,7 +59,13 @@ _QUANTITIES_OF_COMMAND = {
 def load_walking_robot(
     source: str | VariantSpec | RobotFiles, style: str, *, everything: bool
 ) -> Robot:
-    """Load a robot as in its files, and print notes on additions."""
+    """Load a robot for walking, and print the notes on a robot of files.
+
+    Args:
+        source: Variant, or files.
+        style: ``text``, or ``markdown``: nothing is printed, since the page contains the notes.
+        everything: True to print all notes.
+    """
     robot = load_selected_robot(source)
     # In Markdown the notes are part of the page.
     if isinstance(source, RobotFiles) and style == "text":

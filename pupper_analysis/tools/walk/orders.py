@@ -111,10 +111,8 @@ class Orders(Result):
     def determined(self) -> bool:
         """Whether the best interpretation of a policy is clearly better than the second.
 
-        The first candidate must track a command.
-
-        The first is clearly better if it tracks more commands, or if the cost of the second is more
-        than `MIN_COST_RATIO` times the cost of the first.
+        The best must track a command. It is clearly better if it tracks more commands than the
+        second, or if the cost of the second is more than `MIN_COST_RATIO` times that of the best.
         """
         return bool(self.candidates[0].tracked) and (
             self.lead is None or self.lead > MIN_COST_RATIO

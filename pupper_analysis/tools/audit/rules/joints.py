@@ -291,8 +291,8 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
 def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find effort limits [N m] that are probably placeholders.
 
-    They are too large for the mass of the links beside the joint, for the armature, or for the mass
-    of the robot (`placeholder_efforts`).
+    They are too large for the mass of the two bodies that the joint connects, for the armature, or
+    for the mass of the robot (`placeholder_efforts`).
     """
     motors = []
     for joint in robot.joints.values():

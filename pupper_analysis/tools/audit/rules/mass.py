@@ -342,11 +342,11 @@ def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
 def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find moments of inertia too large or too small for the mass and the size of the link.
 
-    Upper limit: m R^2, with R the largest distance of a point from the CoM, times 2 (shapes may be
-    simplified), 8 if a mesh was not read, or 100 without shapes. R includes the joints and frames
-    of the link if a mesh was not read; without shapes R is the distance to the farthest of these,
-    at least `MIN_REACH`. Lower limit: 1 % of the moment of a solid box around the shapes of the
-    link, m (a^2 + b^2) / 12.
+    Upper limit: k m R^2, with R the largest distance of the shapes from the CoM. k is 2 (shapes may
+    be simplified), 8 if a mesh was not read, or 100 without shapes. If a mesh was not read, R also
+    includes the joints and frames of the link; without shapes only these, and R is at least
+    `MIN_REACH`. Lower limit: 1 % of the moment of a solid box around the shapes of the link,
+    m (a^2 + b^2) / 12.
     """
     for body, inertial in _list_stated_inertials(robot):
         greatest = float(inertial.moments[-1])

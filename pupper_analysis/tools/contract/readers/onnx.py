@@ -80,9 +80,10 @@ def read_onnx(path: Path) -> OnnxFile:
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the joint numbers and sizes that an ONNX policy states in its metadata and tensors.
+    """Yield the joint values (such as gains) and tensor sizes that an ONNX policy states.
 
-    Nothing is yielded for a file with neither joints nor tensor sizes.
+    Joint values are in the metadata. Nothing is yielded for a file with neither joint values nor
+    tensor sizes.
     """
     file = read_onnx(request.path)
     table = {

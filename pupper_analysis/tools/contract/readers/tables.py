@@ -39,7 +39,7 @@ _TABLE_KEYS = {
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the joint numbers in a YAML or JSON file, for example of each controller or robot."""
+    """Yield the sets of joint values in a YAML or JSON file, for example of each controller."""
     documents = read_yaml_nodes(request.path, read_text(request.path))
     for document in (document for document in documents if isinstance(document.value, dict)):
         layers = document.get("layers")

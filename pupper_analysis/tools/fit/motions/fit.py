@@ -606,9 +606,10 @@ class SeriesNoise:
 
     @property
     def long_run_std(self) -> float:
-        """Long-run standard deviation s / (1 - sum c) [rad], at least the standard deviation of e.
+        """Long-run standard deviation of a joint's noise e [rad]: s / (1 - sum c).
 
-        The noise is e_k = sum_i c_i e_(k-i) + w_k with white w of standard deviation s.
+        At least the standard deviation of e. The noise model is e_k = sum_i c_i e_(k-i) + w_k, with
+        white noise w of standard deviation s.
         """
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 

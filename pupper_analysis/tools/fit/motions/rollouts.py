@@ -595,10 +595,10 @@ class MomentCoordinates:
         return moments
 
     def differentiate_parameters(self, moments: Array) -> Array:
-        """Return the derivative of the parameters by the first-moment coordinates, shape (n, n).
+        """Return the derivative of the parameters by the coordinates of this class, shape (n, n).
 
         Args:
-            moments: Point, in first-moment coordinates, shape (n,).
+            moments: Coordinates, shape (n,), with first moments in place of CoM positions.
         """
         derivative, mass_ratio = np.eye(len(moments)), self._compute_mass_ratio(moments)
         deviation = moments[self._coms] - self._stated_com

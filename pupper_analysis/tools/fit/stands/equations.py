@@ -576,7 +576,9 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return a copy of these values for a stand, with attached masses and heading.
+        """Return these values for a measured stand: masses are attached, and gravity is rotated.
+
+        Gravity is expressed in axes that are rotated by the heading of the stand.
 
         Args:
             reading: Measurements of the stand.

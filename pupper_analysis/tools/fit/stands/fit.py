@@ -1104,7 +1104,10 @@ class LogCoordinates:
         return coordinates
 
     def compute_rates(self, coordinates: Array) -> Array:
-        """Return dx/dy at coordinates y, shape (n,): x / x0 for masses and kp, otherwise 1."""
+        """Return the derivatives dx/dy of the parameters x by the coordinates y, shape (n,).
+
+        x / x0 for masses and kp, with the stated values x0; 1 for other parameters.
+        """
         rates = np.ones(len(coordinates))
         stated = self._stated[self._factors]
         rates[self._factors] = np.exp(coordinates[self._factors] / stated - 1)
@@ -1200,7 +1203,7 @@ def estimate_noise(
     scale_residual: Callable[[Array], LinearisedResiduals],
     friction_ratio: float,
 ) -> StandNoise:
-    """Estimate the noise levels of stands by maximum evidence: moments, flatness and friction.
+    """Estimate the noise of measured stands: contact moments, uneven ground and dry friction.
 
     Maximises the evidence of the measurements, with the parameters integrated out, times a
     log-normal prior of the levels about the expected values (Nelder-Mead simplex).

@@ -96,11 +96,12 @@ def find_wiring(
     evidence: Callable[[MeasuredStands], float],
     fit: Callable[[MeasuredStands], Fit],
 ) -> Wiring | None:
-    """Find the wiring with which the model explains the stands; None if there is none.
+    """Find the wiring (assignment and signs of the joints) with which the model explains stands.
 
     Wirings with one error are ranked by the log evidence of the measurements, linearised about the
     stated values. The three most probable wirings, as far as they are more probable than the
-    present wiring, are fitted; the first one whose fit has no failures is returned.
+    present wiring, are fitted. The first one whose fit has no failures is returned; None without
+    such a wiring.
 
     Args:
         robot: Robot.
