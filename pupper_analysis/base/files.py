@@ -540,7 +540,7 @@ class _StagedFile:
             raise self._make_error(describe_os_error(error)) from error
 
     def restore(self) -> None:
-        """Restore the old file if the target has been replaced; delete a target without old file.
+        """Undo the replacement, if any: restore the old file, or else delete the new file.
 
         If the system cannot restore the old file, ``stuck`` is set.
         """

@@ -171,7 +171,7 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
     _active_endings.append(ending)
 
     def end(number: int, _frame: FrameType | None) -> None:
-        """Record the first signal and raise `ProcessEnded`; end the process at a second signal."""
+        """Handle a signal: raise `ProcessEnded` at the first, end the process at the second."""
         if ending.signal:
             os._exit(128 + number)
         ending.signal = number

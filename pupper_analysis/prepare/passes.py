@@ -171,7 +171,7 @@ class Draft:
 
     @property
     def matched_description(self) -> Description:
-        """URDF and MJCF with matched names; available after the matching pass."""
+        """URDF and MJCF with matched names; available after the preparation step ``match``."""
         assert self.description is not None
         return self.description
 

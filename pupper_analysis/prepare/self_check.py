@@ -430,8 +430,8 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
 def explain_own_run(robot: Robot) -> OwnRun | None:
     """Simulate a robot's unmodified file from its keyframe, and name the causes of a failure.
 
-    The result is cached per loaded robot; None in the cases of `own_run`. No causes are searched
-    for a file with a servo whose stiffness is zero or negative.
+    The result is cached per loaded robot; it is None if that of `own_run` is None. No causes are
+    searched for a file with a servo whose stiffness is zero or negative.
     """
     return get_loaded_robot(robot).compute_once(_own_run_explained)
 

@@ -243,7 +243,7 @@ def animate_result(
 
 @singledispatch
 def list_views(result: Any, robot: Robot | None = None) -> View:
-    """Return the configurations of a result, in MuJoCo's coordinates, that a picture shows.
+    """Return the configurations that a picture of a result shows, in MuJoCo's coordinates.
 
     Raises:
         ConfigurationError: If the type has no pictures, or the robot is missing.

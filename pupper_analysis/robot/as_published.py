@@ -189,10 +189,10 @@ class OwnRun(BodyMotion):
 
     @property
     def has_left_posture(self) -> bool:
-        """True if a joint of a robot with a fixed base has moved far without a command.
+        """True if a joint of a robot with a fixed base has moved far without a command to do so.
 
-        The displacement of the joint that moved most exceeds ``MIN_POSTURE_DEVIATION``, and is not
-        `JointOff.commanded_away`.
+        The displacement of the joint that moved most exceeds ``MIN_POSTURE_DEVIATION``, and its
+        command does not explain the displacement (`JointOff.commanded_away`).
         """
         worst = None if self.standing else self.worst
         return (

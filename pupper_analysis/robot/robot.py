@@ -389,7 +389,7 @@ class Robot(EngineModels):
 
     @cached_property
     def welds(self) -> Mapping[str, str | None]:
-        """{part that a task fixes to the world: contact point on the part, or None for the base}.
+        """Parts that a task fixes to the world: {part: contact point on it, or None for the base}.
 
         First the welded parts, then the gripping parts (``grips``).
         """

@@ -143,7 +143,7 @@ class Structure:
         return result
 
     def total_com(self, moving: Array) -> Array:
-        """Return the CoM of all mass (3,) [m], from the CoM without the mass of a fixed base.
+        """Return the CoM (3,) [m] of the whole robot, including the links fixed to a fixed base.
 
         Args:
             moving: CoM of the moving links, shape (3,) [m], in the world frame.

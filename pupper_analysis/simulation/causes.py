@@ -45,7 +45,7 @@ at rest move at 0.02 to 0.12 of the nudge without end."""
 
 
 def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
-    """Report the fastest growing mode, a nudge that does not decay, and displaced joints.
+    """Report the fastest growing mode, or a nudge that does not decay, and joints that it moves.
 
     Args:
         stability: Stability at the settled state. Modes are reported only if the state is at rest.

@@ -384,7 +384,7 @@ class _NudgedRun:
         self._slips: dict[str, float] = {}
 
     def advance(self, states: Array, stride: int, remaining: float) -> None:
-        """Evaluate the next states of this simulation: store failures, and whether it is decided.
+        """Evaluate the next states of this simulation: set ``failure`` and ``is_decided``.
 
         Args:
             states: States after each step of an interval, shape (n, size).

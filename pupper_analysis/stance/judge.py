@@ -200,7 +200,7 @@ class Stand(Pictured, Tabular):
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
-        """Return a copy of this stand with another task, which the stand must satisfy as well."""
+        """Return a copy of this stand with another task, which it must satisfy (not checked)."""
         other = replace(
             self, task=task.replace_unchecked(ground=self.task.ground)
         )  # the ground includes planes of feet

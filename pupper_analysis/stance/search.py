@@ -317,7 +317,7 @@ class _Search:
         return min(self.points, key=lambda point: point.foot_error)
 
     def add(self, point: SolverResult) -> Stand | None:
-        """Register an IK result, and return its stand if this stand is solved; else None."""
+        """Register an IK result in this search; return its stand if it is solved, else None."""
         self.points.append(point)
         self.iterations += point.iterations
         goal = self.goal

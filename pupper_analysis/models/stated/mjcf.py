@@ -286,8 +286,8 @@ def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
     Args:
         file: The file.
         geom: Id of the geom.
-        word: Attribute. ``"shape"`` and ``"touches"`` are groups of attributes; ``""`` is the geom
-            itself.
+        word: Name of the attribute. ``"shape"`` and ``"touches"`` stand for several attributes, of
+            which any one is located; ``""`` stands for the geom itself.
     """
     model = file.model
     name, body = model.geom(geom).name, model.geom_bodyid[geom]

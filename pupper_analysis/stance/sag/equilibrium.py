@@ -432,9 +432,12 @@ class SagEquilibrium:
         return torques
 
     def contacts_at(self, qpos: Array) -> ContactKinematics:
-        """Return slips, penetrations and Jacobians of the contacts at a configuration (nq,).
+        """Return slips, penetrations and Jacobians of the touching contacts at a configuration.
 
-        The contacts are the touching ones; the last result is cached.
+        The last result is cached.
+
+        Args:
+            qpos: Configuration, shape (nq,).
         """
         anchors, seen = tuple(self.anchors.items()), self._contact_cache
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():

@@ -522,6 +522,6 @@ def _differentiate(
 
 
 def clearance(place: PathPlace, foot: str) -> float:
-    """Return the height of a foot above the ground [m]; zero if the foot touches the ground."""
+    """Return the height [m] of a foot above the ground at a place of a path; 0 if it touches."""
     height = place.stand.task.swing.get(foot, 0.0)
     return 0.0 if height <= UNLOADED_HEIGHT else height

@@ -477,7 +477,7 @@ def _bisect_simulation_bound(
     """
 
     def find_cause(mass: float) -> FailureCause:
-        """Return the failure in simulation with ``VERIFIED_FRACTION`` of a mass [kg], or None."""
+        """Return why a simulation with ``VERIFIED_FRACTION`` of a mass [kg] fails; else None."""
         judge = judge_payload if mass == static_limit else judge_with_feedforward
         trial = simulate_nudged(VERIFIED_FRACTION * mass)
         if trial.failure is not None:

@@ -453,7 +453,7 @@ class _LimitSearch:
     failures: dict[int, Diagnostic]
 
     def confirm_limits(self, initial: Array, resolution: float) -> None:
-        """Simulate the survived pushes to the end; search again below a push that fails.
+        """Simulate the survived pushes for the full time; search again below each that fails.
 
         ``initial`` are the first impulses, shape (n,) [N s], ``resolution`` the tolerance [N s].
         """
@@ -468,9 +468,10 @@ class _LimitSearch:
             unconfirmed = unconfirmed[self.survived[unconfirmed] > 0]
 
     def bisect_limits(self, initial: Array, resolution: float) -> None:
-        """Double impulses from ``initial``, shape (n,) [N s], until the robot falls, then bisect.
+        """Find the largest survived push of each direction to within ``resolution`` [N s].
 
-        The brackets `survived` and `failed` end within ``resolution`` [N s] of each other.
+        The impulse is doubled from ``initial``, shape (n,) [N s], until the robot falls; then the
+        bracket from `survived` to `failed` is bisected.
         """
         rounds = 0
         while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:

@@ -202,7 +202,7 @@ def initialise_worker() -> None:
     parent = parent_process()
 
     def follow() -> None:
-        """End this process when the parent ends."""
+        """End this worker process when its parent process ends."""
         if parent is not None:
             parent.join()
             os._exit(1)

@@ -397,7 +397,7 @@ class UsdModel(RobotModel):
         return self.floating
 
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the name of a joint parameter in messages, and None: it has no child element.
+        """Return the name of a joint parameter for messages, and None: there is no child element.
 
         The name is the kind, such as ``damping``, since attribute names differ between schemas.
         """

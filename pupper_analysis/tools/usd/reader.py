@@ -205,8 +205,8 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
     """Read a USD file as an MJCF with the same numbers.
 
     Raises:
-        ModelError: If the file cannot be read, MuJoCo refuses the numbers, or a mass would follow
-            from shapes.
+        ModelError: If the file cannot be read, MuJoCo refuses the numbers, or a mass that is not
+            stated would have to be computed from shapes.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -387,7 +387,7 @@ def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
     """Yield a note on the bodies whose mass a USD file does not state.
 
     Raises:
-        ModelError: If a mass would follow from shapes.
+        ModelError: If a mass that is not stated would have to be computed from shapes.
     """
     by_shapes = [
         name

@@ -124,7 +124,7 @@ class Stage:
 
     @property
     def timestep(self) -> float:
-        """Time step of the simulation [s]."""
+        """MuJoCo time step of the simulated runs [s]."""
         return float(self.model.opt.timestep)
 
     def make_case(self, command: Array, seed: int = 0) -> Case:
@@ -433,9 +433,9 @@ def rotations_from_quaternions(quaternions: Array) -> Array:
 def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     """Return the tilt of the base [rad] and the height loss of the reference point [m].
 
-    Both are relative to the default pose, without `Case.lift`; a loss is positive downwards.
-
-    The reference point is fixed to the base, at the CoM of the default pose (`StandReference`).
+    Both are relative to the policy's default pose, without the additional initial height
+    `Case.lift`; a loss is positive downwards. The reference point is fixed to the base, at the CoM
+    of the default pose (`StandReference`).
 
     Args:
         stage: Policy on the robot.

@@ -246,7 +246,7 @@ class StandRows:
         self.set_noise(noise)
 
     def set_noise(self, noise: StandNoise) -> None:
-        """Set the noise levels for the covariance of the residuals; the residuals do not change."""
+        """Set the noise levels that determine the covariance, not the values, of the residuals."""
         normal_forces, height = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
         moment_std = math.sqrt(0.5) * noise.moment * np.repeat(normal_forces, 3)
         last_std = _LAST_MOTION_FRACTION * np.repeat([noise.friction, noise.moment], 6)

@@ -44,9 +44,9 @@ class Wiring:
     found: Diagnostic
 
     def apply(self, stands: MeasuredStands) -> MeasuredStands:
-        """Return measured stands whose columns are permuted and negated as the wiring states.
+        """Return measured stands with permuted and negated columns, as this wiring specifies.
 
-        The joints of commands and positions are in actuator order.
+        These are the columns of commands and positions, with joints in actuator order.
         """
         order, signs = list(self.order), np.array(self.signs)
         return replace(
