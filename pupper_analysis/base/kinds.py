@@ -181,10 +181,13 @@ def hash_content(content: bytes) -> str:
 
 
 def generated_model_kind(known: str | None) -> Kind:
-    """Return the kind of a generated model. Without ``force``, only an unedited file is replaced.
+    """Return the kind (replacement rule) of a model file that the package has written.
+
+    Without ``force``, a file of this kind is replaced only if the user has not edited it.
 
     Args:
-        known: SHA-256 of the generated file. If None, the result is ``MODEL_KIND``.
+        known: SHA-256 of the content as written. None if unknown; the result is then
+            ``MODEL_KIND``, whose files are never replaced without ``force``.
     """
     if known is None:
         return MODEL_KIND

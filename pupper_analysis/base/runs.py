@@ -72,7 +72,7 @@ class Run:
     def register_written(self, path: Path, *, edited: bool = False) -> None:
         """Register a file that the run has written. A missing file is ignored.
 
-        Entries of ``outputs`` whose file was deleted or replaced are removed from ``outputs``.
+        Outputs that were deleted or replaced since their registration are removed from ``outputs``.
 
         Args:
             path: The file.

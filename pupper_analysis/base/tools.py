@@ -60,7 +60,7 @@ class Tool(NamedTuple):
 
     @property
     def heading(self) -> str:
-        """Heading in ``--help``, an element of ``HELP_HEADINGS``."""
+        """Heading under which ``--help`` lists this tool, an element of ``HELP_HEADINGS``."""
         found = _HEADING_PATTERN.search(self._source_text)
         return found[1] if found and found[1] in HELP_HEADINGS else HELP_HEADINGS[-1]
 

@@ -402,15 +402,15 @@ class Motor:
 def placeholder_efforts(
     motors: Sequence[Motor], total: float
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
-    """Yield the efforts that are placeholders, since no motor can have such efforts.
+    """Yield the torque limits (efforts) that no motor can have, and that are thus placeholders.
 
     Placeholders are: round efforts (1, 2 or 5 times 10^n, from 100) above
-    `MAX_TORQUE_PER_LINK_MASS`, of joints whose links have more than 0.001 of the robot's mass;
-    efforts above `MAX_ROTOR_ACCELERATION`; and all remaining efforts, if the sum of the remaining
-    efforts is above `MAX_TORQUE_PER_ROBOT_MASS`.
+    `MAX_TORQUE_PER_LINK_MASS` times the mass of the joint's two links, if this mass is more than
+    0.001 of the robot's mass; efforts above `MAX_ROTOR_ACCELERATION` times the armature; and all
+    remaining efforts, if their sum is above `MAX_TORQUE_PER_ROBOT_MASS` times the robot's mass.
 
     Args:
-        motors: All hinges with a limit.
+        motors: All hinges with a torque limit.
         total: Mass of the robot [kg].
 
     Yields:

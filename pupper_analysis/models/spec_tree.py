@@ -118,7 +118,7 @@ class SpecTree:
         return None if element is None else str(element.parent.name)
 
     def fixed_group(self, link: str) -> list[str]:
-        """Return a body and all descendants that are fixed to this body."""
+        """Return the names of a body and of all descendants without joints in between."""
         group = [link]
         for name in group:
             children = self.spec.body(name).bodies

@@ -304,7 +304,10 @@ class UrdfTree:
         return self.parent_joints[link].parent if link in self.parent_joints else None
 
     def movers(self, link: str) -> tuple[str, ...]:
-        """Return the name of the joint that moves a link as a tuple; empty if fixed or the base."""
+        """Return the joint that moves a link, as a tuple with its name.
+
+        Empty for the base, and for a link that is fixed to its parent.
+        """
         joint = self.parent_joints.get(link)
         return () if joint is None or joint.is_fixed else (joint.name,)
 

@@ -100,7 +100,7 @@ class PublishedModel:
 
     @property
     def floating(self) -> bool:
-        """Whether the base body in the file has six or more degrees of freedom of its own."""
+        """Whether the base body has joints with at least six degrees of freedom in the file."""
         return int(self.model.body_dofnum[self.base_body]) >= 6
 
 

@@ -275,6 +275,8 @@ class ClearanceShapes:
     ) -> list[float]:
         """Return the height [m] of each collision shape in ``parts`` above slope and steps.
 
+        ``parts`` are the shapes that must be above the ground.
+
         The penetration of a foot is added to the height of a part that intersects the sphere of
         this foot, such as a calf: the part may be in the ground as deep as the foot.
 

@@ -200,7 +200,10 @@ class PlaceConstraint(Constraint):
     name, is_equality = "com-place", True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the horizontal position of CoM or base minus the target, (2,) [m], world frame."""
+        """Return the horizontal position minus the target, (2,) [m], in the world frame.
+
+        The position is that of the CoM, or of the base if ``Goal.by_base``.
+        """
         return (at.qpos[:2] if goal.by_base else np.array(at.com[:2])) - goal.place
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
@@ -208,7 +211,7 @@ class PlaceConstraint(Constraint):
         return np.eye(2, at.robot.nv) if goal.by_base else at.com_jacobian()[:2]
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the horizontal distance of the CoM, or of the base, from the target [m]."""
+        """Return the horizontal distance of CoM (base if ``Goal.by_base``) and target [m]."""
         here = at.qpos[:2].tolist() if goal.by_base else at.com[:2]
         return math.dist(here, goal.place.tolist())
 

@@ -178,7 +178,7 @@ class Stand(Pictured, Tabular):
         return float(plane @ (1.0, self.qpos[0], self.qpos[1]))
 
     def corners(self, robot: Robot) -> Array:
-        """Return the corners of the support region, shape (n, 2) [m], x and y in the world."""
+        """Return the corners (x, y) of this stand's support region in the world, (n, 2) [m]."""
         points = np.array([*self.contact_points.values()])
         normals = np.array([*self.normals.values()])
         friction = [

@@ -443,8 +443,8 @@ degrees of freedom."""
 def has_underactuated_feet(robot: Robot) -> bool:
     """Return True if a sole (several contact points) is on a leg with fewer than six joints.
 
-    A leg of four joints can place the sole in a plane with a pitch; roll and yaw follow. A sole
-    that is a microradian off level cannot be laid exactly.
+    Such a leg cannot choose all six coordinates of the sole: with four joints, for example, roll
+    and yaw may follow from position and pitch. IK then cannot lay the sole exactly on the ground.
     """
     return any(
         len(points) > 1 and _count_leg_joints(robot, points[0]) < _NUM_POSE_JOINTS

@@ -169,14 +169,14 @@ def list_audit_remarks(audit: Audit, folder: Path) -> Iterator[Remark]:
 def list_guard_remarks(
     tool: str, findings: Iterable[Any], pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
-    """Yield a remark per finding of another tool.
+    """Convert the findings of another tool, such as ``contract``, to remarks of ``check``.
 
     Args:
         tool: Name of the tool.
         findings: Findings with ``kind``, ``joints``, ``severity``, ``diagnostic``, ``effects`` and
             ``places`` (``file:line``; two for a difference).
-        pair: Pair with the models.
-        folder: Folder of the configuration.
+        pair: Pair of models to which the findings belong.
+        folder: Folder of the configuration, to which the files of the remarks are relative.
     """
     for finding in findings:
         file, _, line = finding.places[0].rpartition(":")

@@ -102,7 +102,7 @@ Scope = ChainMap[str, Node]
 
 
 def get_module(scope: Scope) -> ModuleNames:
-    """Return the names of the module to which a scope of Python source belongs."""
+    """Return the names of the Python module that contains a scope: its outermost mapping."""
     return cast(ModuleNames, scope.maps[-1])
 
 

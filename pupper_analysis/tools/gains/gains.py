@@ -349,7 +349,7 @@ class _Gains:
         self.loop, self.kp, self.kd = loop, kp, kd
 
     def scale_gains(self, stiffness: float, damping: float) -> _Pair:
-        """Return kp [N m/rad] and kd [N m s/rad] of all joints, shape (nu,), times factors."""
+        """Return kp [N m/rad] times a factor, and kd [N m s/rad] times another, (nu,) each."""
         return stiffness * self.kp, damping * self.kd
 
     def find_stable_pair(self) -> tuple[float, float]:

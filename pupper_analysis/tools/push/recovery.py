@@ -73,7 +73,7 @@ class PushedStance(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the pushed robot stands without a push (the pushes themselves are not judged)."""
+        """Whether the robot stands if it is not pushed; the largest pushes are not judged."""
         return self.verdict.passed
 
 
@@ -160,7 +160,10 @@ def study_pushes(
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that carry a foot, or are coupled, and have no stated torque limit."""
+    """Return the joints that pushes load, and whose torque limit no file states.
+
+    These are joints between the base and a foot, and joints of closed loops or couplings.
+    """
     unloaded_joints = free_joints(robot)
     unknown_joints = (
         limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN

@@ -95,9 +95,16 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
 
 
 def make_inertial_changes(element: Element, target: pin.Inertia) -> dict[str, str]:
-    """Return {attribute: text} of an <inertial> for a target inertia in the frame of its body.
+    """Return the attributes of an ``<inertial>`` that must change to give a target inertia.
 
-    The present form (moments with axes, or full matrix) is kept.
+    The present form (principal moments with axes, or full matrix) is kept.
+
+    Args:
+        element: The ``<inertial>``.
+        target: Inertia in the frame of the body [kg, m, kg m^2].
+
+    Returns:
+        {attribute: new text}.
     """
     numbers = {"pos": target.lever, "mass": target.mass}
     if element.get("diaginertia") is None:

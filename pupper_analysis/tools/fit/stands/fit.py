@@ -648,7 +648,10 @@ class _StandProblem:
         return 1.0 if ratio > _MIN_FRICTION_RATIO else _DEFAULT_FRICTION_RATIO / ratio
 
     def compute_log_evidence(self) -> float:
-        """Return the log marginal likelihood of the stands, linearised about the stated values."""
+        """Return the log marginal likelihood (evidence) of the measured stands.
+
+        The equations are linearised about the stated parameter values.
+        """
         linearised = self.make_equations()[0].linearise(self.table.stated, self.table.stated)
         return linearised.compute_log_evidence(self.table, np.zeros(len(self.table)))
 
@@ -686,7 +689,7 @@ class _StandProblem:
         equations, notes = self.make_equations(posterior)
 
         def fit_with_noise(noise: StandNoise) -> tuple[Posterior, float]:
-            """Return the posterior for given noise levels, and the log evidence."""
+            """Return the fitted parameters (posterior) for given noise, and the log evidence."""
             equations.noise, equations.table = noise, scale_common_widths(table, noise, self.noise)
             fitted = _estimate_from_stands(robot, stands, equations, scale_residual, posterior.mean)
             linearised = equations.linearise(fitted.mean, fitted.mean) + scale_residual(fitted.mean)
