@@ -295,7 +295,7 @@ def name_uniquely(
 
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:
-    """Print the notes on a robot of files: warnings, and the number of other notes.
+    """Print the warnings and errors on a robot that was loaded from files, and the number of notes.
 
     Args:
         robot: Robot.

@@ -297,7 +297,10 @@ class Contact:
         return self.with_plane_parameter(*numbers)
 
     def with_plane_parameter(self, number: float) -> Contact:
-        """Return a copy with another ``parameter`` of the plane: [rad] for a slope, else [m]."""
+        """Return a copy of this contact whose plane has another ``parameter``.
+
+        The parameter is an angle [rad] for a slope, otherwise a length [m].
+        """
         return replace(self, plane=self.plane.with_parameter(number))
 
     def __str__(self) -> str:

@@ -207,13 +207,13 @@ def with_friction(
     feet: Mapping[str, Sequence[str]],
     touching: Mapping[str, Touching],
 ) -> Mapping[str, ContactParameters]:
-    """Return contact parameters with the friction of the planes that feet touch.
+    """Return contact parameters in which sliding friction is that of the planes that feet touch.
 
     Args:
         contacts: {contact point: parameters} on the ground.
         feet: {foot: contact points}.
-        touching: {foot or hand: changes for a contact}; without ``friction``, the parameters of
-            the ground remain.
+        touching: {foot or hand: contact of the task}; without ``friction`` in a contact, the
+            parameters of the ground remain.
     """
     changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
@@ -513,7 +513,7 @@ class Robot(EngineModels):
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:
-        """Collision shapes of the moving bodies in MuJoCo, including foot shapes."""
+        """Collision shapes on moving bodies of the robot's MuJoCo model, including the feet's."""
         return shapes_of(
             self.mj_model,
             self.mj_convention,

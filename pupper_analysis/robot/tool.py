@@ -73,7 +73,7 @@ class Tool(Result):
         return position
 
     def locate_in_mjcf(self, robot: Robot) -> tuple[str, Array]:
-        """Return the MJCF body that moves with this point, and the position in the body, (3,) [m].
+        """Return the MJCF body with which this point moves, and the point in its frame, (3,) [m].
 
         The body is that of the last joint that moves the point, or the base.
         """

@@ -138,7 +138,7 @@ class NamedModel:
         }
 
     def is_disabled(self, bit: mujoco.mjtDisableBit) -> bool:
-        """Return True if a flag of the file disables a term of the dynamics."""
+        """Return True if the MJCF disables a term of the dynamics by the flag ``bit``."""
         return bool(self.model.opt.disableflags & bit.value)
 
     def is_part_of_robot(self, object_type: mujoco.mjtObj, index: int) -> bool:

@@ -75,7 +75,7 @@ class UrdfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Return the location of a value; the file without line if not recorded.
+        """Return the location in the URDF of a compared value; the file without line if unknown.
 
         Args:
             kind: Kind of the value, as in a `Difference`.

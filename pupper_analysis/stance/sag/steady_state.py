@@ -723,10 +723,10 @@ def find_sag_failure(
 
 
 def collect_steady_state(path: HomotopyPath, margin: float) -> SteadyState:
-    """Create the `SteadyState` of the current equilibrium of a path: heights, torques, failures.
+    """Create the `SteadyState` of an equilibrium: heights, torques, contact forces, failures.
 
     Args:
-        path: Path.
+        path: Path of equilibria, at the equilibrium to describe.
         margin: `SteadyState.release_margin` [robot weights] to be stored in the result.
     """
     system, solution = path.system, path.solution

@@ -223,7 +223,10 @@ class PatternCase:
         return differences
 
     def find_explained(self, second: MultibodyTree) -> set[Key]:
-        """Return the differences that disappear with a modified tree of the MJCF.
+        """Return the differences between the files that disappear if the MJCF's tree is modified.
+
+        Args:
+            second: Modified tree of the MJCF, in the body frames of the URDF.
 
         Returns:
             (kind, element) pairs. Empty if the modified tree adds a difference, or if fewer than

@@ -278,7 +278,7 @@ class PushBench:
         return _combine_failures(failures + self._find_end_failures(states))
 
     def extend_until_rest(self, states: Array) -> Array:
-        """Continue a complete simulation while the only failure is a base in motion.
+        """Continue a complete simulation while its only failure is that the base still moves.
 
         The simulation is continued up to ``MAX_DURATION_RATIO`` times the duration.
 

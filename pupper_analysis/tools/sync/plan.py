@@ -346,10 +346,10 @@ class FileLayout:
 
 
 def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:
-    """Return the layouts of both models' files in a common output folder.
+    """Return the layouts of a URDF's and an MJCF's files for a common output folder.
 
-    If the files of one model are within the top folder of the other, the files keep the relative
-    position. Otherwise the MJCF gets a separate folder.
+    If the top folder of one model contains that of the other, all files keep their relative
+    positions. Otherwise the files of the MJCF get a separate folder.
     """
     for top in (urdf.top, mjcf.top):
         if all(layout.top.is_relative_to(top) for layout in (urdf, mjcf)):

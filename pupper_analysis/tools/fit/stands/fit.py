@@ -853,7 +853,9 @@ def predict_noise(
 def list_parameters(
     robot: Robot, stands: MeasuredStands, kp: Array
 ) -> Iterator[tuple[str, str, str, float]]:
-    """Yield kind, subject, component and stated value (in SI units) of each parameter of a fit.
+    """Yield (kind, subject, component, stated value in SI units) of each parameter of a fit.
+
+    The subject is, for example, the name of a link, joint or foot.
 
     Args:
         robot: Robot.
@@ -884,7 +886,10 @@ def list_parameters(
 
 
 def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
-    """Yield kind, subject (link), component and stated value of link masses [kg] and CoMs [m]."""
+    """Yield (kind, link, axis, stated value) of the masses [kg] and CoM coordinates [m] of links.
+
+    The axis of a mass is "".
+    """
     for link, number in list_bodies(robot):
         inertia = robot.structure.model.inertias[number]
         yield "mass", link, "", float(inertia.mass)
