@@ -639,7 +639,7 @@ class MjcfFile:
         return tuple(str(name) for value in values if isinstance(value, tuple) for name in value)
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
-        """Yield attributes and location of each element with a tag, as in the file.
+        """Yield attributes (as written in the file) and location of each element with a tag.
 
         Included files and attached models are searched, too.
         """

@@ -276,7 +276,7 @@ class PublishedRun:
 
     @property
     def agrees_with_equilibrium(self) -> bool:
-        """True if this run does not collapse and agrees with the computed equilibrium.
+        """True if the robot does not collapse in this run and is near the computed equilibrium.
 
         The torque error is at most ``MAX_TORQUE_DEVIATION`` (for a URDF
         ``MAX_IMPORTED_TORQUE_DEVIATION``); with feed-forward, the joint error is also at most

@@ -363,9 +363,9 @@ class SelfClearanceTask(PostureTask):
         return max(0.0, self.distance - float(distances[0])) if len(distances) else 0.0
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft constraint for the distances between links, linearised in q [m].
+        """Add a soft constraint on the distances [m] between links to PlaCo's solver.
 
-        The constraint is linearised again before each iteration.
+        The distances are linearised in the joint positions before each iteration.
         """
         constraint = solver.add_joint_space_half_spaces_constraint(np.zeros((0, 1)), np.zeros(0))
         constraint.configure("self clearance", "soft", _CLEARANCE_WEIGHT * weight)

@@ -360,8 +360,8 @@ class _Search:
     def best_stand(self) -> Stand:
         """Return the best stand of the search, which may violate the goal.
 
-        A solved stand; else feet in place with the smallest violation; else the smallest foot error
-        of the nonlinear program, or of IK.
+        In this order: a solved stand; the stand with all feet in place and the smallest violation;
+        the result of the nonlinear program, else of IK, with the smallest foot error.
         """
         if self.reached:
             return max(self.reached, key=lambda stand: (stand.solved, stand.constraint_slack))

@@ -35,7 +35,7 @@ _GLB_HEADER: Final = struct.Struct("<4sIIII")
 
 
 def check_gltf(data: bytes) -> Diagnostic | None:
-    """Return the reason if a glTF binary (bytes) describes too many vertices; None otherwise.
+    """Return the reason to refuse a glTF binary with too many vertices; None if it is accepted.
 
     Vertices and indices of all primitives are counted, and all elements of accessors without data.
     """
@@ -94,10 +94,10 @@ class _ColladaScene:
 
 
 def check_collada(data: bytes) -> Diagnostic | None:
-    """Return the reason if the scenes of a COLLADA file have too many parts or too much text.
+    """Return the reason to refuse a COLLADA file with too many parts or too much text.
 
-    None otherwise. Each instance of a node or shape counts. The text of the shapes may have up to
-    twice `MAX_MESH_BYTES` characters.
+    None if it is accepted. The limits apply to the sum over all scenes, in which each instance of a
+    node or shape counts. The text of the shapes may have up to twice `MAX_MESH_BYTES` characters.
     """
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     root = etree.fromstring(data, parser)

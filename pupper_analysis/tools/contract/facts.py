@@ -289,7 +289,7 @@ class Node:
 
     @property
     def is_present(self) -> bool:
-        """True if the node has a value other than None."""
+        """True if this value of a file is present: not None."""
         return self.value is not None
 
     @property

@@ -469,9 +469,9 @@ class RandomStates:
         return {name: np.array(found) for name, found in rows.items()}
 
     def compute_holding_torques(self, values: MultibodyTree) -> dict[str, float]:
-        """Compute the largest torque [N m] or force [N] per joint that holds the links in the air.
+        """Compute the largest torque [N m] or force [N] of each joint under the links' weight.
 
-        The maximum is over all states. A floating base is level and held.
+        The maximum is over all random states. A floating base is fixed in a level pose.
 
         Returns:
             {joint: largest absolute torque or force}.

@@ -317,7 +317,11 @@ class ParameterTable:
     def get_value(
         self, vector: Array, kind: str, subject: str, component: str, default: float
     ) -> float:
-        """Return a parameter's value, in its unit, from a vector; ``default`` if not estimated."""
+        """Return the value of a parameter, in its unit, from a parameter vector.
+
+        ``kind``, ``subject`` and ``component`` select the `Parameter`. If the table does not
+        contain it, the result is ``default``.
+        """
         index = self._indices.get((kind, subject, component))
         return default if index is None else float(vector[index])
 

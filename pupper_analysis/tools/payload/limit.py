@@ -257,12 +257,12 @@ class PayloadLimit(Result):
 
     @property
     def failure(self) -> Failure:
-        """Kind of failure of the stance with more than the largest payload."""
+        """Kind of failure that occurs if the payload exceeds the limit."""
         return self.bounds[self.binding].failure
 
     @property
     def failing_parts(self) -> tuple[str, ...]:
-        """Names of motors, joints, feet or bodies that fail with more than the largest payload."""
+        """Names of motors, joints, feet or bodies that fail if the payload exceeds the limit."""
         return self.bounds[self.binding].failing_parts
 
     @property

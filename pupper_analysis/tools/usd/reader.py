@@ -408,7 +408,7 @@ schemas are in single precision (1e-7), and some writers use five digits. Chosen
 
 
 def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each body whose mass follows from shapes without a stated density.
+    """Yield a finding for each body whose mass is computed from shapes without a stated density.
 
     USD then assumes the density of water, hence the name of the rule.
     """

@@ -339,10 +339,11 @@ def measure_replay(runs: Sequence[Run]) -> float:
 
 
 def measure_repeatability(runs: Sequence[Run]) -> float:
-    """Return the RMS difference [rad] between runs of the same commands, divided by sqrt(2).
+    """Return the RMS error [rad] with which joint positions repeat under the same commands.
 
-    The middle half of each run is compared with the first earlier run of the same commands, aligned
-    in time. NaN if no commands are repeated.
+    This is the RMS difference of the positions in two runs, divided by sqrt(2). The middle half of
+    each run is compared with the first earlier run of the same commands, aligned in time. NaN if no
+    commands are repeated.
     """
     differences = []
     for index, run in enumerate(runs):
