@@ -94,7 +94,7 @@ class Relaxation:
 
     @property
     def slack(self) -> float:
-        """Sum of the changes of all relaxed values: lengths / stand height, and angles [rad]."""
+        """Sum of the changes of all relaxed values, as lengths / stand height and angles [rad]."""
         return sum(self.relaxations.values())
 
 
