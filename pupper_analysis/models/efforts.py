@@ -225,9 +225,10 @@ def resolve_effort_limit(
 def _list_statements(
     model: mujoco.MjModel, joint: int, drives: Sequence[int]
 ) -> list[EffortStatement]:
-    """Return the statements of an MJCF about a joint, with ranges at the joint.
+    """Return the force ranges that an MJCF states for a joint, on the joint or on its actuators.
 
-    Several actuators at a joint are summed to a single statement, if each has a limit.
+    Actuator ranges are converted to joint torques [N m, N]. If several actuators drive the joint
+    and each has a limit, their ranges are added.
     """
     statements = read_joint_effort(model, joint)
     if len(drives) == 1:

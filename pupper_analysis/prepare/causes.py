@@ -196,7 +196,7 @@ def _yield_if_any(
 
 
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield integration and, if its settings are inaccurate, constraint solver as candidates."""
+    """Yield candidate causes: integration, and the constraint solver if it is inaccurate."""
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
     if not model.actuator_delay.any():  # a delay is stored as a number of samples
@@ -231,7 +231,7 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 
 
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield deviations from the law of a position servo: biases, unequal gains, delays."""
+    """Yield candidate causes: servos with a bias, a gain unequal to the stiffness, or a delay."""
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     served = motors[model.actuator_biastype[motors] == affine]
@@ -249,7 +249,7 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield actuators with a negative gear, which is seldom intended."""
+    """Yield a candidate cause: actuators with a negative gear, which is seldom intended."""
     model = published.model
     negative = [
         m for m in _list_actuator_ids(published, robot).tolist() if actuator_gear(model, m)[0] < 0
@@ -261,7 +261,7 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 
 
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield springs, joint limits, fluid forces, and gravity that is not vertical."""
+    """Yield candidate causes: springs, joint limits, fluid forces, and tilted gravity."""
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
@@ -327,7 +327,7 @@ contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield slippery contacts and soft contacts."""
+    """Yield candidate causes: contacts with low friction (slippery), and soft contacts."""
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     slippery_geoms = np.flatnonzero(_select_bad_contacts(model, "geom", "slippery") & collidable)
@@ -373,7 +373,7 @@ def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
 
 
 def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield the contact exclusions between a body of the robot and a body fixed in the world."""
+    """Yield candidate causes: contact exclusions between the robot and static bodies."""
     fixed = {0, *np.flatnonzero(model.body_weldid == 0).tolist()}
     for number in range(model.nexclude):
         pair = divmod(int(model.exclude_signature[number]), 1 << 16)
@@ -385,7 +385,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield the contact override and disabled actuator groups."""
+    """Yield candidate causes: the contact override, and disabled actuator groups."""
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
     for acts, code, element, field, value in (
         (flags & override, "override", "flag override", "enableflags", flags & ~override),
@@ -447,7 +447,7 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 
 
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield joints that the preparation holds at zero, and that move in the file."""
+    """Yield a candidate cause: joints that move in the file, and are held at zero when loaded."""
     model, loose = published.model, list_unmatched_joints(published, robot)
     named = _name_elements(model, _OBJECT_TYPE.mjOBJ_JOINT, loose)
     yield from _yield_if_any(
@@ -456,7 +456,7 @@ def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
 
 
 def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield shapes whose contacts the preparation disabled, and obstacles in the world."""
+    """Yield candidate causes: shapes whose contacts the preparation disabled, and obstacles."""
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     replaced = {model.body(name).id for name in _list_ball_bodies(robot)}

@@ -332,10 +332,10 @@ def _merge_gains(
 
 
 def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
-    """Return True if a robot that comes to rest does so as predicted, or if the files disagree.
+    """Return True if the simulated robot comes to rest as predicted.
 
-    A simulation of `_BRIEF_DURATION` is mostly sufficient; otherwise the usual duration is
-    simulated.
+    Also True if URDF and MJCF describe different robots, since no gains help then. First a
+    simulation of `_BRIEF_DURATION` is tried; if it does not agree, the usual duration is simulated.
     """
     with contextlib.suppress(PupperAnalysisError):
         stand = solve_stand_on_soft_ground(robot, stand, explain=False)

@@ -479,7 +479,7 @@ _POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
 
 def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive) -> bool:
-    """Return True if the only actuator of a joint is a servo with another gain than stiffness."""
+    """Return True if a joint has a single servo, whose gain and stiffness are unequal."""
     if not drive.has_other_law or len(actuators) != 1:
         return False
     fixed = model.actuator_gaintype[actuators[0]] == mujoco.mjtGain.mjGAIN_FIXED.value

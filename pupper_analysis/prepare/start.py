@@ -379,10 +379,11 @@ def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
 
 
 def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
-    """Search the pose with the largest number of consecutive heights that the legs can reach.
+    """Return the robot with the nominal stand from the pose that suits most base heights.
 
-    Margins to the joint limits are reduced until a stand is found. Returns the robot with the
-    nominal stand at the middle of these heights; None if no stand is found.
+    The pose has the largest number of consecutive base heights at which a stand exists; the nominal
+    stand is the one at the middle height, or the next that is valid. Required margins to the joint
+    limits are reduced (`_JOINT_MARGINS`) until a stand is found; None without a stand.
     """
     for margin in _JOINT_MARGINS:
         best: tuple[list[Stand], Robot] = [], robot

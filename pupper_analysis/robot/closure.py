@@ -269,7 +269,7 @@ class Closure:
         )
 
     def _close_by_newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
-        """Close the loops as ``close_loops``, but in any assembly mode."""
+        """Close the loops as ``close_loops`` (same arguments), but accept any assembly mode."""
         result = qpos.copy()
         joints = result[self._num_coordinates - len(self._joint_names) :]  # a view
         for _ in range(_MAX_ITERATIONS):

@@ -145,10 +145,11 @@ def comes_to_rest(
 
 
 def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
-    """Return True if a nudge that decayed refutes a mode of one finite-difference step.
+    """Return True if the decay after a nudge refutes a growing mode of the linear model.
 
-    ``DIFFERENCE_STEP`` may cross the kink of dry friction. Such a mode is missing with
-    ``SECOND_STEP``, and the nudge did not grow by ``MIN_ABSENT_DOUBLINGS``.
+    That is the case if the mode is missing with the finite-difference step ``SECOND_STEP``
+    (``DIFFERENCE_STEP`` may cross the kink of dry friction), and if the simulation lasts for at
+    least ``MIN_ABSENT_DOUBLINGS`` doubling times of the mode.
 
     Args:
         mode: Growing mode of the spectrum.

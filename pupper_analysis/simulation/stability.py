@@ -406,9 +406,10 @@ def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str
 
 
 def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> float:
-    """Return the largest increase of a mean speed of the free bodies [m/s, rad/s]; 0 without any.
+    """Return the largest increase of a mean base velocity by a nudge [m/s, rad/s], at least 0.
 
-    A robot that still settles slows down; only faster motion than before the nudge counts.
+    The result is the maximum over the velocity components of all free joints. A robot that still
+    settles slows down; only faster motion than before the nudge counts.
 
     Args:
         model: MuJoCo model.

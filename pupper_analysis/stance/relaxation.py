@@ -295,7 +295,7 @@ class _Search:
         return stand if stand.solved else None
 
     def _make_goal(self, task: StandTask, *, checked: bool = False) -> Goal:
-        """Convert a task to a goal, with the refused goal's depths and loop opening."""
+        """Convert a task to a goal with the penetrations and loop deflections of ``self.goal``."""
         goal = make_goal(self.context.robot, task, self.goal.depths, checked=checked)
         return replace(goal, give=self.goal.give)
 

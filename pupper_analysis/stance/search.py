@@ -276,7 +276,7 @@ class _Search:
         return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_GUESSES
 
     def _generate_initial_configurations(self, best: Stand) -> Iterator[Array]:
-        """Yield initial configurations (nq,) of the nonlinear program."""
+        """Yield initial configurations (nq,) of the nonlinear program, first that of ``best``."""
         robot, goal = self.robot, self.goal
         yield best.qpos
         if not goal.com_is_free:

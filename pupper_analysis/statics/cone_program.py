@@ -365,9 +365,11 @@ class Balance:
     def _minimize_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
     ) -> Array | None:
-        """Minimise max |cost @ z - target|, then the squares, with the forces in the cones.
+        """Minimise the peak ``max |cost @ z - target|``, then the sum of squares with this peak.
 
-        z are null-space coordinates: the forces are particular + free @ z. None if infeasible.
+        z are null-space coordinates: the contact forces, ``particular + free @ z``, must be inside
+        the friction cones. The second program may exceed the peak by `_PEAK_SLACK` (relative). None
+        if infeasible.
         """
         size = len(target)
         scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))

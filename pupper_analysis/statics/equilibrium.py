@@ -410,12 +410,14 @@ def _solve_minimum_tangential(
 def _iterate_viscosities(
     robot: Robot, problem: Balance, forces: Array, carrying: Contacts
 ) -> Array | None:
-    """Repeat the minimum-tangential solution with viscosities of the previous normal forces.
+    """Compute contact forces with minimum tangential forces, weighted by contact viscosities.
 
-    The iteration ends if no force component changes by `BALANCE_TOLERANCE` times the largest
-    component or more, or after `_MAX_VISCOSITY_ITERATIONS`. If the viscosity of a contact is zero,
-    the last forces are returned. On level ground the viscosities have no influence, and ``forces``
-    is returned. None if an iteration finds no feasible forces.
+    The viscosity of a contact (tangential force / creep velocity) depends on its normal force, so
+    each iteration takes the normal forces of the previous one. The iteration ends if no force
+    component changes by `BALANCE_TOLERANCE` times the largest component or more, or after
+    `_MAX_VISCOSITY_ITERATIONS`. If the viscosity of a contact is zero, the last forces are
+    returned. On level ground the viscosities have no influence, and ``forces`` is returned. None if
+    an iteration finds no feasible forces.
     """
     if carrying.is_level:
         return forces

@@ -278,18 +278,17 @@ def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
 
 
 def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
-    """Return the nearest ancestor that is not fixed to a parent, and the placement in the ancestor.
+    """Return the nearest moving ancestor of a body, or the base, and the body's pose in its frame.
 
-    The ancestor moves, or is the fixed base. The body itself is returned if not fixed to a
-    parent.
+    The result is the body itself if the body is not fixed to its parent.
 
     Args:
         bodies: Bodies.
-        body: Name of the first body.
+        body: Name of the body.
         bare: True to end the search also at the first body that has an inertial.
 
     Returns:
-        Name of the carrying body; pose of the first body in the frame of the carrying body.
+        Name of the ancestor; pose of ``body`` in the frame of the ancestor.
     """
     placement = pin.SE3.Identity()
     while bodies.is_carried(body) and not (bare and bodies.inertia(body) is not None):

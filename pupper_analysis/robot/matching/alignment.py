@@ -169,7 +169,10 @@ def measure_tree_deviation(
 def _joint_bits(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation [bits] of a joint, moved body and frames, without child joints."""
+    """Return the deviation of a joint, its body and frames [bits, see `measure_deviation_bits`].
+
+    Joints on the body are not included.
+    """
     total = _placement_bits(first.joints[name], second.joints[name], tolerances)
     total += measure_deviation_bits(
         _angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
@@ -197,7 +200,7 @@ def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolera
 
 
 def _placement_bits(first: TreeJoint, second: TreeJoint, tolerances: Tolerances) -> float:
-    """Return the deviation [bits] of position and rotation of two joints."""
+    """Return the deviation between two joint placements [bits, see `measure_deviation_bits`]."""
     distance = float(np.linalg.norm(second.position - first.position))
     angle = float(np.linalg.norm(pin.log3(first.rotation.T @ second.rotation)))
     return measure_deviation_bits(distance, tolerances.position) + measure_deviation_bits(
@@ -257,10 +260,10 @@ def _candidate_steps(
 ) -> Iterator[Array]:
     """Yield candidate displacements (3,) [m] of the origin of a joint, in the axes of the body.
 
-    First zero. The origin of a hinge may move along the joint axis, the origin of a slide in any
-    direction, unless ``still`` forbids it. Candidates are the origin in the first tree, the median
-    displacement of the points on the body (`_matching_points`), and for a slide the part of the
-    first candidate that is perpendicular to the axis.
+    The first candidate is zero. A hinge then has two candidates along its axis: the components of
+    the displacement to the origin in the first tree, and of the median displacement of the points
+    on the body (`_matching_points`). A slide has both displacements, and the part of the first one
+    that is perpendicular to the axis; none of these if ``still``.
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]

@@ -277,7 +277,10 @@ def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array
 def _base_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> tuple[float, list[float]]:
-    """Return the deviations [bits] of the body of the base, and of each joint on the base."""
+    """Return the deviation of the base body, and of each joint on the base.
+
+    Deviations are in bits, see `measure_deviation_bits`.
+    """
     body = measure_body_deviation(first.bodies[first.base], second.bodies[second.base], tolerances)
     names = first.children(first.base)
     second = align_frames(second, first, tolerances, only=names).values

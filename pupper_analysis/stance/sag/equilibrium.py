@@ -152,7 +152,7 @@ class ContactKinematics:
 
     @cached_property
     def _depth_rates(self) -> Array:
-        """Derivative of the penetrations by a step, shape (n, nv) [m/rad, m/m]."""
+        """Derivative of the penetrations by the motion (nv,), shape (n, nv) [m/rad, m/m]."""
         deeper: Array = -(self._normals[:, None] @ self._centre)[:, 0]
         return deeper
 

@@ -360,14 +360,16 @@ class HomotopyPath:
         return self.system.solve(self.solution)
 
     def _go_to_event(self, wanted: float, there: Solution) -> bool:
-        """Move to a change of contact before a removed fraction, by bisection; switch the contact.
+        """Go to the first contact change up to a removed feed-forward fraction, and apply it.
+
+        The fraction of the change is found by bisection; a contact opens or closes there.
 
         Args:
             wanted: Removed fraction of the feed-forward at which contacts contradict the solution.
             there: Solution at this fraction.
 
         Returns:
-            False, without a move, if no equilibrium is found at a fraction in between.
+            False, without a change of the state, if no equilibrium is found in between.
         """
         right = self.share
         while wanted - right > _SHARE_TOLERANCE:

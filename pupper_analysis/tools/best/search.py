@@ -298,9 +298,13 @@ class StanceSearch:
         return float(signed.max()), np.column_stack([-signed, np.ones(len(signed))])
 
     def _compute_payload_level(self, stand: Stand) -> tuple[float, Array]:
-        """Compute the level of a stand, and the constraints that define it, for the payload.
+        """Compute the level (scaled objective) of a stand for the objective "payload".
 
-        The payload's mass m [kg] is -``scale`` level, with the attribute ``scale`` [kg].
+        The level is -m / ``scale``, with the largest payload mass m [kg] and the attribute
+        ``scale`` [kg].
+
+        Returns:
+            Level; constraints a + b level >= 0 that limit the payload, rows (a, b).
         """
         rows = self.payload.compute_rows(stand)
         if rows is None:

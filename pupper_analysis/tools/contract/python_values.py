@@ -283,6 +283,7 @@ class Evaluator:
         raise NotConstantError
 
     def _run_assign(self, statement: ast.Assign | ast.AnnAssign, scope: Scope) -> None:
+        """Assign the value of the right-hand side to all targets; nothing without a value."""
         if statement.value is not None:
             value = self.evaluate(statement.value, scope)
             for target in (
@@ -293,15 +294,18 @@ class Evaluator:
     _run_annassign = _run_assign
 
     def _run_augassign(self, statement: ast.AugAssign, scope: Scope) -> None:
+        """Assign the result of an operation such as ``x += 1`` to its target."""
         read = ast.copy_location(
             ast.BinOp(statement.target, statement.op, statement.value), statement
         )
         self._assign_target(statement.target, self.evaluate(read, scope), scope)
 
     def _run_expr(self, statement: ast.Expr, scope: Scope) -> None:
+        """Evaluate an expression statement, for example a call."""
         self.evaluate(statement.value, scope)
 
     def _run_return(self, statement: ast.Return, scope: Scope) -> None:
+        """Raise the signal that leaves a function with the returned value."""
         raise _ReturnSignal(
             self.evaluate(
                 statement.value or ast.copy_location(ast.Constant(None), statement), scope
@@ -319,6 +323,7 @@ class Evaluator:
         raise _NextSignal
 
     def _run_if(self, statement: ast.If, scope: Scope) -> None:
+        """Run the branch that the condition selects."""
         self.run_statements(
             statement.body
             if self._is_true(self.evaluate(statement.test, scope))
@@ -327,6 +332,7 @@ class Evaluator:
         )
 
     def _run_for(self, statement: ast.For, scope: Scope) -> None:
+        """Run a loop over the items of a list or the keys of a table."""
         with suppress(_LeaveSignal):
             for item in self._list_items(self.evaluate(statement.iter, scope)):
                 self._assign_target(statement.target, item, scope)
@@ -347,6 +353,7 @@ class Evaluator:
     _run_with = _run_try
 
     def _run_functiondef(self, statement: ast.FunctionDef, scope: Scope) -> None:
+        """Add a defined function to the scope."""
         # Names in a class body are not visible in its methods.
         of = scope.get("__class__")
         method = of is not None and scope.maps[0] is of.value.fields
@@ -356,6 +363,7 @@ class Evaluator:
         )
 
     def _run_classdef(self, statement: ast.ClassDef, scope: Scope) -> None:
+        """Run the body of a class, and add the class with inherited fields to the scope."""
         bases = [self.evaluate(base, scope).value for base in statement.bases]
         known = [base for base in bases if isinstance(base, ClassValue)]
         theirs = dict(ChainMap(*(base.fields for base in known)))
@@ -374,6 +382,7 @@ class Evaluator:
         scope[statement.name] = node
 
     def _run_import(self, statement: ast.Import, scope: Scope) -> None:
+        """Add imported modules to the scope; a module that is not found is unknown."""
         for name in statement.names:
             shown = name.asname or name.name.split(".")[0]
             result = self._find_module(scope, name.name if name.asname else shown, 0)
@@ -382,6 +391,7 @@ class Evaluator:
             )
 
     def _run_importfrom(self, statement: ast.ImportFrom, scope: Scope) -> None:
+        """Add names or modules imported from a module; others are unknown values."""
         home: Mapping[str, Node] = (
             self._find_module(scope, statement.module or "", statement.level) or {}
         )
@@ -533,7 +543,7 @@ class Evaluator:
         return node.value
 
     def _to_plain(self, node: Node) -> Any:
-        """Return a value without places."""
+        """Return the value of a node as plain data, without the places in the source."""
         self.steps += 1
         if isinstance(node.value, UnknownValue) or self.steps > MAX_VALUES:
             raise NotConstantError
@@ -560,6 +570,7 @@ class Evaluator:
         return str(value) if isinstance(value, UnknownValue) else value
 
     def _evaluate_constant(self, expression: ast.Constant, scope: Scope) -> Node:
+        """Return the value of a literal, with the decimals that a number has in the source."""
         digits = None
         if isinstance(expression.value, int | float) and not isinstance(expression.value, bool):
             row = get_module(scope).lines[expression.lineno - 1].encode()
@@ -569,9 +580,11 @@ class Evaluator:
         return Node(expression.value, self._make_place(expression, scope), digits)
 
     def _evaluate_name(self, expression: ast.Name, scope: Scope) -> Any:
+        """Return the value of a name; an unknown value if the scope does not contain it."""
         return scope.get(expression.id) or UnknownValue(expression.id)
 
     def _evaluate_attribute(self, expression: ast.Attribute, scope: Scope) -> Any:
+        """Return an attribute of an object, table or module; a method is bound to its object."""
         if isinstance(expression.value, ast.Call) and ast.unparse(expression.value.func) == "super":
             owner, node = scope["__class__"], scope["self"]
             names: Any = ChainMap(*(base.fields for base in owner.value.bases))
@@ -585,11 +598,13 @@ class Evaluator:
         return result
 
     def _evaluate_tuple(self, expression: ast.Tuple, scope: Scope) -> list[Node]:
+        """Return the values of a tuple, list or set, with starred elements expanded."""
         return self._evaluate_starred(expression.elts, scope)
 
     _evaluate_list = _evaluate_set = _evaluate_tuple
 
     def _evaluate_dict(self, expression: ast.Dict, scope: Scope) -> dict[Any, Node]:
+        """Return the values of a dict display, with entries of ``**other`` included."""
         result: dict[Any, Node] = {}
         for key, value in zip(expression.keys, expression.values, strict=True):
             content = self.evaluate(value, scope)
@@ -597,6 +612,7 @@ class Evaluator:
         return result
 
     def _evaluate_subscript(self, expression: ast.Subscript, scope: Scope) -> Any:
+        """Return an element or slice of a list or table."""
         owner = self.evaluate(expression.value, scope).value
         if not isinstance(owner, list | dict):
             raise NotConstantError
@@ -609,6 +625,7 @@ class Evaluator:
         return self._apply_function(operator.getitem, owner, part)
 
     def _evaluate_binop(self, expression: ast.BinOp, scope: Scope) -> Any:
+        """Return the result of a binary operation on numbers, lists or texts."""
         left, right = (
             self.evaluate(operand, scope).value for operand in (expression.left, expression.right)
         )
@@ -625,6 +642,7 @@ class Evaluator:
         )
 
     def _evaluate_unaryop(self, expression: ast.UnaryOp, scope: Scope) -> Any:
+        """Return the result of ``not``, or a number with sign."""
         if isinstance(expression.op, ast.Not):
             return not self._is_true(self.evaluate(expression.operand, scope))
         operand = self.evaluate(expression.operand, scope)
@@ -634,6 +652,7 @@ class Evaluator:
         return Node(sign * operand.value, operand.place, operand.decimals)
 
     def _evaluate_boolop(self, expression: ast.BoolOp, scope: Scope) -> Node:
+        """Return the first operand that decides ``and`` or ``or``, otherwise the last one."""
         for operand in expression.values:
             result = self.evaluate(operand, scope)
             if self._is_true(result) is isinstance(expression.op, ast.Or):
@@ -641,6 +660,7 @@ class Evaluator:
         return result
 
     def _evaluate_compare(self, expression: ast.Compare, scope: Scope) -> Any:
+        """Return the result of a single comparison; chains are not evaluated."""
         if len(expression.ops) > 1:
             raise NotConstantError
         both = (
@@ -659,9 +679,11 @@ class Evaluator:
         )
 
     def _evaluate_lambda(self, expression: ast.Lambda, scope: Scope) -> FunctionValue:
+        """Return the function that a lambda expression defines."""
         return FunctionValue("lambda", expression, scope)
 
     def _evaluate_listcomp(self, expression: ast.ListComp, scope: Scope) -> list[Node]:
+        """Return the list of a comprehension."""
         return [
             self.evaluate(expression.elt, inner)
             for inner in self._iterate_loops(expression.generators, scope)
@@ -670,6 +692,7 @@ class Evaluator:
     _evaluate_generatorexp = _evaluate_listcomp
 
     def _evaluate_dictcomp(self, expression: ast.DictComp, scope: Scope) -> dict[Any, Node]:
+        """Return the table of a dict comprehension."""
         return {
             self._make_key(expression.key, inner): self.evaluate(expression.value, inner)
             for inner in self._iterate_loops(expression.generators, scope)
@@ -689,6 +712,7 @@ class Evaluator:
     # Calls.
 
     def _evaluate_call(self, expression: ast.Call, scope: Scope) -> Any:
+        """Return the result of a call: of a read function or class, or of a library function."""
         arguments = self._evaluate_starred(expression.args, scope)
         keywords: dict[str, Node] = {}
         for keyword in expression.keywords:

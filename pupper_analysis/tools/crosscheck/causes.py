@@ -380,7 +380,10 @@ eleven limbs. Chosen, to bound the time."""
 
 
 def _exchange_names(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
-    """Exchange the names of joints in a tree, with bodies and frames."""
+    """Exchange joint names in a tree in both directions, also in parents, bodies and frame owners.
+
+    ``names`` is {joint: joint with which it exchanges its name}.
+    """
     exchanged = {**names, **{new_name: old_name for old_name, new_name in names.items()}}
     joints = {
         exchanged.get(name, name): replace(joint, parent=exchanged.get(joint.parent, joint.parent))
@@ -953,10 +956,10 @@ def _explains_difference(
 
 
 def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
-    """Compute scales of moments, shape (10,): 1, L and L^2 for mass, first and second moments.
+    """Compute scales of the moments of a body, shape (10,): mass 1, first moments L, inertia L^2.
 
-    L [m] is the larger of sqrt(trace(I) / m) and the distance of the CoM from the origin, each of
-    both bodies the larger, and at least 1e-6 m.
+    L [m] is the larger of sqrt(trace(I) / m) and the distance of the CoM from the origin, and at
+    least 1e-6 m. trace(I), m and the distance are each the larger value of both bodies.
     """
     mass = max(abs(first.mass), abs(second.mass))
     inertia_trace = max(float(np.trace(body.inertia)) for body in (first, second))

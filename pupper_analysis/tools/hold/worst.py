@@ -164,11 +164,21 @@ class TorqueSearch:
     def _find_peak(
         self, joint: int, sign: float, qpos: Array, motion: int, current: float, *, fine: bool
     ) -> float:
-        """Return the displacement along a motion [rad, m] with the largest ``sign`` times torque.
+        """Find the displacement along a motion with the largest torque of a joint in one direction.
 
-        ``current`` is this value at zero displacement. The maximum is in closed form for a hinge;
-        along slides the torque is linear, and an end of the range is the maximum. Else the torque
-        is sampled.
+        For a hinge the maximum is in closed form. Along slides the torque is linear, so an end of
+        the range is the maximum. Otherwise the torque is sampled.
+
+        Args:
+            joint: Index of the joint whose torque is maximised.
+            sign: 1 or -1: direction of maximisation.
+            qpos: Posture at zero displacement, shape (nu,).
+            motion: Index of the motion.
+            current: ``sign`` times the torque at ``qpos`` [N m, N].
+            fine: Also search between the samples of motions with numerically closed loops.
+
+        Returns:
+            Displacement [rad, m].
         """
         motions = self._motions
         low, high = motions.find_range(qpos, motion)

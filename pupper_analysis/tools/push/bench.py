@@ -403,10 +403,10 @@ class PushBench:
         )
 
     def _is_at_rest(self, states: Array) -> bool:
-        """Return True if the robot is slow and upright, and no mode of the spectrum leaves.
+        """Return True if the robot is slow, upright, and no mode doubles within `HOLD_DURATION`.
 
-        A mode that grows is not confirmed by a nudged simulation of 48 s: the push is simulated to
-        the end instead, which is shorter.
+        The predicted motion of the base must be small, too. A growing mode is not tested by a
+        nudged simulation of 48 s: the push is simulated to the end instead, which is shorter.
         """
         model = self.drive.model
         rates = states[-round(_SLOW_DURATION / self.timestep) :, 1 + model.nq :][:, : model.nv]

@@ -56,7 +56,10 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
 
 
 def _select_next_step(pushed: PushedStance) -> NextStep:
-    """Return the next command: it shows a failure's cause, or finds a stance that tips later."""
+    """Return the next command: `best margin` (stance that tips later), or `stand` after a failure.
+
+    If the robot stands and torque limits are unknown, the next command is `audit`.
+    """
     if pushed.peak_torques is not None:
         return NextStep("audit")
     return NextStep("best", ("margin",)) if pushed.passed else NextStep("stand")

@@ -86,7 +86,7 @@ class UrdfSide(Side):
         return pose
 
     def _find_mover(self, link: str) -> str:
-        """Return the joint, or base, with which a link moves."""
+        """Return the joint that moves a link (links on fixed joints included), or the base."""
         while link not in self._mover_of_link:
             link = self._parent_joints[link].parent
         return self._mover_of_link[link]

@@ -712,7 +712,12 @@ def differentiate_motion(
 
 
 def _make_steps(columns: list[int], information: Array | None) -> Array:
-    """Return k steps of the k parameters ``columns``, shape (k, k), in prior widths, in rows."""
+    """Return finite-difference steps of the k parameters with indices ``columns``, shape (k, k).
+
+    Each row is a step, in prior standard deviations: of a single parameter without ``information``
+    (inverse covariance), else along an eigenvector, with a length of `_DIFFERENCE_STEP` posterior
+    standard deviations.
+    """
     if information is None:
         return _INITIAL_DIFFERENCE_STEP * np.eye(len(columns))
     values, directions = np.linalg.eigh(information[np.ix_(columns, columns)])
