@@ -244,7 +244,11 @@ def _find_modes(
     # Modes that depend on the finite-difference step may be errors, and do not count as known.
     known = [mode.growth for mode in spectrum.unstable if mode.repeated_at_second_step]
     fastest = max(known, default=0.0)
-    added = [mode for mode in lifted.modes_growing_within() if mode.growth > fastest]
+    added = [
+        mode
+        for mode in lifted.modes_growing_within()
+        if mode.growth > fastest and not mode.without_dry_friction
+    ]
     unstable = sorted([*spectrum.unstable, *added], key=lambda mode: -mode.growth)
     return replace(spectrum, unstable=tuple(unstable)), settled
 
