@@ -318,7 +318,7 @@ class Balance:
     def _is_balanced(self, forces: Array) -> bool:
         """Return True if forces (size,) balance the base load, up to `BALANCE_TOLERANCE`."""
         error = math.hypot(*(self.base_rows @ forces - self.base_load).tolist())
-        return error < BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
+        return error <= BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
 
     def _largest_violation(self, forces: Array, friction: Array) -> float:
         """Return the largest violation of a friction cone or grip limit [N].

@@ -18,6 +18,7 @@ from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import friction_utilisation_of
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.engines import addresses, evaluate_mujoco, with_efforts
+from tests.support.repository import ROOT
 from tests.support.states import numbers
 from tests.support.variants import NAMES, load, stand_of
 
@@ -717,3 +718,12 @@ def test_friction_utilisation_without_normal_force_or_friction_is_infinite(
 ) -> None:
     """Closed form: |f_t| / (mu f_n), here 5 N / (0.5 x 10 N)."""
     assert friction_utilisation_of(force, (0.0, 0.0, 1.0), friction, 1e-9) == utilisation
+
+
+def test_without_gravity_all_torques_and_forces_are_zero() -> None:
+    """The base load is exactly zero, so that zero forces balance without any tolerance."""
+    text = (ROOT / "mjcf/pupper_skeleton.xml").read_text("utf-8")
+    robot = pa.load_robot(text.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"'))
+    held = pa.gravity_compensation(pa.Configuration(robot, robot.neutral()))
+    assert not held.joint_torques.any()
+    assert not np.array(list(held.contact_forces.values())).any()
