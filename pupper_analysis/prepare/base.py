@@ -34,8 +34,9 @@ _GROUND_ATOL = 1e-6
 ground level. The tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
-"""Cosine of the tilt of the base frame in the keyframe `home`, or else the first one, below which
-the tilt is noted and the frame is not raised: about 45 deg. Chosen, not tuned."""
+"""Lower bound of the cosine of the base tilt in the keyframe `home` (else the first keyframe, else
+the initial state), about 45 deg. With a smaller cosine, a note reports the tilt, and the origin of
+the base frame is not moved upward. Chosen, not tuned."""
 
 
 def free_base(

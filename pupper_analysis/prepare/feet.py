@@ -275,7 +275,17 @@ def _select_sphere(
 def _locate_link(
     robot: Robot, name: str, frames: tuple[str, str], joints: Array
 ) -> tuple[int, Array]:
-    """Return the id of the moving body of a link of the URDF, and the link's position (3,) [m]."""
+    """Return the id of the moving body of a link of the URDF, and the link's position (3,) [m].
+
+    Args:
+        robot: Robot.
+        name: Name of the foot, for error messages.
+        frames: Link in the URDF, and geom, site or body in the MJCF (for error messages).
+        joints: Joint positions, shape (nu,) [rad, m].
+
+    Raises:
+        UnknownNameError: If the URDF has no such link.
+    """
     model, (link, frame) = robot.pin_model, frames
     number = next(
         (index for index, pin_frame in enumerate(model.frames) if pin_frame.name == link), None

@@ -177,7 +177,7 @@ Chosen as a bound of rounding errors."""
 def _report_buried_feet(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> tuple[Diagnostic, ...]:
-    """Report the first foot that penetrates the ground by more than the radius."""
+    """Report the first foot that penetrates the ground by more than its contact radius."""
     if statics is None:
         return ()
     for foot, force in statics.contact_forces.items():

@@ -182,8 +182,8 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
 
 
 _MIN_STATED_CLEARANCE = 1e-3
-"""Clearance at reset [m] above which the statement of a keyframe run contains the clearance.
-Chosen, not tuned."""
+"""Height [m] of the robot above the ground at reset, above which the message about the simulation
+from a keyframe states the height. Chosen, not tuned."""
 
 _DETAIL_CODE = "own-run"
 """Code of the statement about the simulation from a keyframe. The short answer omits the statement

@@ -70,8 +70,9 @@ which a deviation counts as growing exponentially. Chosen between 1, for exponen
 for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
-"""Deviation D relative to the initial deviation above which an oscillation counts as sustained
-after ``_HALF_TIME`` (18 s). Chosen, not tuned."""
+"""Lower bound of the ratio of the deviation D (module docstring, step 2) after at least
+``_HALF_TIME`` (18 s) to the initial deviation, with which an oscillation counts as sustained.
+Chosen, not tuned."""
 
 _MAX_WINDOW = 1.0
 """Upper bound of the time window over which the maximum of an oscillating deviation is taken [s].

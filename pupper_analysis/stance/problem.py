@@ -272,7 +272,16 @@ def _build_goal(
     *,
     checked: bool = True,
 ) -> Goal:
-    """Build the goal of a task, as `make_goal`; ``com`` is used if the task specifies no CoM."""
+    """Build the goal of a task, as `make_goal`.
+
+    Args:
+        robot: Robot.
+        task: Task.
+        com: Mode of the horizontal CoM position if the task specifies none: "centre" or "inside".
+        depths: {foot: penetration of the ground [m]}; 0 for other feet.
+        like: Goal whose contacts and foot targets are reused if its task has equal feet.
+        checked: True to reject tasks that no stand can satisfy.
+    """
     if task.contacts:
         task = _add_planes(robot, task)
     if like is not None and _have_equal_feet(like.task, task):

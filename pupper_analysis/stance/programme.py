@@ -348,7 +348,7 @@ class StanceProgram:
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _make_goal(self, values: Array, like: Goal) -> Goal:
-        """Create the goal of relaxed values [m, rad]; equal foot targets of ``like`` are reused."""
+        """Create the goal with relaxed values [m, rad]; equal foot targets of ``like`` are kept."""
         return make_goal(
             self._robot, self._numbers.make_task(values), self._goal.depths, like, checked=False
         )

@@ -183,11 +183,12 @@ class _Search:
         return [] if fewest is None else [fewest]
 
     def _find_smallest(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
-        """Return the smallest relaxation of demands from several initial configurations (nq,).
+        """Return the smallest relaxation of requirements (``demands``) with which a stand exists.
 
-        The stand of the task with nominal values of these demands is an additional initial
-        configuration, if the default guesses find it. If several demands must be relaxed, it gave
-        the best result in 27 of 28 refusals. None if no feasible relaxation is found.
+        The nonlinear program starts from each initial configuration (nq,) in ``starts``, and from
+        the stand of the task with nominal values of these demands, if the default guesses find it.
+        If several demands must be relaxed, this stand gave the best result in 27 of 28 refusals.
+        None if no feasible relaxation is found.
         """
         elastic = StanceProgram(self.context.shapes, self.goal, demands)
         basis = [elastic.solve(start) for start in starts]

@@ -67,8 +67,9 @@ _NUM_RANDOM_GUESSES = 32
 has no exact IK branches. Measured on 48 stands of six bipeds: one additional stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Names of the clearance constraints. `minimise_foot_errors` leaves them out, and so does the
-program of a search if the base would be in the ground; the error of the search then names them."""
+"""Names of the clearance constraints. `minimise_foot_errors` omits these constraints. The nonlinear
+program of a search omits them, too, if the base would be in the ground, so that the error of the
+search reports the clearances."""
 
 
 def search_stand(

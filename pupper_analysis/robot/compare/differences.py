@@ -110,7 +110,8 @@ _MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions
 """Quantities of the first element of `Difference.relative_effects`."""
 
 _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
-"""Quantities whose largest relative effect orders the differences of a tier."""
+"""Quantities whose largest relative effect orders the differences of equal urgency
+(`Difference.tier`)."""
 
 
 @dataclass(frozen=True)

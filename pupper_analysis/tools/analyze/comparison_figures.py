@@ -41,8 +41,8 @@ MIN_SHOWN_DEVIATION = 1e-4
 micrometre is far below what a robot can measure, so smaller values need no separate colours."""
 
 MIN_SHOWN_LOSS = 0.1
-"""Smallest magnitude of the lower end of the axis of heights [mm]. Chosen, not tuned: less is
-rounding of a picture."""
+"""Smallest height loss [mm] to which the vertical axis extends. Chosen, not tuned: less is rounding
+of a picture."""
 
 _LOSS_WINDOW = 1.0
 """Length [s] of the window at the end of a curve, over which the legend states the mean height.

@@ -29,8 +29,9 @@ from pupper_analysis.statics.equilibrium import distribute_loads
 Array = NDArray[np.float64]
 
 SMALL_PAYLOAD_RATIO = 0.1
-"""Payload mass, relative to the robot's mass, of the second of two equilibria from which torques
-and forces are extrapolated. A mass that tips the robot has no equilibrium. Chosen, not tuned."""
+"""Payload mass, relative to the robot's mass, of an equilibrium from which torques and forces are
+extrapolated, together with the equilibrium without payload. A mass that tips the robot has no
+equilibrium. Chosen, not tuned."""
 
 
 class SmallPayload:

@@ -40,8 +40,8 @@ HEIGHT_RESERVE = 0.05
 stretched or folded there. Chosen."""
 
 MAX_OUTWARD_STEP = 0.25
-"""Largest displacement of a foot outwards along x or y, relative to the largest reachable height.
-Chosen."""
+"""Largest outward displacement of a foot from its initial position along x or y, relative to the
+largest reachable base height. Chosen."""
 
 MAX_INWARD_STEP = 0.5
 """Largest displacement of a foot inwards along x or y, relative to the smallest distance of a free

@@ -1203,4 +1203,5 @@ _SEARCHES = (
     find_foreign_inertials,
     find_moved_axes,
 )
-"""Searches in the order of execution. A difference belongs to the first cause that explains it."""
+"""Functions that search for causes of differences, in the order of execution. A difference belongs
+to the first cause that explains it."""

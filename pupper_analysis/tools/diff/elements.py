@@ -253,8 +253,9 @@ _NUM_SAMPLES = 200
 Chosen, not tuned."""
 
 _MIN_FALL_HEIGHT = 1.0
-"""Height [m] of the old CoM above the new CoM at the end of the simulations, above which the new
-robot is reported as falling through or off the floor. Chosen, not tuned."""
+"""Lower bound of the height [m] of the old version's CoM above the new version's CoM at the end of
+the simulations, with which the new robot is reported as falling through or off the floor. Chosen,
+not tuned."""
 
 NUMBER_RTOL = 1e-9
 """Relative difference up to which two numbers of elements count as equal: rounding by programs that

@@ -49,11 +49,12 @@ longer reach this decrease; the last step then widens the covariance. 1 correspo
 deviation. Chosen, not tuned."""
 
 _MIN_DAMPING = 1e-3
-"""Smallest nonzero damping, relative to the diagonal of the information. Chosen, not tuned."""
+"""Smallest nonzero damping of a step, relative to the diagonal of the information matrix. Chosen,
+not tuned."""
 
 _MAX_DAMPING = 1e2
-"""Largest damping, relative to the diagonal of the information: the step is about a hundredth of
-the undamped step. Chosen, not tuned."""
+"""Largest damping of a step, relative to the diagonal of the information matrix: the step is about
+a hundredth of the undamped step. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,8 +139,8 @@ def _format_factor_name(parameter: Parameter, value: float) -> str:
 
 
 NUM_SAMPLES = 512
-"""Default number of samples. The standard error of the sample mean is 1/sqrt(512), 4 % of a
-standard deviation."""
+"""Default number of random robots that are drawn from the posterior distribution. The standard
+error of their mean is 1/sqrt(512), 4 % of a standard deviation."""
 
 
 def draw_samples(

@@ -218,7 +218,11 @@ class JointMotions:
             self.moved[motion] = self._coupled_joints[motion]
 
     def _opens_loop(self, closure: Closure, motion: int) -> bool:
-        """Return True if proportional motion opens the loop at a tested fraction of the range."""
+        """Return True if a loop opens when its joints move in proportion along a motion.
+
+        Tested are the fractions `_TESTED_RANGE_FRACTIONS` of the range, with the bound
+        `_MAX_LINEAR_OPENING`.
+        """
         ends = np.array(self.find_range(self.origin, motion))
         return any(
             closure.violation_error(self.origin + fraction * end * self.steps[:, motion])

@@ -39,8 +39,8 @@ _T = TypeVar("_T", float, NDArray[np.float64])
 """Type of a value that is interpolated: a number or an array."""
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Constraints whose target values ``interpolate_task`` computes. Values of all other constraints
-are interpolated between the two stances."""
+"""Constraints with target values that ``interpolate_task`` computes from the path segment. The
+target values of all other constraints are interpolated between the two stances."""
 
 UNLOADED_HEIGHT = 1e-12
 """Height [m] that represents a foot that touches the ground without load. Chosen: positive, but

@@ -109,8 +109,8 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_SERVOS = 5
-"""Smallest number of position servos beside which a single actuator of another kind is reported.
-Chosen, not tuned."""
+"""Smallest number of servos in an MJCF with which a single actuator without position feedback is
+reported as a probable mistake. Chosen, not tuned."""
 
 
 @rule

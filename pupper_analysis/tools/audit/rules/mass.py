@@ -459,8 +459,8 @@ def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_EQUAL_FRACTION = 0.75
-"""Fraction of the links with a known volume that have one density, from which it is reported. In 30
-published robots with measured masses the largest fraction is 0.44."""
+"""Smallest fraction of the links with known volume that have the same density, with which this
+density is reported. In 30 published robots with measured masses the largest fraction is 0.44."""
 
 MIN_COMPARED_LINKS = 4
 """Smallest number of links with mass and known volume, for a comparison. Chosen, not tuned."""

@@ -295,6 +295,7 @@ _MULTIPLE_TOLERANCE = 0.05
 it counts as a multiple. The distance covers rounding in the file. Chosen, not tuned."""
 
 _MAX_STEPS = 50
-"""Number of differences between readings that are tested, the smallest first: the step has the
-rounding error of the smallest difference, which changes the ratios of large differences more. Fifty
-random differences are multiples of a step with a probability of 1e-49. Chosen, not tuned."""
+"""Largest number of differences between readings (the smallest ones) that are tested as multiples
+of an encoder step. A tested step has the rounding error of the smallest difference, which has a
+larger effect on the ratios of large differences. Fifty random differences are multiples of a step
+with a probability of 1e-49. Chosen, not tuned."""

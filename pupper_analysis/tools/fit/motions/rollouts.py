@@ -274,7 +274,10 @@ class Simulator:
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
     def _get_delay(self, vector: Array, part: str = "") -> float:
-        """Return the delay [s], or with a component the lag of commands or positions [s]."""
+        """Return the delay in a parameter vector [s], or the lag of a ``part`` [s].
+
+        Parts are those of `DELAY_PARAMETERS`: commands and positions.
+        """
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
     def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:

@@ -953,10 +953,11 @@ def _get_encoder_offsets(
 def _drop_uninformative_commands(
     robot: Robot, stands: MeasuredStands, kp: Array, offsets: Array, offset_std: Array
 ) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
-    """Return stands without commands that do not determine a torque, and notes on omissions.
+    """Return stands without the commands that do not determine a torque, and notes on omissions.
 
-    A joint near a limit may rest on a stop, as far as encoder offsets are known. The command of a
-    motor at the torque limit may lead by any amount.
+    Omitted are commands of joints that may rest on a stop (near a limit, within the uncertainty of
+    the encoder offsets), and of motors at the torque limit, where the servo error may have any
+    size.
     """
     commanded, position = np.isfinite(stands.command), stands.position - offsets
     servo_error, margin = (

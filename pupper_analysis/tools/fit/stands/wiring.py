@@ -25,8 +25,9 @@ from pupper_analysis.tools.fit.result import Fit
 Array = NDArray[np.float64]
 
 _MAX_FITTED_WIRINGS = 3
-"""Maximum number of wirings that are fitted, since a fit is slow. Usually the true wiring is ranked
-first, or second if an encoder offset is large as well."""
+"""Maximum number of wirings (assignments of measured columns to joints, with signs) that are
+fitted, since a fit is slow. Usually the true wiring is ranked first, or second if an encoder offset
+is large as well."""
 
 
 @dataclass(frozen=True)
