@@ -47,10 +47,10 @@ MAX_UNSIGNALLED_STATUS = 128
 
 
 def end_without_waiting(status: int) -> None:
-    """Exit at once after a signal if non-daemon threads are still running.
+    """End the process at once, with an exit status, if non-daemon threads are still running.
 
-    At this point all output is written. A normal exit would wait for the threads of pools, for
-    example threads of the browser sessions of ``live``: 5 to 9 s with twelve sessions.
+    Called after a signal, when all output is written. A normal exit would wait for the threads, for
+    example 5 to 9 s for those of twelve browser sessions of ``live``.
     """
     main_thread = threading.main_thread()
     if any(thread is not main_thread and not thread.daemon for thread in threading.enumerate()):

@@ -12,9 +12,7 @@ from pupper_analysis.base.errors import ConfigurationError
 
 
 def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
-    """Refuse typed options of the running command that are unused in the selected mode.
-
-    A new option is refused in each mode that does not list the option.
+    """Refuse options that the user typed and that the selected mode of the command does not use.
 
     Args:
         mode: Option that selects the mode, such as ``--plan``.

@@ -101,7 +101,7 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     name = "robot"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the text that names a robot; for ``-``, the name of standard input as a file."""
+        """Return the word for a robot unchanged, but for ``-`` a path to the standard input."""
         return str(shared.MODEL_FILE.convert(value, param, ctx)) if value == "-" else value
 
     def shell_complete(
@@ -331,7 +331,7 @@ def add_options(
     """Return a decorator that adds the options of the given groups to a command, in this order."""
 
     def add(command: Command) -> Command:
-        """Add the options to a command."""
+        """Add the options of all groups to a command."""
         for option in reversed([option for group in groups for option in group]):
             command = option(command)
         return command

@@ -252,7 +252,7 @@ class _WarningSuppressor:
                 warnings.simplefilter("ignore")
 
     def end(self) -> None:
-        """Unregister a user of the suppression; after the last, restore MuJoCo's handler."""
+        """Unregister a user of the warning suppression; the last one restores MuJoCo's handler."""
         with self._lock:
             self._num_users -= 1
             if not self._num_users:

@@ -277,7 +277,7 @@ def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[N
     find_by_ros = substitution._eval_find
 
     def find(package: str) -> str:
-        """Return the folder of a ROS package by `find_packages`, else by ROS."""
+        """Return the folder of a ROS package; ROS is asked if `find_packages` does not find it."""
         folders = find_packages(package, path.absolute().parent, packages)
         if folders:
             return str(folders[0].absolute())

@@ -44,7 +44,10 @@ class Pose:
         return Pose(self.point(other.position), self.rotation @ other.rotation)
 
     def point(self, local: Array) -> Array:
-        """Transform a point (3,), or points (n, 3) [m]: x = position + rotation x'."""
+        """Transform a point (3,) or points (n, 3) [m] from the frame with this pose to its parent.
+
+        x = position + rotation x'.
+        """
         transformed: Array = local @ self.rotation.T + self.position
         return transformed
 

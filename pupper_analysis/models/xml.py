@@ -212,7 +212,10 @@ def write_halves(text: str) -> str:
 
 
 def add_element(parent: etree._Element, tag: str, **attributes: str | None) -> etree._Element:
-    """Add a child element. Attributes with the value None are left out; ``class_`` is ``class``."""
+    """Add a child element with attributes; the argument ``class_`` sets the attribute ``class``.
+
+    Attributes with the value None are left out.
+    """
     present = {name.rstrip("_"): text for name, text in attributes.items() if text is not None}
     return etree.SubElement(parent, tag, present)
 

@@ -507,7 +507,7 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 
 
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Return the changes made on loading that no disabled element of the published model imitates.
+    """Return causes of deviations that lie in the preparation, and not in the published file.
 
     These are bodies with collision shapes that were replaced by spheres, and joints whose actuator
     is neither servo nor motor (`Drive.has_other_law`).

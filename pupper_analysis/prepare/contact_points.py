@@ -133,19 +133,17 @@ the radius, with which the sphere replaces the foot. Chosen, not tuned."""
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
     """Compute the sphere that approximates an ellipsoid at its lowest point.
 
-    The sphere touches the ellipsoid there, and has the mean of the two radii of curvature.
-
-    With the half axes in S, the support function is h(d) = |S d|, attained at S^2 d / h. The
-    principal radii of curvature there are the two non-zero eigenvalues of the second derivative of
-    h, which is S^2 / h - S^2 d d^T S^2 / h^3 (Schneider 2014, Convex Bodies, section 2.5). Half of
-    the trace is the mean of both radii.
+    The sphere touches the ellipsoid there. Its radius is the mean of the two principal radii of
+    curvature: half of the trace of S^2 / h - S^2 d d^T S^2 / h^3, with the half axes in the
+    diagonal matrix S, the direction d (``down``) and h = |S d|. Source: Schneider, "Convex Bodies",
+    2014, section 2.5.
 
     Args:
-        shape: An ellipsoid, placed in the world.
-        down: shape (3,), unit vector towards the ground, expressed in the world frame.
+        shape: Ellipsoid, placed in the world.
+        down: Unit vector towards the ground, shape (3,), in the world frame.
 
     Returns:
-        The centre, shape (3,) [m], expressed in the world frame, and the radius [m].
+        Centre, shape (3,) [m], in the world frame, and radius [m].
     """
     turn, squares = shape.pose.rotation, np.array(shape.size) ** 2
     local = turn.T @ down

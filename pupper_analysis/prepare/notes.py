@@ -73,9 +73,10 @@ def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnosti
 
 
 def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
-    """Return {foot: message} of the feet whose shape is replaced by balls, a message per kind.
+    """Return {foot: message} of the feet whose collision shapes are replaced by spheres.
 
-    The kinds are ellipsoids, soles, and other feet.
+    There are three messages, each of which names all feet of a kind: ellipsoids, soles (several
+    contact points), and other feet.
     """
     soles, others, ellipsoids = list[str](), list[str](), list[str]()
     for foot in feet:

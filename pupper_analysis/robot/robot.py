@@ -505,9 +505,10 @@ class Robot(EngineModels):
 
     @cached_property
     def closure(self) -> Closure | None:
-        """Closed loops and couplings of the MJCF's joints.
+        """Closed loops and joint couplings of the robot, from the equalities of the MJCF.
 
-        None in the cases that `find_closure` lists.
+        None if no active equality constrains the robot's joints, or if one couples the robot to the
+        world (`find_closure`).
         """
         return find_closure(self.mj_model, self.mj_convention, self.joint_names)
 

@@ -35,8 +35,8 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
     The floor is tilted, and a box is added for each step (a cylinder for a bar), with the contact
     parameters of the floor; the parameters of a plane with own friction come from `Robot.contacts`.
-    A foot on a step does not collide with the floor, because the foot would sink into the floor
-    through a low step, and the floor covers a step down. A flat foot collides with a plane on top
+    A foot on a step does not collide with the floor: a step down is below the floor, and a foot
+    that sinks into a low step would reach the floor. A flat foot collides with a plane on top
     of the box, which no other geom touches, because MuJoCo places the contacts of a sole with a box
     at other points than the contacts with a plane. Only the contact sphere of a hand collides with
     the plane of the hand, because the shapes of the hand surround the sphere.

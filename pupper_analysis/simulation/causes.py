@@ -45,7 +45,9 @@ at rest move at 0.02 to 0.12 of the nudge without end."""
 
 
 def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
-    """Report the fastest growing mode, or a nudge that does not decay, and joints that it moves.
+    """Report the fastest growing mode, or else a nudge that does not decay.
+
+    A joint that the nudge displaces too far, at the end or temporarily, is reported as well.
 
     Args:
         stability: Stability at the settled state. Modes are reported only if the state is at rest.

@@ -152,7 +152,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     def compute_surplus_force(drop: float) -> float:
         """Return the supporting force minus the weight [N] after lowering the base by ``drop`` [m].
 
-        Both are components along the ground normal. Contacts and gravity compensation support.
+        Both are components along the ground normal. The supporting force is that of contacts,
+        constraints and passive elements, such as gravity compensation.
         """
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal

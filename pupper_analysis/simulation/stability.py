@@ -350,16 +350,17 @@ def measure_response(
 ) -> Nudge:
     """Measure the response to a nudge: remaining speeds [m/s, rad/s], joint displacements [rad, m].
 
-    Feet creep on MuJoCo's friction at a speed that hardly changes, before the nudge and after.
-    Speeds are therefore deviations from a straight line in time. The mean speed of a free base is
-    compared with the speed before the nudge: without friction, the base keeps the nudge's velocity.
+    Feet creep slowly on MuJoCo's soft friction, also without a nudge. To exclude the creep, the
+    straight line that fits each velocity over time is subtracted. The mean velocity of a free base
+    counts as far as it is larger than before the nudge, because without friction the base keeps the
+    nudge's velocity.
 
     Args:
         model: MuJoCo model.
         before: State before the nudge, shape (size,).
         states: States after the nudge, shape (n, size).
-        creep: States before the nudge, shape (m, size), from which creep rates of the joints are
-            measured; displacements are reduced by the creep. None: no creep, and mean speeds of
+        creep: States before the nudge, shape (m, size). The creep of the joints in these states is
+            subtracted from the displacements. None: nothing is subtracted, and mean velocities of
             the base are not compared.
     """
     third, timestep = len(states) // 3, float(model.opt.timestep)

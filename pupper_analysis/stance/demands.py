@@ -121,7 +121,7 @@ class DemandVector:
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Return the numbers of this vector as another task specifies them, (n,) [m, rad].
+        """Return the values of the vector's n requirements in another task, shape (n,) [m, rad].
 
         Args:
             task: Task that specifies the same fields for the same feet, with other values.

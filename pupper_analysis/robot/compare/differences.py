@@ -221,7 +221,7 @@ class Difference(Stated, Result):
 
     @property
     def tier(self) -> int:
-        """Tier of urgency.
+        """Urgency of the repair of this difference, from 0 (most urgent) to 3.
 
         0: structure, convention or gravity (``_STRUCTURE_KINDS``). 1: relative effect of at least
         ``_MIN_RELATIVE_EFFECT``, or relative mass difference of at least ``_MIN_RELATIVE_MASS``. 2:
@@ -734,16 +734,18 @@ def _compare_joint_parameters(
 def convention_changes(
     found: Conventions, first: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> Iterator[tuple[Difference, MultibodyTree]]:
-    """Yield the differences of base frame and joint zeros, each with a tree that shows its effect.
+    """Yield each difference of base frame or joint zero between two trees, with a modified tree.
+
+    The modified tree has the difference, so that its effect can be computed.
 
     Args:
-        found: Differences between the conventions of both trees. A displaced frame of a fixed base
-            is not yielded if it is confirmed (``Conventions.shown``).
-        first: First tree, converted to the conventions of the second tree.
+        found: Base frame and joint zeros of one tree relative to the other. A displaced frame of a
+            fixed base is not yielded if other elements confirm it (``Conventions.shown``).
+        first: First tree, converted to the base frame and joint zeros of the second tree.
         sides: Names of the models.
 
     Yields:
-        Difference, and the first tree with the original convention of this base frame or joint.
+        Difference, and ``first`` with the original base frame or the original zero of the joint.
     """
     if found.base is not None and (first.floating or not found.shown):
         message = diagnose(

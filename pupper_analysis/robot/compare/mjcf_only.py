@@ -304,9 +304,9 @@ def split_mimics(
     q0 = a0 + a1 (q_leader - q0_leader). Therefore m = a1 and c = a0 + q0 - a1 q0_leader.
 
     Args:
-        found: Effects of the reference.
+        found: Elements that only the MJCF can specify (`mjcf_only_effects`).
         reference: The MJCF.
-        mimics: Mimic joints of the URDF, in the names of the reference.
+        mimics: Mimic joints of the URDF, with the joint names of the MJCF.
         tolerance: Tolerance of offsets [rad, m], and of multipliers (relative, or absolute below
             1).
 

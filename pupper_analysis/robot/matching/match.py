@@ -107,15 +107,18 @@ alternatives are sorted from small to large."""
 
 
 def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
-    """Return the subtrees (parts) that could be removed because the other file lacks their joints.
+    """List the parts (subtrees) that could be removed because the other file lacks their joints.
 
-    The parts are grouped by the moving joint that carries them ("" for the base). Each group has
-    alternatives. In the first, each part begins at the link that a missing joint moves; in each
-    further one, it begins one fixed link closer to the carrying joint.
+    A part begins at the link that a missing joint moves, or at a link that is fixed between this
+    joint and the moving joint that carries the part. These choices are alternatives.
 
     Args:
-        tree: Tree of the file.
+        tree: Tree of the file with the parts.
         extra: Joints that the other file lacks.
+
+    Returns:
+        Pairs of a carrying joint ("" for the base) and the alternatives for its parts, the smallest
+        parts first.
     """
     chains: dict[str, list[list[RemovablePart]]] = {}
     for name in tree.names:

@@ -68,7 +68,7 @@ class Tolerances:
     def fine() -> Tolerances:
         """Return tolerances of 1e-9, except for gravity, which has the default tolerance.
 
-        A URDF does not specify gravity.
+        Gravity is excepted because a URDF does not specify it.
         """
         return replace(Tolerances.strict(), gravity=Tolerances().gravity)
 

@@ -743,8 +743,8 @@ class SagEquilibrium:
         """Return the pull of a touching contact [N], or the penetration of another point [m].
 
         The penetration includes the contact margin, and is reduced by `CONTACT_DEPTH_TOLERANCE`.
-        Positive values are violations. Zero for touching points of a sole: their depth law has no
-        pull.
+        Positive values are violations. Zero for touching points of a sole, whose equation between
+        depth and force permits no pull.
         """
         if foot in self.anchors:
             # The depth equation of a sole point has no pull.

@@ -211,7 +211,7 @@ class StanceSpace:
         Returns:
             A direction per column, shape (n, k), in the coordinates [m or rad]: base coordinates
             (only height, x and pitch if the task is symmetric), length of the stance, width of the
-            front feet, width of the rear feet. Columns of feet that move no foot are omitted.
+            front feet, width of the rear feet. A column that would move no foot is omitted.
         """
         keep = (0, 1, 4) if self.is_symmetric else range(len(BASE_COORDINATES))
         columns = [np.eye(len(self.start))[index] for index in keep]

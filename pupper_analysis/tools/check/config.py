@@ -84,7 +84,7 @@ class GuardConfig:
 
 
 def find_config(start: Path | None = None) -> Path:
-    """Find the configuration in a folder or the folders above.
+    """Return the path of the configuration file (`CONFIG_NAME`) in a folder or the folders above.
 
     Args:
         start: Folder; by default the current folder.

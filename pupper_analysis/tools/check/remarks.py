@@ -235,7 +235,7 @@ def make_remark(
     other_place: str | None = None,
     consequences: tuple[Diagnostic, ...] = (),
 ) -> Remark:
-    """Create a remark whose baseline values are the code and the values of a diagnostic.
+    """Create a remark from a diagnostic, whose code and values the baseline stores.
 
     Args:
         check: As ``Remark.check``.

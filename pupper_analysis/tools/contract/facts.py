@@ -309,9 +309,10 @@ class Node:
         return node
 
     def find_first(self, names: str) -> Node:
-        """Return the entry of this node under the first present key of a concept.
+        """Return the entry of this node for a concept, whose key depends on the file format.
 
-        Formats have different keys for a concept. If all are missing, the value is None.
+        Of the possible keys, the first that is present counts. If all are missing, a node with the
+        value None is returned.
 
         Args:
             names: Concept, a key of `KEY_ALIASES`.

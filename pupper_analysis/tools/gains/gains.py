@@ -204,9 +204,9 @@ class GainStudy(Result):
 
     @property
     def exceeded(self) -> tuple[JointClass, ...]:
-        """Joint classes with present gains above a bound.
+        """Joint classes whose present kp or kd is above its upper bound.
 
-        These are the bound of kp by the torque limit, and of kd by the resolution of the encoder.
+        The torque limit bounds kp, and the resolution of the encoder bounds kd.
         """
         return tuple(
             one

@@ -267,7 +267,7 @@ class PayloadLimit(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the largest payload is known (not NaN) and positive, and the simulations hold."""
+        """Whether the largest payload is known and positive, and the stance holds in simulation."""
         return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.survived)
 
 

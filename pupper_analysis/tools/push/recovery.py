@@ -253,17 +253,15 @@ def push_recovery(
     """Find the largest horizontal push, in each direction, from which a stand recovers.
 
     The push is a constant force for 20 ms from t = 0 on, at the CoM of the base body, on a robot at
-    rest in balance. A force is defined for all contacts; an initial velocity would have to include
-    the feet, against friction, or exclude the feet, against the joints. The servos hold the stand.
-    (Without feed-forward the robot starts to sag during the push.)
+    rest in balance. The servos hold the stand; without feed-forward the robot starts to sag during
+    the push.
 
     A stand that does not stay on the feet in ``verify_stand`` withstands no push.
 
     The robot recovers if only feet touch the ground in the whole simulation, and if at the end the
     base tilts by less than 0.5 rad, the CoM has more than half of its height, and the base is at
-    rest. The base is at rest if its speed, with decay or growth extrapolated from the speed and
-    the spectrum of MuJoCo's step, moves it by less than a tenth of the CoM height in the remaining
-    time: a slow fall is no rest. The robot may slide or turn about the vertical. A simulation ends
+    rest. A slow fall is no rest: the motion extrapolated to the remaining time must be less than a
+    tenth of the CoM height. The robot may slide or turn about the vertical. A simulation ends
     early if another body touches the ground, or if the robot is at rest and no mode leaves this
     state; the returned limits were simulated to the end. If the robot is upright at the end and not
     at rest, the simulation goes on until the robot rests or falls, up to ten times as long.

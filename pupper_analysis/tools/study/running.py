@@ -382,7 +382,7 @@ class WorkerPool:
         return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._list_processes())
 
     def end_processes(self) -> None:
-        """End the processes of the pool. A given executor is not changed."""
+        """End the worker processes; those of an executor that the caller passed keep running."""
         if self._given_executor is None and self._executor is not None:
             pool, processes = self._executor, self._list_processes()
             pool.shutdown(wait=False, cancel_futures=True)

@@ -194,9 +194,10 @@ class TrackedInterval(Result):
 
     @property
     def inside(self) -> bool | None:
-        """Whether all seeds track the command in the whole measured interval of the quantity.
+        """Whether the policy tracks the command, with all seeds, in the whole measured interval.
 
-        None without a measured interval.
+        The interval is that of the varied quantity on the real robot (``measured``). None without
+        a measured interval.
         """
         if self.measured is None:
             return None

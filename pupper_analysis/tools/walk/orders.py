@@ -120,10 +120,10 @@ class Orders(Result):
 
     @property
     def alike(self) -> tuple[int, ...]:
-        """Indices of the candidates that are about as good as the best, which is the first one.
+        """Indices of the interpretations that are about as good as the best, which has index 0.
 
-        They track as many commands, at a cost of at most `MIN_COST_RATIO` times that of the first.
-        Empty if no candidate tracks a command.
+        They track as many commands, at a cost of at most `MIN_COST_RATIO` times that of the best.
+        Empty if no interpretation tracks a command.
         """
         best = self.candidates[0]
         return tuple(

@@ -275,9 +275,10 @@ class StandRows:
         do not affect.
 
         Returns:
-            Projected residuals with the derivative by the parameters, as sums; and the
-            Gauss-Newton step of the unknowns of the stand, shape (3 + 3 p,), for p contact points:
-            rotations about the base x and y axes [rad], base height [m], forces [N].
+            Sums (`LinearisedResiduals`) of the projected residuals, with the parameters as the only
+            unknowns; and the Gauss-Newton step of the unknowns of the stand, shape (3 + 3 p,), for
+            p contact points: rotations about the base x and y axes [rad], base height [m],
+            forces [N].
         """
         projected, log_noise, step = self._project_out_unknowns(
             np.column_stack([self.residual, self.by_x])
@@ -675,8 +676,8 @@ class GravityRegressor:
 
         Returns:
             Generalised forces, shape (nv,) [N, N m]; derivatives by each body's mass, shape (nv,);
-            by each body's CoM in the joint frame, shape (nv, 3), known masses last; by the slope
-            along x and y, shape (nv,).
+            by each body's CoM in the joint frame, shape (nv, 3); by the slope of the ground along x
+            and y, shape (nv,). In the lists of bodies, the known masses are last.
         """
         bodies = [(number, mass, com) for _, number, mass, com in values.bodies]
         bodies += [(load.number, load.mass, load.place) for load in values.loads]
