@@ -54,7 +54,7 @@ class Tool(NamedTuple):
 
     @property
     def question(self) -> str:
-        """First line of the docstring: the question that the command answers; may be empty."""
+        """Question that the tool answers (first line of the package's docstring); may be empty."""
         found = _FIRST_LINE.match(self._source_text)
         return found[1] if found else ""
 

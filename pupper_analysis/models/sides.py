@@ -62,8 +62,8 @@ def mirror_name(name: str) -> str:
 def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in left and right, in the given order.
 
-    A name without a side is the partner of the same name with ``_left`` or ``_right``, unless the
-    third name exists too: ``foot`` and ``foot_left`` of a planar walker. These pairs come last.
+    A name without a side, such as ``foot`` of a planar walker, is paired with ``foot_left`` or
+    ``foot_right``, unless both exist. These pairs come last.
     Names that match ``ASYMMETRIC_PART_NAME`` are excluded.
     """
     names_in_order = dict.fromkeys(names)

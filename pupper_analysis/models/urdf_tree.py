@@ -277,7 +277,7 @@ class UrdfTree:
 
     @cached_property
     def joints(self) -> dict[str, UrdfJoint]:
-        """{name: joint}, in the order of the file."""
+        """Joints of the URDF as {name: joint}, in the order of the file."""
         joints = map(UrdfJoint, self.root.findall("joint"))
         return {joint.name: joint for joint in joints}
 
@@ -326,7 +326,7 @@ class UrdfTree:
 
     @property
     def moving(self) -> list[UrdfJoint]:
-        """Hinges and slides."""
+        """Moving joints of the URDF (hinges and slides)."""
         return [joint for joint in self.joints.values() if joint.moves]
 
     @property

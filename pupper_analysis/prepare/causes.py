@@ -294,7 +294,10 @@ not tuned."""
 
 
 def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield all position servos as one possible cause; its test multiplies their gains by 4."""
+    """Yield all position servos together as one candidate cause: too soft servos.
+
+    To test the candidate, the stiffness and damping of the servos are multiplied by 4.
+    """
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = model.actuator_biastype[motors] == mujoco.mjtBias.mjBIAS_AFFINE.value
     fixed = model.actuator_gaintype[motors] == mujoco.mjtGain.mjGAIN_FIXED.value

@@ -262,9 +262,11 @@ def find_contact_points(
 
     The sole is the largest nearly level flat part at the lower end of the hull of the geoms, in
     the pose in ``data``. The sole is laid flat, and MuJoCo's contacts are the contact points.
-    Without a flat part, the foot keeps its orientation in the pose. A leg has one contact point,
-    at the lower end, with fewer than `_MIN_SOLE_JOINTS` joints; also with fewer than
-    `_NUM_SOLE_JOINTS` joints and no sole, or a sole that the leg cannot keep flat.
+    Without a flat part, the foot keeps its orientation in the pose.
+
+    The foot has a single contact point, at the lower end, if the leg has fewer than
+    `_MIN_SOLE_JOINTS` joints. The same applies to fewer than `_NUM_SOLE_JOINTS` joints if there is
+    no sole, or the leg cannot keep the sole flat.
 
     Args:
         model: Model, with a floor.

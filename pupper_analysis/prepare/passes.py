@@ -236,7 +236,7 @@ def _register_pass(
     """
 
     def register(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
-        """Register a function as the next pass."""
+        """Register a function as the next step of the robot's preparation; return it."""
         name = apply.__name__.strip("_").replace("_", "-")
         _registered_passes.append(Pass(name, does, apply, condition, after_refusal, deferred))
         return apply

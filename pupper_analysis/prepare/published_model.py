@@ -184,12 +184,13 @@ def with_requested_gains(
 
 
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
-    """Return the compiled model of an MJCF, without most changes of the preparation.
+    """Compile an MJCF as published, with at most the changes that a simulation of it needs.
 
-    Elements without a name are named if the file lacks a name of the robot. A floor is added if the
-    robot has a free base, and the world has neither a level plane nor a collidable geom. The base
-    is fixed, without ground contacts, if it is fixed in the robot and free in the file. Visual
-    geoms are kept, so that the geoms of a body have the same order as in the robot's model.
+    Bodies and joints without a name are named if the file lacks a name of the robot. A floor is
+    added if the robot has a free base, and the world has neither a level plane nor a collidable
+    geom. The base is fixed, without ground contacts, if it is fixed in the robot and free in the
+    file. Visual geoms are kept, so that the geoms of a body have the same order as in the robot's
+    model.
 
     Args:
         mjcf: MJCF as read.

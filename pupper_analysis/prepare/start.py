@@ -599,8 +599,8 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 def with_foot_contacts_only(robot: Robot) -> Robot:
     """Return a robot in whose MuJoCo model foot geoms are the only colliding geoms of foot bodies.
 
-    The description is not changed, so a robot that is built from it has all collisions again. The
-    model is used to solve a stand before `touching` disables other geoms.
+    Only the compiled model is changed, not the description (URDF and MJCF) of the robot: a robot
+    that is built from the description has all collisions again.
     """
     model, foot_bodies = copy.copy(robot.mj_model), list_foot_bodies(robot)
     for geom in range(model.ngeom):

@@ -271,7 +271,7 @@ class PublishedRun:
 
     @property
     def keeps_moving(self) -> bool:
-        """Whether the motor torques still change at the end, for example if contacts chatter."""
+        """Whether motor torques still vary at the end of this run, e.g. if contacts chatter."""
         return self._keeps_moving
 
     @property
@@ -303,10 +303,10 @@ class Published:
 
     @property
     def is_altered_only(self) -> bool:
-        """True if the published robot deviates, but does not collapse, for known reasons only.
+        """True if only changes that this package makes on loading cause the deviation.
 
-        The known reasons are the changes that this package makes on loading: all causes have a
-        code in ``PREPARATION_CODES``.
+        The published file then deviates from the computed equilibrium without a collapse, and all
+        causes have a code in ``PREPARATION_CODES``.
         """
         codes = {cause.code for cause in self.causes}
         run = self.worst

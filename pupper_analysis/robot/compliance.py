@@ -72,7 +72,7 @@ class GroundLaw:
     def of_contact(robot: Robot, foot: str) -> GroundLaw:
         """Return the force law between a contact point and the ground in MuJoCo's model.
 
-        For the symbols see the class. With the pyramidal cone, A_t = (1 + mu^2) A / impratio, and
+        For the symbols see `GroundLaw`. With the pyramidal cone, A_t = (1 + mu^2) A / impratio, and
         ``normal`` is A_t mu^2 / (condim - 1) instead of A, since the normal force is the sum of the
         forces of 2 (condim - 1) edges.
 

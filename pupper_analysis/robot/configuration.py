@@ -494,8 +494,9 @@ class Configuration(Pictured):
     def static_load_derivative(self, wrenches: Mapping[str, Array]) -> Array:
         """Return the derivative of the static load minus constant wrenches on feet, (nv, nv).
 
-        The differentiated force is l - sum J^T w, with l the static load and J the Jacobian (6, nv)
-        of the centre of a foot; column i is the derivative by a step along qvel[i].
+        The differentiated force is l - sum J^T w. l is the `static_load` (gravity minus passive
+        forces), w a wrench, and J the Jacobian (6, nv) of the centre of a foot. Column i is the
+        derivative by a step along qvel[i].
 
         Args:
             wrenches: {contact point: wrench (6,)}: force [N] and moment about the centre [N m],
@@ -507,8 +508,8 @@ class Configuration(Pictured):
     def loaded_points_derivative(self, jacobians: Array, wrenches: Array) -> Array:
         """Return the derivative of the static load minus constant wrenches on moving points.
 
-        The differentiated force is l - sum J^T w, with l the static load; column i is the
-        derivative by a step along qvel[i].
+        The differentiated force is l - sum J^T w, with l the `static_load` (gravity minus passive
+        forces), and w a wrench. Column i is the derivative by a step along qvel[i].
 
         Args:
             jacobians: Jacobians J of n points that move with links, shape (n, 6, nv): linear

@@ -59,7 +59,7 @@ class Step(NamedTuple):
 
     @property
     def quaternion(self) -> Array:
-        """Orientation of the step in the world as a quaternion (w, x, y, z)."""
+        """Orientation of this box or bar in the world as a quaternion (w, x, y, z)."""
         return quaternion_from_rotation(self.rotation)
 
     @property

@@ -360,7 +360,7 @@ class Weld:
         return self.place or ()
 
     def with_parameters(self, numbers: Sequence[float]) -> Weld:
-        """Return a copy with another place (x, y, z) [m]."""
+        """Return a copy of this weld at another position (x, y, z) [m]."""
         return replace(self, place=_check_position("place", numbers))
 
     def __str__(self) -> str:

@@ -164,7 +164,7 @@ class PublishedFile:
 
     @property
     def is_unchanged(self) -> bool:
-        """True if the robot was loaded without changes, so no published file is stored."""
+        """True if this record contains no file, because the robot was loaded without changes."""
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:

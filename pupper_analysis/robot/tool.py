@@ -112,7 +112,7 @@ Place = Sequence[float] | Sequence[str | float] | Tool
 
 @check_arguments
 def find_tool(robot: Robot, name: str | None = None) -> Tool:
-    """Return the tool of a robot, or a named frame as a tool.
+    """Return the tool of a robot, a point at the end of a limb; or a named frame as the tool.
 
     Args:
         robot: The robot.

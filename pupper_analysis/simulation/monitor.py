@@ -163,10 +163,9 @@ class StandReference:
     def has_fallen(self, state: Array) -> bool:
         """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM is too low.
 
-        The CoM is represented by the point of the base at which it is in the expected stand. It is
-        too low if this point is below the expected position by more than
-        (1 - ``FALLEN_HEIGHT_RATIO``) times the expected height of the CoM above the feet. A robot
-        with a fixed base never falls.
+        The CoM is replaced by the point of the base that coincides with the CoM in the expected
+        stand. The point is too low if it has sunk by more than (1 - ``FALLEN_HEIGHT_RATIO``) times
+        the expected height of the CoM above the feet. A robot with a fixed base never falls.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS): time, qpos, qvel, ...
@@ -423,7 +422,7 @@ class ContactRecord:
         """Compute target minus settled position of the contact points of a stand.
 
         Returns:
-            {stance point: shape (3,) [m], in the world frame}.
+            {contact point of a stance foot: shape (3,) [m], in the world frame}.
         """
         return {
             foot: stand.foot_targets[foot] - self.feet_settled[foot] for foot in stand.stance_feet

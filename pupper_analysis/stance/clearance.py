@@ -310,8 +310,8 @@ class ClearanceShapes:
     ) -> Array:
         """Return the Jacobian of the heights of ``parts`` above the ground by qvel, shape (n, nv).
 
-        The lowest point of a part is treated as fixed to the link. The arguments are those of
-        `measure_part_heights`.
+        ``parts`` are the shapes that must be above the ground. The lowest point of a shape is
+        treated as fixed to the link. The arguments are those of `measure_part_heights`.
         """
         there = self.move_to(at.qpos)
         if self._is_floorless(ground):

@@ -237,9 +237,9 @@ class SupportMargin(Constraint):
         return inside - goal.task.com_margin
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the CoM's distances from the sides by qvel, shape (m, nv).
+        """Return the derivative by qvel, shape (m, nv), of the CoM's distances from the sides.
 
-        The polygon is constant.
+        The sides are those of the support polygon, which is treated as constant.
         """
         jacobian: Array = self._polygon_sides(goal)[:, :2] @ at.com_jacobian()[:2]
         return jacobian

@@ -162,12 +162,13 @@ class Stand(Pictured, Tabular):
     def base_drop(self, robot: Robot, drops: Mapping[str, Array]) -> float:
         """Return the height loss of the base [m] that displacements of the stance feet cause.
 
-        A plane is fitted to the vertical displacements, and evaluated at the base. Feet on separate
-        planes count only if all feet have such planes.
+        A plane is fitted to the vertical displacements, and evaluated at the base. Feet with a
+        separate plane are ignored, unless all feet have one.
 
         Args:
             robot: Robot.
-            drops: {contact point: target minus position, shape (3,) [m], in the world frame}.
+            drops: {contact point: displacement, shape (3,) [m], in the world frame}. The
+                displacement is target minus position: positive z if the point has sunk.
         """
         apart = self.task.ground.planes
         own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]

@@ -52,9 +52,10 @@ class WholeBody(Protocol):
         """
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
-        """Return the derivatives of `self_clearances` by q, shape (n, nq), and q (nq,).
+        """Return the derivatives of `self_clearances` by PlaCo's q, and q.
 
-        Both are in the order of PlaCo, with a free base. Derivatives by the base are zero.
+        The shapes are (n, nq) and (nq,), always with a free base. Derivatives by the pose of the
+        base are zero.
         """
 
 

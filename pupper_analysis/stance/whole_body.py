@@ -460,9 +460,9 @@ class _PinocchioBody:
         return np.array([pair.distance for pair in pairs])
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
-        """Return the derivatives of the clearances by PlaCo's q, (n, nq), and q (nq,).
+        """Return the derivatives of `self_clearances` by PlaCo's q, and q.
 
-        Derivatives by the pose of the base are zero.
+        The shapes are (n, nq) and (nq,). Derivatives by the pose of the base are zero.
         """
         robot, convention = self._config.robot, self._config.robot.pin_convention
         rates = self._collision.shapes.distance_jacobian(self._config, _NUM_NEAREST_PAIRS)

@@ -192,9 +192,10 @@ def _find_limit(
     shortest = _FULL_SEARCH_RATIO * first  # step with a full search
 
     def try_value(further: float, near: Stand | None = None) -> bool:
-        """Return True if the coordinate ``further`` [m or rad] has a stand, and store both.
+        """Return True if a stand exists at a value of the coordinate; store value and stand.
 
-        The stand ``near`` is the only initial guess; None: all guesses of `search_stand`.
+        The value is ``further`` [m or rad]. The stand ``near`` is the only initial guess; None for
+        all guesses of `search_stand`.
         """
         nonlocal value, last
         if abs(further) > most:

@@ -46,7 +46,7 @@ class MjcfOnlyEffect(Stated):
     slots: tuple[Slot, ...] = ()
 
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
-        """Disable this element of the MJCF in a passive model, or restore its values, in place.
+        """Disable this element of the MJCF in a compiled model, or restore its values, in place.
 
         Args:
             model: Model from `make_passive_model`; modified.
@@ -97,7 +97,10 @@ def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
 
 
 def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
-    """Return a passive copy of a model (`make_passive_model`) with some effects disabled."""
+    """Return a copy of a model without contacts, limits, friction, commands and some effects.
+
+    The copy is that of `make_passive_model`, in which the given effects are also disabled.
+    """
     result = make_passive_model(model)
     for effect in effects:
         effect.switch(result, None)

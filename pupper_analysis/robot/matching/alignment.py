@@ -285,7 +285,7 @@ def _candidate_steps(
 
 
 def in_axes(values: MultibodyTree, name: str, rotation: Array) -> MultibodyTree:
-    """Express the body of a joint in rotated axes: x' = rotation x."""
+    """Return a tree in which the body that a joint moves has rotated axes: x' = rotation x."""
     joint, joints = values.joints[name], dict(values.joints)
     joints[name] = replace(joint, rotation=joint.rotation @ rotation.T, axis=rotation @ joint.axis)
     changed = replace(values, joints=joints)

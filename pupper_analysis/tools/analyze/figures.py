@@ -221,8 +221,8 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
     """Render the robot of each tile with the first OpenGL backend that works.
 
     Returns:
-        Images, shape (height, width, 3) of each tile, the name of the backend, and None. Without
-        OpenGL: no images, ``lines``, and the reason.
+        Image of each tile, shape (height, width, 3); name of the backend; None. Without OpenGL: an
+        empty list; ``"lines"``, for a line drawing instead; the reason.
     """
     reasons = []
     for backend in _list_backends():

@@ -283,11 +283,11 @@ class ElementDifference(Difference):
 
 
 def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
-    """Compute the largest distance [m] between the convex hulls of two shapes, along directions.
+    """Compute the largest distance [m] between the surfaces of two shapes (convex hulls).
 
-    The directions are `COMPARISON_DIRECTIONS`. If one of the shapes has no extent (planes, missing
-    meshes), the distance is 0 for equal kind, pose and size within `SURFACE_ATOL`, otherwise
-    infinite.
+    The outermost points of both shapes along each of `COMPARISON_DIRECTIONS` are compared. If the
+    extent of a shape is unknown (planes, missing meshes), the distance is 0 for equal kind, pose
+    and size within `SURFACE_ATOL`, otherwise infinite.
     """
     first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (first_shape, second_shape))
     if first is not None and second is not None:

@@ -294,7 +294,10 @@ class ParameterTable:
         return iter(self.parameters)
 
     def find_index(self, kind: str, subject: str, component: str = "") -> int | None:
-        """Return the index of a parameter in the parameter vector; None if not estimated."""
+        """Return the index of a parameter in the parameter vector; None if not estimated.
+
+        A parameter is given by the kind, the subject (joint or link), and the component, if any.
+        """
         return self._indices.get((kind, subject, component))
 
     def with_scaled_widths(self, kind: str, factor: float) -> ParameterTable:

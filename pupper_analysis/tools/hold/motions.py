@@ -99,12 +99,11 @@ class JointMotions:
             self._add_couplings(self._closure)
 
     def draw_postures(self, count: int) -> list[Array]:
-        """Draw random postures with closed loops within the joint ranges, shape (nu,) [rad, m].
+        """Draw random postures within the joint ranges, with closed loops, (nu,) [rad, m] each.
 
-        Each call returns the same postures.
-
-        Along a nonlinear motion, positions are restricted to the samples of `count_samples`. A
-        position at which the loop cannot be closed is skipped.
+        Each call returns the same postures. The positions of an independent joint that moves other
+        joints nonlinearly are restricted to the samples of `count_samples`. A position at which a
+        loop cannot be closed is skipped.
         """
         random, postures = np.random.default_rng(0), []
         for _ in range(count):

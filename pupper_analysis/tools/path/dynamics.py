@@ -263,9 +263,9 @@ def rolling_levers(
 def remaining_moment_fraction(
     robot: Robot, foot: str, force: Array, moment: Array, normal: Array
 ) -> float:
-    """Compute the fraction of a resisting moment that fits into the cone beside a contact force.
+    """Compute the fraction of the resisting moment on a foot that its contact force permits.
 
-    Force and moment share a cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2, with the
+    Both share a friction cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2, with the
     components along the normal (n), tangential (t) and across the normal (r), and the sliding,
     torsional and rolling friction coefficients mu [1], mu_n and mu_r [m].
 
@@ -273,7 +273,8 @@ def remaining_moment_fraction(
         robot: Robot.
         foot: Foot whose contact resists rotation (``rolling_levers``).
         force: Shape (3,) [N]; force of the ground on the foot.
-        moment: Shape (3,) [N m]; moment without tangential force.
+        moment: Shape (3,) [N m]; resisting moment of the ground if the force had no tangential
+            component.
         normal: Shape (3,); unit vector out of the ground.
 
     Returns:

@@ -367,7 +367,7 @@ def is_servo_variable(name: str) -> bool:
 
 
 def is_stance_pattern(name: str) -> bool:
-    """Return True if a study variable is a requirement of the stance on a joint or link.
+    """Return True if a study variable is a quantity that the stance requires of a joint or link.
 
     For example ``posture:JOINT``, the required position of a joint.
     """

@@ -259,10 +259,10 @@ def _render_mjcf(description: Description, choose_path: Any) -> str:
         return existing_file(source_folder / folder / name)
 
     def register_file(name: str, folder: str) -> str:
-        """Select the path of a referenced file in the output; return its absolute path.
+        """Select the output path of a file that the MJCF references; return its absolute path.
 
-        The absolute path is replaced in the rendered XML. The name of a missing file is returned
-        unchanged.
+        The output path later replaces the absolute path in the rendered XML. The name of a missing
+        file is returned unchanged.
         """
         file = find_file(name, folder)
         if file is None:

@@ -263,7 +263,7 @@ def _describe_element(element: Element) -> str:
 
 
 def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
-    """Return True if one of the two files states no value for a number that differs.
+    """Return True if a file states no value for a number in which URDF and MJCF differ.
 
     Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a
     link without <inertial> as 0. A URDF must state an effort; exporters write 0 if unknown.

@@ -86,13 +86,15 @@ def _read_document(request: Request, document: Node) -> Iterator[Source]:
 def read_table(
     request: Request, name: str, table: Node, role: Role, sizes: Sequence[Statement] = ()
 ) -> Iterator[Source]:
-    """Yield the source of a table {key: value}, if it contains joint names or joint numbers.
+    """Yield a table {key: value} of a file as a source, if it states joint names or joint values.
+
+    With ``sizes``, the table is always yielded. Joint values are, for example, gains or limits.
 
     Args:
         request: Request with the path of the file.
         name: Name of the source.
         table: Table; keys are compared in lower case.
-        role: Role, unless the table is a trainer's configuration.
+        role: Role of the source; ``TRAINER`` instead if the table configures a trainer.
         sizes: Statements from elsewhere, such as the sizes of a network.
     """
     table = Node({str(key).lower(): node for key, node in table.value.items()}, table.place)

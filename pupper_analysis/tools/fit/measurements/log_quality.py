@@ -256,11 +256,12 @@ def _compute_column_ratio(first: Array, second: Array) -> float | None:
 
 
 def find_column_step(column: Array) -> float:
-    """Find the largest step of which the differences between sorted positions are multiples.
+    """Estimate the step (resolution) of a joint's encoder from measured positions.
 
-    Tested are the `_MAX_STEPS` smallest differences above `_MIN_ENCODER_STEP`. Candidates are the
-    smallest difference and its integer fractions, down to 1 / `_MAX_PARTS` of it and to
-    `_MIN_ENCODER_STEP`.
+    The step is the largest number of which the differences between successive sorted positions are
+    multiples. The `_MAX_STEPS` smallest differences above `_MIN_ENCODER_STEP` are tested. Candidate
+    steps are the smallest difference and its integer fractions, down to 1 / `_MAX_PARTS` of it and
+    to `_MIN_ENCODER_STEP`.
 
     Args:
         column: Positions of a joint, shape (n,) [rad].

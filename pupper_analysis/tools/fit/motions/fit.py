@@ -325,10 +325,11 @@ def _get_middle_half(rows: Array) -> Array:
 
 
 def measure_replay(runs: Sequence[Run]) -> float:
-    """Return the largest correlation (-1 to 1) of held-out and fitted commands over time shifts.
+    """Measure how well held-out commands repeat fitted commands: the largest correlation, -1 to 1.
 
     Held-out samples are excluded from the fit, to validate it. The middle half of the held-out part
-    of each run is compared with the fitted parts of all runs; 0 if no run has a held-out part.
+    of each run is compared with the fitted part of each run at all time shifts. The result is 0 if
+    no run has a held-out part.
     """
     fitted = [run.command[run.counts.any(axis=1)] for run in runs]
     parts = [_get_middle_half(run.command[run.held_out.any(axis=1)]) for run in runs]

@@ -639,10 +639,11 @@ class _StandProblem:
 
     @property
     def friction_ratio(self) -> float:
-        """Ratio of expected to stated dry friction of the joints; 1 if the latter is plausible.
+        """Factor on the stated dry friction of the joints; 1 if the stated values are plausible.
 
-        The stated friction is implausible if its mean is at most ``_MIN_FRICTION_RATIO`` times
-        weight times height; the ratio then makes the mean equal to the default.
+        They are implausible if their mean is at most ``_MIN_FRICTION_RATIO`` times weight times
+        height. The factor then raises the mean to ``_DEFAULT_FRICTION_RATIO`` times weight times
+        height.
         """
         ratio = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
         return 1.0 if ratio > _MIN_FRICTION_RATIO else _DEFAULT_FRICTION_RATIO / ratio
