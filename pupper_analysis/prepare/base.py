@@ -183,7 +183,10 @@ def _compute_visual_bottom(
     insert_visuals: Callable[[mujoco.MjSpec], object],
     source: Path,
 ) -> float:
-    """Return the lowest height [m] of all geoms of some bodies, with deferred visual meshes."""
+    """Return the lowest height [m] of all geoms of bodies ``ends``, visual meshes included.
+
+    ``insert_visuals`` adds the visual meshes, which are not loaded yet, to a copy of the spec.
+    """
     complete = spec.copy()
     complete.compiler.discardvisual = False
     insert_visuals(complete)

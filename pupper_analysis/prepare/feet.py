@@ -458,7 +458,7 @@ def _name_geoms(spec: mujoco.MjSpec) -> None:
 
 
 def _find_moved_link(robot: Robot, body: int) -> str:
-    """Return the link that the last joint of a body moves; the base link without such a joint."""
+    """Return the link moved by the last joint between base and body; else the base link."""
     joint = _find_last_joint(robot, body)
     return robot.base if joint is None else UrdfTree.of(robot.description.urdf).moved_links[joint]
 

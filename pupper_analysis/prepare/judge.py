@@ -200,10 +200,11 @@ def _fail_if_upset(
     *,
     fragile: bool,
 ) -> Outcome:
-    """Return the simulation result, as failed if the stand fails after a nudge.
+    """Return the simulation result ``fed``, marked as failed if the stand fails after a nudge.
 
-    Without ``trial``, nudges are simulated if the stand is near a limit, or ``fragile``: the stand
-    fails without feed-forward, and its contacts may chatter after a nudge.
+    A nudge is a velocity disturbance. Without its result ``trial``, nudges are simulated if the
+    stand is near a limit or ``fragile``: it fails without feed-forward, and its contacts may
+    chatter after a nudge.
     """
     if trial is None:
         if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves

@@ -229,11 +229,12 @@ def compare_with_file(
 
 
 def _moves_like_prepared_robot(robot: Robot, prediction: PredictedRest, run: PublishedRun) -> bool:
-    """Return True if neither the file nor the prepared robot rests without feed-forward, alike.
+    """Return True if the published file and the prepared robot both keep moving, equally.
 
-    The predicted rest is then not reached, and the deviation is no difference of the file. The
-    verdict reports the failure without feed-forward, with its cause. Measured for the reduced Talos
-    of example-robot-data, whose soles chatter: both deviate by 42.3 % in torque.
+    Without feed-forward, neither then reaches the predicted rest, and their torques deviate alike:
+    the file is no cause. The verdict reports the failure without feed-forward, with its cause.
+    Measured for the reduced Talos of example-robot-data, whose soles chatter: both deviate by
+    42.3 % in torque.
     """
     if prediction.feedforward or run.collapses or not run.keeps_moving:
         return False
@@ -249,12 +250,13 @@ def _moves_like_prepared_robot(robot: Robot, prediction: PredictedRest, run: Pub
 def _find_loading_causes(
     published: PublishedModel, robot: Robot, prediction: PredictedRest, run: PublishedRun
 ) -> tuple[Cause, ...]:
-    """Find causes of a difference in the preparation, or in the difference of URDF and MJCF.
+    """Find out if a deviation from the prediction is due to the preparation, or to the two files.
 
-    The prepared robot's model is simulated, too. If it agrees with the prediction, the changes of
-    the preparation (`list_loading_changes`) are the cause. If it deviates as much as the MJCF, with
-    or without the candidate causes, the two files differ: the prediction is computed from the URDF.
-    A difference of both files is then returned, if ``compare_files`` finds one that affects weight.
+    The model of the prepared robot is simulated. If it agrees with the prediction, the changes of
+    the preparation (`list_loading_changes`) are the cause. If it deviates as much as the published
+    MJCF (as it is, or with its candidate causes switched off), URDF and MJCF differ, since the
+    prediction is computed from the URDF. The cause is then the first difference that
+    ``compare_files`` finds and that affects weight.
     """
     file = None if robot.published is None else robot.published.file
     computed = simulate_prediction(
@@ -597,10 +599,10 @@ def _test_causes(
 ) -> tuple[Cause, ...]:
     """Find the causes of a deviation by switching off candidates in copies of the model.
 
-    A model is sound if ``test_model`` returns a number. A candidate of a group is a cause if adding
-    it alone makes a sound model unsound; and the model without all causes must be sound. Groups are
-    tested in this order: integration and solver alone, the other candidates, all candidates, all
-    including ``physical``.
+    A model is sound if ``test_model`` returns a number. A group passes the test if the model is
+    sound with the whole group switched off, and with its causes switched off. A cause is a
+    candidate that makes the model unsound when it alone is switched on again. Groups are tested in
+    this order: integration and solver, the other candidates, both, both and ``physical``.
 
     Args:
         published: Published model.

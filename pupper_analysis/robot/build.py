@@ -201,10 +201,11 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
 
 
 def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report sleep, and forces at rest except weight and motors; make compensation passive.
+    """Report settings of the MJCF with effect at rest, and clear ``actuatorgravcomp`` in place.
 
-    MuJoCo adds gravity compensation to the motor torques if ``actuatorgravcomp`` is set, which is
-    cleared in place: here the compensation reduces the torques of the motors.
+    Reported are MuJoCo's sleep, passive forces at rest (such as springs), and gravity compensation
+    that MuJoCo would add to the motor torques. Without the attribute ``actuatorgravcomp``, the
+    compensation is a passive force, which reduces the motor torques.
     """
     notes: list[Diagnostic] = []
     if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:

@@ -150,9 +150,9 @@ class EqualityCompliance:
 def _solve_violation(solimp: tuple[float, ...], force: float) -> float:
     """Return the smallest violation x [m, rad] that satisfies x = ``force`` (1 - d(x)) / d(x)^2.
 
-    ``force`` is the constraint force times A / k [m, rad], d the impedance. If the stiffness falls
-    with the violation, a fixed-point iteration rises to the smallest solution; otherwise the
-    solution is bisected.
+    d is the impedance, ``force`` [m, rad] the constraint force times the compliance at which
+    (1 - d) / d^2 is 1. If the stiffness falls with the violation, a fixed-point iteration rises to
+    the smallest solution; otherwise the solution is bisected.
     """
     low, high = (force * _compliance_factor(solimp, opening) for opening in (0.0, solimp[2]))
     if low < high:

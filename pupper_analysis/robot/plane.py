@@ -53,7 +53,7 @@ class Plane:
 
     @property
     def _parameter_sign(self) -> float:
-        """Factor, 1 or -1, between the offset of the plane along its normal and ``parameter``."""
+        """Factor (1 or -1) that converts the offset n . p along the normal n to ``parameter``."""
         return sum(self.normal) if self.kind else 1.0
 
     @property

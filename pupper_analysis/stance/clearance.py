@@ -356,10 +356,10 @@ class ClearanceShapes:
             yield min(near, key=lambda result: float(result.min_distance))
 
     def _list_parts(self) -> Iterator[OffGround]:
-        """Yield each shape that is no foot.
+        """Yield each shape of the robot that is no foot and must stay above the ground.
 
-        Shapes on the link of a sole, weld or grip are left out. The pose of the link of a sole or
-        weld is given.
+        Shapes on the link of a sole, weld or grip are left out: the task determines the pose of the
+        link of a sole or weld.
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # {joint: foot}

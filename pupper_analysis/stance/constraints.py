@@ -245,7 +245,7 @@ class SupportMargin(Constraint):
         return jacobian
 
     def _polygon_sides(self, goal: Goal) -> Array:
-        """Return the sides of the polygon, shape (m, 3): inward normal and offset [m]."""
+        """Return the sides of the support polygon, shape (m, 3): inward normal, offset [m]."""
         corners = np.array(goal.corners)  # on several planes their number may change
         return polygon_sides(corners, SIDES if self._goal.task.ground.planes else len(corners))
 

@@ -277,7 +277,7 @@ class AxisAlignTask(PostureTask):
         return (self.frame,)
 
     def _required(self, body: WholeBody) -> Array:
-        """Return the required direction (3,) of the axis in world axes, a unit vector."""
+        """Return the unit vector (3,), in world axes, to which the axis of the frame must point."""
         if self.point is None:
             return np.asarray(self.direction)
         line = np.asarray(self.point) - body.pose(self.frame)[1]
@@ -360,7 +360,10 @@ class SelfClearanceTask(PostureTask):
         return self._shortfall(body.self_clearances())
 
     def _shortfall(self, distances: Array) -> float:
-        """Return the required minus the first of ascending distances [m]; 0 if there is none."""
+        """Return how much the smallest of ascending distances is below ``distance`` [m].
+
+        0 if it is not below, or if there are no distances.
+        """
         return max(0.0, self.distance - float(distances[0])) if len(distances) else 0.0
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:

@@ -413,7 +413,7 @@ class StanceProgram:
 
     @cached_property
     def _rows(self) -> tuple[IntArray, int]:
-        """Row indices of independent equalities, then all inequalities; number of the former."""
+        """Residual indices of independent equalities, then inequalities; number of equalities."""
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._goal.lower, -np.pi), np.minimum(self._goal.upper, np.pi)

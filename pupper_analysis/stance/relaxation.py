@@ -302,7 +302,7 @@ class _Search:
 
 
 def _is_degenerate(robot: Robot, task: StandTask, demand: str) -> bool:
-    """Return True if a relaxed value of a demand in `_NONZERO_DEMANDS` is close to zero."""
+    """Return True if a requirement (`_NONZERO_DEMANDS`) of a relaxed task is close to zero."""
     least = _NEGLIGIBLE_VALUE * robot.stand_height
     return demand in _NONZERO_DEMANDS and bool(
         (DemandVector(robot, task, [demand]).values < least).any()

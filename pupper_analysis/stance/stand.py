@@ -225,7 +225,7 @@ def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Arra
 
 
 def _depends_on_start(goal: Goal) -> bool:
-    """Return True if the result of a goal depends on the initial guess by more than the branch."""
+    """Return True if different initial guesses may give different stands in one IK branch."""
     task = goal.task
     return task.ik_seed is not None or task.self_clearance is not None or goal.com_is_free
 

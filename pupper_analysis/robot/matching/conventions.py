@@ -277,9 +277,9 @@ def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array
 def _base_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> tuple[float, list[float]]:
-    """Return the deviation of the base body, and of each joint on the base.
+    """Return the deviation between two trees of the base body, and of each joint on the base.
 
-    Deviations are in bits, see `measure_deviation_bits`.
+    Deviations are in bits: log2(1 + size / tolerance), 0 within the tolerance.
     """
     body = measure_body_deviation(first.bodies[first.base], second.bodies[second.base], tolerances)
     names = first.children(first.base)

@@ -153,7 +153,10 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 
 
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
-    """Return the subtree of a link; None if the other file contains a joint of the subtree."""
+    """Return the subtree of a link as removable part; None if the other file has a joint of it.
+
+    ``extra`` are the joints that only this file has.
+    """
     inside = list(tree.subtree(link))
     joints = tuple(joint for name in inside for joint in tree.movers(name))
     if any(joint not in extra for joint in joints):

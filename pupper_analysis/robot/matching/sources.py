@@ -208,10 +208,10 @@ def _find_heaviest(members: Sequence[tuple[str, float]]) -> str:
 def _locate_value(
     file: MjcfFile, kind: str, candidates: Sequence[tuple[str, str, str | None]]
 ) -> Place:
-    """Return the location at which a kind of value is set in an MJCF.
+    """Return the location of the attribute that sets a kind of value in an MJCF.
 
-    If no candidate without ``child`` sets the value, the first existing candidate is returned; if
-    none exists, the location of the first candidate, without line.
+    Candidates without ``child`` are searched for the attribute. If none has it, the location of the
+    first existing candidate is returned; if none exists, that of the first, without line.
 
     Args:
         file: The MJCF.

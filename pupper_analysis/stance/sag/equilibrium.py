@@ -872,7 +872,10 @@ class Welds:
         return changed
 
     def _pose_errors(self, config: Configuration) -> Array:
-        """Return the deviation of all welds from their poses, shape (6 w + 3 g,) [m, rad]."""
+        """Return the deviations of w welds and g grips from their poses, shape (6 w + 3 g,).
+
+        Of a weld, translation [m] and rotation vector [rad]; of a grip, the translation only.
+        """
         errors = np.ravel(
             [
                 (

@@ -360,9 +360,9 @@ class HomotopyPath:
         return self.system.solve(self.solution)
 
     def _go_to_event(self, wanted: float, there: Solution) -> bool:
-        """Go to the first contact change up to a removed feed-forward fraction, and apply it.
+        """Remove feed-forward up to the first change of a contact, and apply this change.
 
-        The fraction of the change is found by bisection; a contact opens or closes there.
+        The removed fraction at which a contact opens or closes is found by bisection.
 
         Args:
             wanted: Removed fraction of the feed-forward at which contacts contradict the solution.

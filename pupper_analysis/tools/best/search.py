@@ -277,7 +277,7 @@ class StanceSearch:
         return EvaluatedStance(coordinates, stand, level, rows, allowed)
 
     def _compute_level(self, stand: Stand, slack: StanceSlack) -> tuple[float, Array]:
-        """Compute the level of a stand, and the constraints that define it.
+        """Compute the level (scaled objective) of a stand, and the constraints that define it.
 
         Args:
             stand: Stand.
@@ -351,7 +351,7 @@ class StanceSearch:
             self._minimise_with_independent_feet(self.best.coordinates, _DESCENT_ITERATIONS)
 
     def _minimise_with_independent_feet(self, coordinates: Array, iterations: int) -> None:
-        """Minimise the level over all coordinates, from an initial guess, and update ``best``."""
+        """Minimise the level (scaled objective) over all coordinates, and update ``best``."""
         subspace = Subspace(self.space, coordinates, np.eye(len(coordinates)))
         self._minimise_level(subspace, subspace.start, iterations)
 
@@ -369,7 +369,9 @@ class StanceSearch:
     def _minimise_level(
         self, subspace: Subspace, start: Array, iterations: int
     ) -> tuple[float, Array]:
-        """Minimise the level by SLSQP over a subspace and the level itself, and update ``best``.
+        """Minimise the level (scaled objective) over a subspace by SLSQP, and update ``best``.
+
+        The level is an additional variable of SLSQP, bounded by constraints.
 
         Args:
             subspace: Subspace of the stances.

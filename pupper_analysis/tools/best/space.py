@@ -147,7 +147,7 @@ class StanceSpace:
         self.low, self.high = self._compute_bounds()
 
     def _compute_bounds(self) -> tuple[Array, Array]:
-        """Compute the lower and upper bounds of the coordinates, which contain ``start``."""
+        """Compute the lower and upper bounds of a stance's coordinates; ``start`` is inside."""
         # A bounded rotation saves the search for the end of its interval.
         max_changes = dict.fromkeys(BASE_COORDINATES, math.inf)
         max_changes |= dict.fromkeys(_BASE_ROTATIONS, MAX_BASE_ROTATION)
@@ -299,7 +299,10 @@ class StanceSpace:
         return np.concatenate([joints - self.robot.lower_limits, self.robot.upper_limits - joints])
 
     def _compute_penetrations(self, stand: Stand) -> dict[tuple[int, int], float]:
-        """Compute {pair of geoms: penetration [m]}, without pairs among foot geoms and ground."""
+        """Return {pair of penetrating geoms: penetration [m]} of a stand, from MuJoCo's contacts.
+
+        Contacts of feet with the ground or with other feet are left out.
+        """
         robot, data = self._robot_on_ground, self._collision_data
         robot.mj_convention.set_state(data, stand.qpos)
         mujoco.mj_kinematics(robot.mj_model, data)

@@ -394,7 +394,7 @@ def _free_legged_robot(bare: ConvertedMjcf, options: MjcfOptions) -> Robot | Non
 
 
 def _list_unstated_numbers(mjcf: NewMjcf) -> list[Diagnostic]:
-    """Return notes with the numbers of joints without armature and without damping."""
+    """Return notes that count the joints of a new MJCF without armature and without damping."""
     joints = mjcf.joints
     missing = {
         attribute: sum(joint.get(attribute) is None for joint in joints)

@@ -651,9 +651,10 @@ def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
 
 
 def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
-    """Compute m (c.c E - c c^T) [kg m^2]: tensor about the link's origin minus that about the CoM.
+    """Compute a link's tensor about its origin minus that about its CoM, shape (3, 3) [kg m^2].
 
-    ``offset`` is the CoM c relative to the origin of the link, shape (3,) [m], in the body axes.
+    This is m (c.c E - c c^T), with the mass m, the identity E, and the CoM c relative to the origin
+    of the link: ``offset``, shape (3,) [m], in the body axes.
     """
     tensor: Array = link.body.mass * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
     return tensor

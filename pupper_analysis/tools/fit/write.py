@@ -129,7 +129,10 @@ def _set_com_component(
 
 
 def _format_factor_name(parameter: Parameter, value: float) -> str:
-    """Return the name in `study`; empty if `study` has none, or a factor would refer to 0."""
+    """Return the name of the variable of `study` that changes a fitted parameter.
+
+    Empty if `study` has no such variable, or if it is a factor and ``value`` is 0.
+    """
     if parameter.kind == "com":
         return f"com_{parameter.component}:{escape(parameter.subject)}"
     kind = "frictionloss" if parameter.kind == "friction" else parameter.kind

@@ -390,7 +390,12 @@ class _Gains:
     def _find_end(
         self, gains: Callable[[float], _Pair], inside: float, ratio: float
     ) -> float | None:
-        """Step from a stable factor by a ratio until unstable, then bisect; None without an end."""
+        """Return the last stable factor on the gains, beginning at the stable factor ``inside``.
+
+        The factor is multiplied by ``ratio`` until a mode grows with the gains ``gains(factor)``,
+        then the interval is bisected. None if all factors up to ``MAX_FACTOR`` (or down to its
+        inverse) are stable.
+        """
         stable = inside
         while 1 / MAX_FACTOR <= stable * ratio <= MAX_FACTOR:
             unstable = stable * ratio

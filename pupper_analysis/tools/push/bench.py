@@ -361,21 +361,16 @@ class PushBench:
         return float((linear + self.upright.com_height * angular).max())
 
     def _will_rest(self, states: Array, spectrum: Stability | None = None) -> bool:
-        """Return True if the base of a slow robot moves little in the time T.
+        """Return True if the base of a slow robot will move little, and no mode grows.
 
-        T is the remaining time of the longest simulation, at least ``HOLD_DURATION``.
+        Motion: 1.5 v min(T, 1 / d) must be at most ``_MAX_REMAINING_RATIO`` of the CoM height, with
+        the speed v of the base, less the creep without a push, its rate of decrease d, and the
+        remaining time T of the longest simulation, at least ``HOLD_DURATION``.
 
-        The speed v of the base decreases at the rate d. The motion 1.5 v min(T, 1 / d) must be
-        below ``_MAX_REMAINING_RATIO`` of the CoM height. The creep without a push is subtracted
-        from v.
-
-        No mode of the spectrum may double within the longest simulation, with both
-        finite-difference steps. The speed does not bound the motion of such a mode: near a saddle
-        point the robot almost stops before it falls (v3-long-leg: 0.1 mm/s after 14 s, and on its
-        shanks after 35 s).
-
-        At the end of the longest simulation, modes are ignored if the speed decreases, or if the
-        motion is at most ``_STILL_RATIO`` of the bound.
+        Modes: none may double within the longest simulation, with both finite-difference steps.
+        Near a saddle point a robot almost stops before it falls (v3-long-leg: 0.1 mm/s after 14 s,
+        and on its shanks after 35 s). At the end of the longest simulation, modes are ignored if
+        the speed decreases, or if the motion is at most ``_STILL_RATIO`` of the bound.
 
         Args:
             states: Last states, at least those of ``_REST_DURATION``, shape (n, size).
@@ -405,8 +400,8 @@ class PushBench:
     def _is_at_rest(self, states: Array) -> bool:
         """Return True if the robot is slow, upright, and no mode doubles within `HOLD_DURATION`.
 
-        The predicted motion of the base must be small, too. A growing mode is not tested by a
-        nudged simulation of 48 s: the push is simulated to the end instead, which is shorter.
+        The predicted motion of the base must be small, too. If a mode grows, the caller simulates
+        the push to the end, which is shorter than a simulation that would test the mode (48 s).
         """
         model = self.drive.model
         rates = states[-round(_SLOW_DURATION / self.timestep) :, 1 + model.nq :][:, : model.nv]

@@ -206,7 +206,10 @@ def stretch_inertia(
 
 
 def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
-    """Return the factors (3,) along the axes of a shape; None if A is not diagonal in them."""
+    """Return the stretch factors (3,) of a shape along its own axes, columns of ``rotation``.
+
+    None if the stretch ``matrix`` is not diagonal in these axes.
+    """
     local = rotation.T @ matrix @ rotation
     factors = np.diag(local)
     return factors if np.abs(local - np.diag(factors)).max() < 1e-9 else None
@@ -216,7 +219,11 @@ def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
 
 
 def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor: float) -> None:
-    """Stretch the inertial, the shapes and the joint origins of a link of the URDF."""
+    """Stretch a link of the URDF in place, with its inertial, shapes and child joint origins.
+
+    Points p of the link frame [m] move to A p + b; ``matrix`` is A, ``shift`` is b, and ``factor``
+    is the factor on the mass.
+    """
     link: UrdfLink = urdf.links[name]
     inertia = link.inertia
     if inertia is not None:
@@ -275,7 +282,16 @@ def _stretch_body(
     factor: float,
     meshes: dict[str, list[tuple[mujoco.MjsGeom, Array]]],
 ) -> None:
-    """Stretch a body of the MJCF: inertial, sites, cameras, geoms, origins of the children."""
+    """Stretch a body of the MJCF in place, with geoms, sites, cameras and child body positions.
+
+    Args:
+        body: Body of the spec.
+        inertia: Inertia of the compiled body, in the body frame.
+        transform: A, shape (3, 3), and b, shape (3,) [m]: points p of the body frame move to
+            A p + b.
+        factor: Factor on the mass.
+        meshes: Mesh geoms are appended here: {mesh name: (geom, factors along its axes)}.
+    """
     matrix, shift = transform
     if inertia.mass > 0:
         stretched = stretch_inertia(inertia, matrix, shift, factor)

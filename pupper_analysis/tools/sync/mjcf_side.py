@@ -120,7 +120,11 @@ def make_inertial_changes(element: Element, target: pin.Inertia) -> dict[str, st
 
 
 def _make_principal_numbers(element: Element, target: Array) -> dict[str, Array]:
-    """Return principal moments, and a new orientation if the stated axes are not principal axes."""
+    """Return ``diaginertia`` (and ``quat``) of an <inertial> for a target tensor [kg m^2].
+
+    ``target``, shape (3, 3), is in the axes of the body. The orientation ``quat`` is returned only
+    if the axes that ``element`` states are not principal axes of the target.
+    """
     moments = parse_numbers(element.get("diaginertia"), "")
     stated_quat = parse_numbers(element.get("quat"), "1 0 0 0")
     stated_axes = rotation_from_quaternion(stated_quat / np.linalg.norm(stated_quat))

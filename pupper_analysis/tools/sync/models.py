@@ -242,7 +242,15 @@ def _list_unmended(
     keys: Mapping[Key, str],
     labels: Mapping[Key, str],
 ) -> Iterable[Unmended]:
-    """Yield the remaining differences, with reasons."""
+    """Yield the differences that remain after the changes of a plan, each with the reason.
+
+    Args:
+        plan: Planned changes.
+        before: Comparison of the original files.
+        after: Comparison of the changed files.
+        keys: {difference that the user has chosen: side whose value is taken}.
+        labels: {difference before the changes: its name}.
+    """
     remaining = {(d.kind, d.element): d for d in after.differences}
     for key, name in labels.items():
         if key in plan.left and key in remaining:  # another change may have mended it

@@ -257,7 +257,12 @@ def _list_interpretations(robot: Robot, contract: Contract) -> Iterator[tuple[Ch
 def _permute_joints(
     stated_joints: tuple[str, ...], limbs: Sequence[Sequence[int]]
 ) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yield permuted orders: kind of change, exchanged limbs by the first joints, joints."""
+    """Yield joint orders with exchanged limbs, also grouped by kind of joint, each once.
+
+    Yields:
+        "limbs", or "by-kind" for a changed grouping; exchanges as text, ``old > new`` with the
+        first joint of each limb; joints in the new order.
+    """
     yielded = {stated_joints}
     for size, count in Counter(len(limb) for limb in limbs).items():
         equal_limbs = [limb for limb in limbs if len(limb) == size]

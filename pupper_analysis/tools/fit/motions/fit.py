@@ -320,7 +320,10 @@ def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
 
 
 def _get_middle_half(rows: Array) -> Array:
-    """Return the middle half of some rows, which a log shifted by a quarter still contains."""
+    """Return the middle half of rows (samples of a log).
+
+    Another log of the same motion contains it even if shifted in time by a quarter of the length.
+    """
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
 
 

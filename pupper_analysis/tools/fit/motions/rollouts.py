@@ -270,7 +270,10 @@ class Simulator:
         return np.array(positions)
 
     def _get_joint_values(self, vector: Array, kind: str, stated: Array) -> Array:
-        """Return the values of a parameter kind for all joints, shape (nu,), in its unit."""
+        """Return the values of a parameter kind for all joints, shape (nu,), in its unit.
+
+        ``stated`` are the values of joints whose parameter is not estimated, shape (nu,).
+        """
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
     def _get_delay(self, vector: Array, part: str = "") -> float:

@@ -342,7 +342,11 @@ class StandRows:
             rows[..., index] += derivative
 
     def _fill_balance(self) -> None:
-        """Fill in the balance S tau - g + passive + sum J_p^T f_p = 0 and the derivatives."""
+        """Fill in the static balance S tau - g + passive + sum J_p^T f_p = 0, and derivatives.
+
+        tau are the servo torques, which S maps to the generalised forces; g is gravity, f_p is the
+        force on contact point p.
+        """
         values, nv = self._values, self._robot.nv
         moments = np.array([values.moment[foot] for foot in self._feet])
         moment_forces = self._forces[:, 2:] * moments
@@ -405,11 +409,11 @@ class StandRows:
         self.residual[:nv] = residual
 
     def _compute_last_motions(self) -> tuple[Array, Array]:
-        """Return rotations of joints, shape (nu, 6), and feet, shape (p, 3, 6), for base motions.
+        """Return rotation rates of n joints (n, 6) and p feet (p, 3, 6) in six base motions.
 
-        The contact points do not move. Each of the six base motions is scaled such that its fastest
-        joint (for the feet: its fastest foot) has the value 1. When a robot comes to rest, all
-        joints and feet stop together, and dry friction against the last motion remains.
+        The contact points do not move. Each base motion is scaled such that its fastest joint (for
+        the feet: its fastest foot) has the value 1. The dry friction of a robot at rest acts
+        against the motion in which it came to rest, a combination of these six.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -476,7 +480,8 @@ class StandRows:
     def _fill_contact(self) -> None:
         """Fill in the contact equation z_p - r_p + softness depth(f_p) = 0 and the derivatives.
 
-        z_p is the height of the contact point, r_p its radius, depth(f_p) the penetration [m].
+        z_p is the height of the sphere centre of contact point p, r_p the radius, depth(f_p) the
+        penetration [m] under the force f_p, and softness a factor that is estimated.
         """
         points = self._reading.points
         heights = self._twists[:, 2]
@@ -822,7 +827,7 @@ class StandEquations:
         return [self._evaluate_stand(stand, values) for stand in range(len(self._readings))]
 
     def _evaluate_stand(self, stand: int, values: StandValues) -> StandRows:
-        """Evaluate the residuals of a stand, at the current values of the own unknowns."""
+        """Evaluate the residuals of a stand, at its current base pose and contact forces."""
         (base, forces), reading = self._unknowns[stand], self._readings[stand]
         return StandRows(
             self.table,
@@ -836,7 +841,7 @@ class StandEquations:
         )
 
     def _make_values(self, x: Array) -> StandValues:
-        """Return the values for a parameter vector, shape (n,), without masses of single stands."""
+        """Return robot and ground values for parameters (n,), without added masses of a stand."""
         robot, table = self.robot, self.table
         model, bodies = robot.pin_model.copy(), []
         for link, number, stated in self._bodies:
