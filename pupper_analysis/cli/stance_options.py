@@ -246,7 +246,7 @@ class RobotAndTask:
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
     def task(self) -> StandTask:
-        """Return the stand task."""
+        """Return the stand task that the options of the command specify."""
         return make_task(self.stance)
 
 

@@ -88,5 +88,5 @@ class Description:
         return (diagnose("on-balls-for-soles", count=count),) if count else ()
 
     def trees(self) -> tuple[UrdfTree, SpecTree]:
-        """Return copies of the trees of both files, which the caller may modify."""
+        """Return the URDF and the MJCF as trees of links: copies that the caller may modify."""
         return UrdfTree.of(self.urdf), SpecTree(self.mjcf.copy())

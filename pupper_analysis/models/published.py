@@ -74,10 +74,9 @@ def _read_package_name(folder: Path) -> str:
 
 
 def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
-    """Yield the folder itself and its subfolder, if they have the name of a ROS package.
+    """Yield a folder if it is that of a ROS package, and its subfolder with the package's name.
 
-    The folder itself may also have the name in its ``package.xml``, such as a clone with another
-    folder name.
+    The folder itself is that of the package by its name, or by the name in its ``package.xml``.
     """
     if package in (folder.name, _read_package_name(folder)):
         yield folder

@@ -108,7 +108,7 @@ class ActuatorLaw:
 
     @property
     def joint_gains(self) -> tuple[float, float]:
-        """Stiffness and damping of the actuator at its joint: gear^2 times its own values.
+        """Stiffness and damping of the actuator at its joint, gear^2 times its own values.
 
         Units: N m/rad and N m s/rad for a hinge, N/m and N s/m for a slide.
         """

@@ -119,7 +119,7 @@ def place_base_frame(
         file: Compiled model of the published file, before the base was freed.
         source: File name for errors.
         insert_visuals: Function that puts deferred visual meshes into a spec; None if no mesh is
-            deferred. It is called if the collision geoms do not decide.
+            deferred. It is called if no collision geom of a limb's end is below the frame.
 
     Returns:
         Notes about the change, or about the tilt; mostly empty.

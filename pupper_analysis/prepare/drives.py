@@ -162,9 +162,10 @@ def add_position_servos(
     results: dict[tuple[int, bool], bool] = {}
 
     def rests_with(number: int, *, fed: bool) -> bool:
-        """Return True if the robot comes to rest with the servo gains of candidate ``number``.
+        """Return True if the robot comes to rest with the servo gains of a candidate.
 
-        The feed-forward torques are added if ``fed``. Each case is simulated once.
+        ``number`` is the index of the candidate. The static motor torques are added to the commands
+        if ``fed``. Each case is simulated once.
         """
         parts, kp, kd = candidates[number]
         trial.mj_model.opt.timestep = timestep / parts

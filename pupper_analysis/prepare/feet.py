@@ -395,9 +395,9 @@ is repeated. Chosen: a hundredth of the depth of a loaded contact."""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
-    """Return True if two fits of the same contact points differ by more than 1 um.
+    """Return True if a contact point has moved by more than 1 um between two versions of the feet.
 
-    False if the fits contain different feet or geoms.
+    False if the versions contain different feet or geoms.
     """
     points = [[(foot.name, point) for foot in feet for point in foot.points] for feet in
               (before, after)]  # fmt: skip

@@ -142,10 +142,10 @@ tuned."""
 
 
 def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Disable contacts of foot bodies' other shapes if these are near the ground in a stand.
+    """Disable the contacts of shapes that are on a foot's body and near the ground in a stand.
 
-    A foot body carries a foot geom; the contacts of the foot geoms themselves are kept. The stand
-    is the nominal stand on soft ground.
+    The contacts of the foot geoms themselves are kept. The stand is the nominal stand on soft
+    ground.
 
     Returns:
         Robot, and a note with the bodies if contacts are disabled. The robot is unchanged if it has

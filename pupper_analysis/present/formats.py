@@ -82,7 +82,7 @@ class Annotation:
 
     @property
     def file_and_line(self) -> tuple[str, int | None]:
-        """File and line number of this annotation: an unknown file is empty, a line None."""
+        """File (empty if unknown) and line number (None if unknown) of this annotation."""
         file, _, line = (self.place or "").rpartition(":")
         if line.startswith("<"):
             return file, None

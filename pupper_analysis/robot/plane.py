@@ -167,7 +167,7 @@ class Bar:
 
     @property
     def parameter(self) -> float:
-        """Coordinate z [m] of ``point``, the given point on the axis, in the world frame."""
+        """Height z [m] in the world frame of the point (``point``) that defines the bar's axis."""
         return self.point[2]
 
     def with_parameter(self, number: float) -> Bar:

@@ -365,11 +365,13 @@ def judge_settled(
 ) -> tuple[Stability, mujoco.MjData]:
     """Simulate a state for a settling time, and compute the stability in the settled state.
 
-    Returns the result as of `step_stability`, and the state to which the result applies. This is
-    normally the state after settling. It is the initial state if ``settle`` is below half a time
-    step, if the simulation diverges, or if growing modes explain why the robot left the initial
-    state: only the initial state is at rest, and one of its modes doubles more than
-    ``_MIN_THROWING_DOUBLINGS`` times during settling.
+    Returns the result as of `step_stability`, and the state to which the result applies: normally
+    the state after settling. The result applies to the initial state in three cases:
+
+    - ``settle`` is below half a time step,
+    - the simulation diverges,
+    - only the initial state is at rest, and one of its modes doubles more than
+      ``_MIN_THROWING_DOUBLINGS`` times during settling, so that the mode explains the motion.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)

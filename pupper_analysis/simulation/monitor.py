@@ -449,8 +449,8 @@ def record_contacts(
         states: States after each step, shape (n, size).
         ctrl: Actuator commands, shape (model.nu,).
         settling: Number of states before the nudge.
-        loaded: Feet that must not leave the ground. Other feet are predicted to carry less than
-            ``LIGHT_FOOT_LOAD`` of the weight, and may.
+        loaded: Feet that must not leave the ground. Other feet may, because they are predicted to
+            carry less than ``LIGHT_FOOT_LOAD`` of the weight.
     """
     sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))

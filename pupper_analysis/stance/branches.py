@@ -183,7 +183,7 @@ def _sort_branches(
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
 
     def sort_key(branch: Branch) -> tuple[int, float]:
-        """Return a sort key: foot error [1e-6 m], then sum of joint origins along base x [m]."""
+        """Return a sort key: foot error, in 1e-6 m, then sum of joint origins along base x [m]."""
         bent = qpos.copy()
         bent[robot.nq - robot.nu + limb.joints] = branch.positions
         pin.forwardKinematics(model, data, robot.pin_convention.q(bent))

@@ -64,7 +64,7 @@ class Constraint:
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """Return the residual of this constraint, shape (n,) [m, rad].
 
-        A satisfied equality has a residual of zero, a satisfied inequality none below zero.
+        An equality is satisfied if all elements are zero, an inequality if no element is negative.
 
         Args:
             goal: The goal of the constructor, or a copy with relaxed values, such as foot targets,
@@ -298,7 +298,8 @@ class GroundClearance(Constraint):
         """Return the heights of the parts above the ground minus the required clearance, (n,) [m].
 
         Parts are the collision shapes of ``ClearanceShapes.parts``, in their order; none without
-        ground. Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
+        ground. Half of `CLEARANCE_TOLERANCE` is added, so that a search with small errors still
+        finds an accepted stand.
         """
         heights = self._shapes.measure_part_heights(
             at, goal.task.ground, goal.rigid_targets, goal.depths
@@ -326,7 +327,7 @@ class SelfClearance(Constraint):
         """Return the distances of the nearest shape pairs minus the required distance, (n,) [m].
 
         The collision shapes are on links that are not neighbours. Half of `CLEARANCE_TOLERANCE` is
-        added, so that a search may be inexact.
+        added, so that a search with small errors still finds an accepted stand.
         """
         pairs = self._shapes.find_nearest_pairs(at.qpos, _NUM_NEAREST_PAIRS)
         least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2

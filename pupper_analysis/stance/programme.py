@@ -206,11 +206,11 @@ class StanceProgram:
         self._jacobian_there: tuple[Array, Array] | None = None
 
     def solve(self, qpos: Array, task: StandTask | None = None) -> Relaxation:
-        """Minimise the relaxation of the task's values, from an initial configuration.
+        """Find a stand with the smallest changes of the task's relaxable values.
 
         Args:
             qpos: Initial configuration, shape (nq,).
-            task: Task with the initial relaxed values. Default: the requested values.
+            task: Task with the values from which the solve starts. Default: the requested values.
 
         Returns:
             Relaxed task and configuration at the end of the solve: a local minimum, or, if the

@@ -197,9 +197,10 @@ def find_extreme_positions(
     grips: Array,
     inequalities: tuple[Array, Array] | None = None,
 ) -> tuple[Corner, ...]:
-    """Compute the extreme CoM positions with equilibrium in `SIDES` horizontal directions.
+    """Compute the farthest CoM position with equilibrium in each of `SIDES` directions.
 
-    The result, points (x, y) [m], is empty if no CoM position allows equilibrium.
+    The directions are horizontal. The result, points (x, y) [m] in the world frame, is empty if no
+    CoM position allows equilibrium.
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.

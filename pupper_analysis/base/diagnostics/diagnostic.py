@@ -115,7 +115,7 @@ class Diagnostic:
 
     @property
     def group(self) -> Group:
-        """Group by required action: wrong (repair), assumed (check) or found (none)."""
+        """Group by required action, one of wrong (repair), assumed (check) and found (none)."""
         return Group(entry(self.code).group)
 
     def text(self, language: str = "en") -> str:

@@ -539,8 +539,9 @@ class ConvertedMjcf:
     def make_import(self) -> UrdfImport:
         """Return the URDF as MuJoCo's own importer can read it, without visual shapes.
 
-        As in the converted MJCF, invalid inertials, which MuJoCo refuses, and shapes of links
-        without inertial are moved to the link to which their link is fixed.
+        As in the converted MJCF, some elements of a link are moved to the link to which it is
+        fixed: an invalid inertial (MuJoCo would refuse it), and the shapes of a link without
+        inertial.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():

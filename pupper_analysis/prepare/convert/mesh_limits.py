@@ -75,7 +75,10 @@ class _ColladaScene:
         self._extents: dict[etree._Element, _Extent] = {}
 
     def extent(self, node: etree._Element) -> _Extent:
-        """Count parts and text length of a node; a node that contains itself has too many parts."""
+        """Count the parts and the text length of a node of the scene, with all nodes in it.
+
+        A node that contains itself gets more parts than allowed.
+        """
         if node not in self._extents:
             self._extents[node] = _Extent(MAX_MESH_PARTS + 1, 0)
             urls = [str(instance.get("url")) for instance in node.iterfind("{*}instance_node")]

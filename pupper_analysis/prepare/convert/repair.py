@@ -122,10 +122,10 @@ class LinkBodies:
         return not self.can_move(body) and self.parent(body) is not None
 
     def fixed_group(self, body: str) -> Iterator[tuple[str, pin.SE3]]:
-        """Yield a body and all bodies fixed to it: name, and pose of the first body.
+        """Yield (name, pose) for a body, and for all bodies fixed to it, nearest first.
 
-        The pose is that of the first body's frame in the frame of the yielded body. Bodies are in
-        ascending order of the number of fixed joints in between.
+        The pose is that of the given body's frame in the frame of the yielded body. The distance is
+        the number of fixed joints in between.
         """
         known, waiting = {body}, [(body, pin.SE3.Identity())]
         while waiting:

@@ -184,7 +184,7 @@ class Difference(Stated, Result):
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Sort key of this difference, most urgent repair first: ``tier``, effects, kind."""
+        """Sort key of this difference (``tier``, effects, kind), most urgent repair first."""
         kind = KIND_ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
         return (
             self.tier,
@@ -350,9 +350,9 @@ class RelativeError:
 
 
 def describe_kind(kind: str) -> str:
-    """Return a short English description of a kind of remark, for example ``mass``.
+    """Return a short English description of a kind of check result, for example ``mass``.
 
-    The default description is that of a difference between the files.
+    A kind without a text of its own is described as a difference of this kind.
     """
     key = _ABOUT_KEYS.get(kind, "about-difference")
     return fill_template(phrase(key, "en"), {"kind": kind}, "en")
@@ -386,7 +386,7 @@ class ModelNames:
 
     @property
     def message_values(self) -> dict[str, Any]:
-        """Values of a diagnostic: {"first": name of the first model, "second": of the second}."""
+        """Names of both models as values of a message, under the keys ``first`` and ``second``."""
         return {"first": self.first, "second": self.second}
 
 
@@ -494,7 +494,7 @@ class Change(Stated):
     felt: bool = True
 
     def apply(self, first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
-        """Return a copy of the first tree with the second tree's value of this property."""
+        """Return a copy of the first tree with the second tree's value of the changed property."""
         return copy_value(first, second, self.kind, self.element)
 
 

@@ -258,7 +258,7 @@ class Match:
         return UrdfTree.of(self.robot.description.urdf)
 
     def sources(self, urdf: UrdfFile, mjcf: MjcfFile) -> tuple[Sources, Sources]:
-        """Return the locations of the values in the two matched files."""
+        """Return objects that locate values (file and line) in the matched URDF and MJCF."""
         base = tuple(dict.fromkeys((self.robot.base, self.reference.base)))
         frames = self.robot.description.frames
         urdf_sources = UrdfSources(

@@ -166,12 +166,15 @@ class ContactKinematics:
         return pushed
 
     def balance_rates(self, forces: Array, held: tuple[Array, Array] | None = None) -> Array:
-        """Compute the derivative of gravity load minus generalised contact force by qvel, (nv, nv).
+        """Compute the derivative of the unbalanced generalised force, shape (nv, nv).
+
+        This force is the gravity load minus the contact forces (and weld wrenches, if given). The
+        derivative is with respect to displacements in the order of qvel.
 
         Args:
             forces: Contact forces, shape (n, 3) [N], in the ground frame; constant in the
                 derivative.
-            held: Jacobians (w, 6, nv) and constant wrenches (w, 6) of welds.
+            held: Of w welds: Jacobians (w, 6, nv) and constant wrenches (w, 6) [N, N m].
         """
         pushing = (forces[:, None] @ self._frames)[:, 0]
         wrenches = np.empty((len(forces), 6))
@@ -924,13 +927,12 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
 def contact_compliance(
     robot: Robot, units: EquilibriumScales
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return two tangential compliances of the contacts, each {contact point: compliance [m/N]}.
+    """Return two mappings of tangential compliance, each {contact point: compliance [m/N]}.
 
-    In the first mapping, the points of soles (feet with several points) are compliant, all others
-    have 0: a sole is rigid, so without compliance the slip equations of its points would be
-    linearly dependent. The second mapping is the same, unless `can_move_com` is False. All points
-    are then compliant: two feet whose legs swing in planes have a constant distance, as the points
-    of a sole have.
+    Compliance keeps the slip equations of points with a constant distance linearly independent. In
+    the first mapping, only the points of soles (feet with several points) are compliant; all others
+    have 0. The second mapping is the same, unless `can_move_com` is False: then all points are
+    compliant, since two feet whose legs swing in planes also have a constant distance.
 
     Args:
         robot: Robot.

@@ -704,8 +704,8 @@ def find_sag_failure(
 ) -> Diagnostic | None:
     """Return the reason for which a robot does not stand without feed-forward; None if it stands.
 
-    Reasons are: no equilibrium continues the stand; the failures of `steady_state`; and, on a free
-    base, an equilibrium with half of the stand's base height or less.
+    Reasons are: no equilibrium is reached when feed-forward is removed from the stand; the failures
+    of `steady_state`; and, on a free base, half of the stand's base height or less.
 
     Args:
         robot: Robot, with the contacts of the stand (``touching``).

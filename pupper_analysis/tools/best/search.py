@@ -391,10 +391,11 @@ class StanceSearch:
         missing = first.rows - np.array([_CONSTRAINT_PENALTY, 0.0])
 
         def evaluate_rows(share: Array) -> Array:
-            """Return the rows (a, b), shape (k, 2), of the constraints a + b level >= 0.
+            """Solve a stance, and return a and b of its constraints a + b level >= 0.
 
-            ``share`` are the scaled coordinates of the stance, 0 to 1. If the stance is allowed and
-            has the smallest level (scaled objective) so far, ``best`` is updated.
+            The result has shape (k, 2); the level is the scaled objective. ``share`` contains the
+            scaled coordinates of the stance, 0 to 1. ``best`` is updated if the stance is allowed
+            and has the smallest level so far.
             """
             nonlocal best
             stance = self.evaluate(subspace.compute_coordinates(share))

@@ -370,7 +370,8 @@ class Node:
         An element of a list refers to a joint by index, an entry of a table by name or pattern.
 
         Args:
-            quantity: Quantity. For a setting a single statement results, if the value is a number.
+            quantity: Name of the quantity. If it belongs to the whole source instead of a joint
+                (a setting), only a number is yielded, as a single statement.
             joints: Patterns of the joints to which a single number applies; all joints if empty.
         """
         if find_quantity_kind(quantity).is_setting:

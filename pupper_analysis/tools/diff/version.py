@@ -241,7 +241,7 @@ class VersionedFile:
     root: Path | None = None
 
     def label(self, place: Place) -> str:
-        """Return ``file:line`` of a place as the user named the file: ``REVISION:PATH:line``."""
+        """Return ``file:line`` of a place; the file is named as by the user (``REVISION:PATH``)."""
         return self._replace_paths(place.path)
 
     def read(self, read: Callable[[Path], _T]) -> _T:

@@ -127,7 +127,8 @@ class TorqueSearch:
             joint: Index of the joint.
             sign: 1 or -1: direction of maximisation.
             qpos: Start posture, shape (nu,).
-            fine: Also search between the samples of motions with numerically closed loops.
+            fine: Also search between the samples of a motion whose closed loops are solved
+                numerically. Other motions are always searched between samples.
 
         Returns:
             ``sign`` times the torque [N m, N], and the posture (nu,).
@@ -175,7 +176,8 @@ class TorqueSearch:
             qpos: Posture at zero displacement, shape (nu,).
             motion: Index of the motion.
             current: ``sign`` times the torque at ``qpos`` [N m, N].
-            fine: Also search between the samples of motions with numerically closed loops.
+            fine: Also search between the samples of a motion whose closed loops are solved
+                numerically. Other motions are always searched between samples.
 
         Returns:
             Displacement [rad, m].

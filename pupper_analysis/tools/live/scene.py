@@ -241,7 +241,7 @@ class Scene:
         self._size = 1.0
 
     def show(self, answer: Answer) -> None:
-        """Draw a solved stance with torques and contact forces; else the ground only."""
+        """Draw the ground, and the stance with torques and contact forces if it is solved."""
         robot, stand = answer.robot, answer.stand
         self.hide("twin")
         self._draw_only(())

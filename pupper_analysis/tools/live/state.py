@@ -155,9 +155,9 @@ class State:
 
 
 def find_contact_factor(contact: Contact | Weld) -> float:
-    """Return the factor from SI units to the units that the page shows, for a contact's position.
+    """Return the factor that converts the position of a contact from SI to the page's unit.
 
-    From rad to degrees if an angle positions the contact's plane (a slope), else from m to mm.
+    The position is an angle for a sloped plane (rad to degrees), and otherwise a length (m to mm).
     """
     return PAGE_UNITS["angle" if contact.has_angle else "length"][1]
 

@@ -73,7 +73,7 @@ class PushedStance(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the robot stands if it is not pushed; the largest pushes are not judged."""
+        """Whether the robot stands without a push. The sizes of survived pushes are not judged."""
         return self.verdict.passed
 
 

@@ -156,7 +156,7 @@ class Study:
             raise ConfigurationError("measure", diagnose("there-twice", name=repeated))
 
     def make_source_with_visuals(self) -> RobotSource:
-        """Return the source of the study's robots with visual geoms, which metrics do not need."""
+        """Return the source of the study's robots with visual geoms, which runs of a study omit."""
         if isinstance(self.source, FileSource):
             return FileSource(self.source.files, self.source.files.load())
         return Variants(self.source.spec, whole=True)

@@ -82,7 +82,8 @@ class EditableMjcf:
             element: Element.
             attribute: Name of the attribute.
             value: Text, a number, or several numbers.
-            floor: Lower bound of the magnitude that the tolerances of numbers refer to.
+            floor: Lower bound of the magnitude to which the relative tolerance is applied, in the
+                unit of the numbers. Numbers within the tolerance keep their text.
         """
         if isinstance(value, str):
             text: str | None = value

@@ -397,15 +397,16 @@ class UsdModel(RobotModel):
         return self.floating
 
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the name of a joint parameter for messages, and None: there is no child element.
+        """Return the name of a joint parameter for messages, and None for its child element.
 
-        The name is the kind, such as ``damping``, since attribute names differ between schemas.
+        The name is the kind, such as ``damping``, since attribute names differ between USD schemas.
+        A USD has no child elements.
         """
         return attribute.kind, None
 
     @property
     def in_degrees(self) -> bool:
-        """Whether the file states angles in degrees: always true for UsdPhysics."""
+        """Whether the file states angles in degrees. True, as in UsdPhysics."""
         return True
 
     @property

@@ -39,7 +39,7 @@ _TABLE_KEYS = {
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the sets of joint values in a YAML or JSON file, for example of each controller."""
+    """Yield a source for each set of joint values in a YAML or JSON file (one per controller)."""
     documents = read_yaml_nodes(request.path, read_text(request.path))
     for document in (document for document in documents if isinstance(document.value, dict)):
         layers = document.get("layers")
@@ -230,7 +230,10 @@ def _read_limits(request: Request, limits: Node) -> Iterator[Source]:
 
 
 def is_trainer_config(root: Node) -> bool:
-    """Return True if a table has legged_gym's default joint angles, so that it is a trainer's."""
+    """Return True if a table is the training configuration of a policy, as of legged_gym.
+
+    Such a table contains the default joint angles as ``init_state/default_joint_angles``.
+    """
     return bool(root.get("init_state", "default_joint_angles").table)
 
 

@@ -106,7 +106,7 @@ class MeasuredStands:
         Raises:
             UnknownNameError: If the robot lacks a joint, foot or link of the stands.
             MeasurementError: If a position is missing, impossible or in degrees, or too few contact
-                points carry.
+                points carry load.
         """
         ordered = self.order_joints(robot)
         for finding in find_degrees(robot, range(robot.nu), ordered.position, ordered.command):

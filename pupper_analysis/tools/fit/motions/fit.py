@@ -611,7 +611,7 @@ class SeriesNoise:
 
     @property
     def long_run_std(self) -> float:
-        """Long-run standard deviation of a joint's noise e [rad]: s / (1 - sum c).
+        """Standard deviation of a joint's noise e over long times [rad], s / (1 - sum c).
 
         At least the standard deviation of e. The noise model is e_k = sum_i c_i e_(k-i) + w_k, with
         white noise w of standard deviation s.

@@ -601,10 +601,11 @@ class MomentCoordinates:
         return moments
 
     def differentiate_parameters(self, moments: Array) -> Array:
-        """Return the derivative of the parameters by the coordinates of this class, shape (n, n).
+        """Return the derivative of the parameters by first-moment coordinates, shape (n, n).
 
         Args:
-            moments: Coordinates, shape (n,), with first moments in place of CoM positions.
+            moments: Coordinates, shape (n,), with first moments in place of CoM positions, at which
+                the derivative is evaluated.
         """
         derivative, mass_ratio = np.eye(len(moments)), self._compute_mass_ratio(moments)
         deviation = moments[self._coms] - self._stated_com

@@ -761,13 +761,13 @@ class StandEquations:
     ) -> LinearisedResiduals:
         """Linearise the whitened residuals of all stands, for ``estimate_parameters``.
 
-        Base tilt, base height and contact forces of each stand (its own unknowns) are solved for
-        and eliminated. The values of the unknowns are kept only if ``x`` and ``noise_point`` are
-        the same object: otherwise ``x`` is a trial.
+        The own unknowns of each stand (base tilt, base height, contact forces) are solved for and
+        eliminated.
 
         Args:
             x: Parameters, shape (n,), each in its unit.
-            noise_point: Only compared with ``x``; the noise is set by ``set_noise_point``.
+            noise_point: ``x`` itself, to store the solved unknowns as the next initial guess; any
+                other array for a trial, after which the previous unknowns are restored.
             evaluations: Newton steps of the own unknowns.
 
         Returns:
