@@ -152,7 +152,7 @@ class Command(click.Command):
             raise
 
     def invoke(self, context: click.Context) -> Any:
-        """Run the command if the results can be written."""
+        """Check that the output files of the command can be written, and run the command."""
         run = context.with_resource(ensure_run())
         run.request = _collect_options(self, context)
         take_parameter = context.params.get if self._has_force else context.params.pop

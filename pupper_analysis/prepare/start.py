@@ -146,7 +146,7 @@ def with_keyframes(
 ) -> Description:
     """Return a copy of a description with keyframes added to its MJCF.
 
-    The matching of URDF and MJCF names has removed the keyframes of the file before.
+    The keyframes of the file were removed before, when the names of URDF and MJCF were matched.
 
     Args:
         description: URDF and MJCF with matched names.

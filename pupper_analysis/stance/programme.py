@@ -141,8 +141,8 @@ class _Progress:
         """Record the violation at variables ``x``, and store ``x`` with the smallest violation.
 
         There is progress if the violation is at most ``enough``, or at most `_MIN_PROGRESS_RATIO`
-        of the smallest earlier violation. A second call with the same ``x`` counts as well: SLSQP
-        evaluates the Jacobians of equalities and of inequalities separately.
+        of the smallest earlier violation. Each call counts, also a second call with the same ``x``
+        (SLSQP evaluates the Jacobians of equalities and of inequalities separately).
 
         Args:
             x: Variables of the program.

@@ -185,9 +185,10 @@ class Balance:
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
         """Compute the forces with the smallest peak motor utilisation max |tau| / limit.
 
-        Of these, the forces with the smallest norm of all utilisations are selected. Without cones
-        (``friction`` None), only this norm is minimised. Motors without a finite, positive limit
-        are ignored. If no motor has such a limit, torques replace utilisations.
+        If several forces have this peak, those with the smallest norm of all utilisations are
+        selected. Without friction cones (``friction`` None), only this norm is minimised. Motors
+        without a finite, positive limit are ignored. If no motor has such a limit, torques replace
+        utilisations.
 
         Args:
             friction: Shape (n,); friction coefficients. None removes cones and unilateral limits.

@@ -165,9 +165,9 @@ def torque_table(
 
 
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
-    """Return a text that lists the attributes and files which state torque limits.
+    """Return a text that lists the attributes and files (origins) that state torque limits.
 
-    The most frequent origin is first. If there are several, each has the number of its joints.
+    The most frequent origin is first. Several origins are listed with their numbers of joints.
 
     Args:
         origins: Statement of each joint's limit; None for a joint without limit.

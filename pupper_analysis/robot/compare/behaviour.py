@@ -249,7 +249,7 @@ might be singular. Chosen, not tuned."""
 
 
 def is_large(robot: Robot) -> bool:
-    """Return True if a robot has too many degrees of freedom for Pinocchio's data."""
+    """Return True if a robot has more degrees of freedom than `MAX_PINOCCHIO_NV`."""
     return robot.nv > MAX_PINOCCHIO_NV
 
 

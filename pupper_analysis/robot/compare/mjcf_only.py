@@ -220,7 +220,7 @@ def _make_effect(
 
 
 def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield springs and nonlinear damping of all joints, and dry friction of the free joint."""
+    """Yield effects that a URDF lacks: springs, nonlinear damping, dry friction of a free joint."""
     model = scene.model
     for joint in scene.reference.joints():
         subject, is_free = (

@@ -633,11 +633,12 @@ def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0
 
 
 def release_margin(path: HomotopyPath) -> float:
-    """Compute the smallest friction reserve of a foot if the feed-forward is removed in one step.
+    """Compute the smallest friction reserve of all feet if the feed-forward is removed in one step.
 
-    The reserve is (friction coefficient x normal force - tangential force) / weight, in the
-    overshoot: at the contact forces 2 f - f_0, with f at the current equilibrium of the path and
-    f_0 in the stand. The result is `SteadyState.release_margin`; infinite without contacts.
+    The reserve is (friction coefficient x normal force - tangential force) / weight. It is computed
+    for the overshoot after the step, with the contact forces 2 f - f_0: f at the current
+    equilibrium of the path, f_0 in the stand. The result is `SteadyState.release_margin`; infinite
+    without contacts.
     """
     held, now, robot = path.balance.contact_forces, path.solution.forces, path.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)

@@ -200,10 +200,10 @@ class StanceSearch:
             raise ConfigurationError("objective", message)
 
     def compute_objective(self, stand: Stand) -> float:
-        """Compute the CoM margin [m] of a stand, or its peak motor utilisation.
+        """Return the CoM margin [m] of a stand if this is the objective; else the peak utilisation.
 
-        The margin is returned if it is the objective of this search. The stand may be one on rigid
-        or on soft ground.
+        The peak utilisation is the largest motor torque / limit. The feet of the stand may have
+        penetration depths (soft ground) or none (rigid ground).
         """
         statics = stand_statics(self.robot, stand)
         assert statics.com_margin is not None

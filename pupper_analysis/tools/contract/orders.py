@@ -197,7 +197,7 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
 
 
 def list_observations(source: Source) -> list[str]:
-    """Return the names of a policy's observation terms in order, aliases as one common name."""
+    """Return the observation terms of a policy in order, by common instead of library names."""
     return [OBSERVATION_ALIASES.get(name, name) for name, _, _ in source.observations]
 
 

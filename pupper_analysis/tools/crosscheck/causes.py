@@ -229,8 +229,8 @@ class PatternCase:
             second: Modified tree of the MJCF, in the body frames of the URDF.
 
         Returns:
-            (kind, element) pairs. Empty if the modified tree adds a difference, or if fewer than
-            two differences disappear.
+            Differences as pairs (kind, element). Empty if the modified tree has a new difference,
+            or if fewer than two differences disappear.
         """
         remaining = self.find_remaining(second)
         vanished = set(self.keys) - remaining

@@ -225,15 +225,16 @@ def apply_priors(
 ) -> tuple[Parameter, ...]:
     """Return the parameters of a fit with prior standard deviations (widths).
 
-    The width is that of the last matching prior, or the default of the kind. Candidates of width 0
+    The width is that of the last matching prior, or the default of the kind. Parameters of width 0
     (``kp=0``, a mass of 0) are known exactly and are left out.
 
     Args:
-        stated: Kind, subject, component and stated value (in the kind's unit) of each candidate.
+        stated: Kind, subject, component and stated value (in the kind's unit) of each possible
+            parameter.
         priors: Priors that replace the defaults.
 
     Raises:
-        ConfigurationError: If a prior matches no candidate.
+        ConfigurationError: If a prior matches no possible parameter.
     """
     candidates, prior_list, used = list(stated), tuple(priors), set()
     parameters = []

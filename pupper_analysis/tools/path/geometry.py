@@ -93,7 +93,7 @@ class Segment:
     after: tuple[str, ...]
 
     def find_specified_joints(self, robot: Robot) -> list[int]:
-        """Return the indices of joints whose position the first or last stance's task specifies."""
+        """Return the indices of joints with a position in the task of the first or last stance."""
         tasks = self.start.task, self.end.task
         names = {joint for task in tasks for joint in resolve_posture(robot, task.posture)}
         return sorted(map(robot.joint_names.index, names))

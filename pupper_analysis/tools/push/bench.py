@@ -226,10 +226,10 @@ class PushBench:
         return failures
 
     def simulate_pushes(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
-        """Simulate pushes for the duration, and yield the full states of each, shape (steps, size).
+        """Simulate n pushes for the full duration, and yield the states of each, (steps, size).
 
         Args:
-            directions: Indices of the axes, shape (n,).
+            directions: Index of each push's direction in ``axes``, shape (n,).
             impulses: Impulses, shape (n,) [N s].
         """
         self.rollouts += len(directions)

@@ -317,7 +317,10 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 
 
 def resolve_metric_file(folder: Path, requested: object) -> object:
-    """Return a requested metric with the path of its file, if relative, resolved in a folder."""
+    """Resolve the file of a requested metric ``METRIC:FILE``, if relative, in a folder.
+
+    Other requests are returned unchanged.
+    """
     name, _, file = requested.partition(":") if isinstance(requested, str) else ("", "", "")
     metric = METRICS.get(name)
     return f"{name}:{folder / file}" if file and metric and metric.of_file else requested

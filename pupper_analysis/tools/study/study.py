@@ -427,13 +427,13 @@ def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[st
 
 
 def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame:
-    """Return the table rows of designs in the order of the blocks, without empty columns.
+    """Return the table rows of given designs in the given order, without empty columns.
 
     The failure columns are kept, also if empty.
 
     Args:
         frame: Table with the columns ``design`` (hash) and results.
-        blocks: Hashes of the designs, in blocks.
+        blocks: Hashes of the designs in order, split into lists.
     """
     order = {name: index for index, name in enumerate(dict.fromkeys(chain.from_iterable(blocks)))}
     selected = frame[frame["design"].isin(order.keys())]

@@ -175,5 +175,5 @@ def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
 
 
 def find_first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
-    """Return the place of the first element with an attribute in an MJCF; None if there is none."""
+    """Return the place of the first element with a tag and an attribute in an MJCF, or None."""
     return next((place for found, place in file.elements(tag) if attribute in found), None)

@@ -86,7 +86,7 @@ def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
 def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find initial configurations with joints more than 1 mrad (1 mm) outside their limits.
 
-    NOTE for qpos0 of an MJCF and the zero angles of a URDF.
+    The severity is NOTE for ``qpos0`` of an MJCF and the zero angles of a URDF.
     """
     for where, start, values in _list_start_angles(robot):
         excess = {
