@@ -291,7 +291,10 @@ def _make_elements_test(
     """
 
     def has_valid_elements(value: Any) -> bool:
-        """Return True for an iterable of valid elements; a sequence or array if required."""
+        """Return True if a value is an iterable of valid elements.
+
+        With ``of_known_length``, the value must be a sequence or an array.
+        """
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim
         if of_known_length and not is_sequence and not is_array:

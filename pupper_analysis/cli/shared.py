@@ -543,7 +543,10 @@ def _display_progress(what: str) -> Iterator[None]:
 
 
 def format_progress(clock: ProgressClock) -> str:
-    """Format elapsed time, or completed parts and remaining time; empty at the beginning."""
+    """Format the progress of a computation: completed parts and remaining time [s].
+
+    The elapsed time [s] if the remaining time is unknown; empty before ``MIN_REPORTED_TIME``.
+    """
     from pupper_analysis.present.document import text
 
     if clock.elapsed < MIN_REPORTED_TIME:

@@ -309,14 +309,14 @@ _JOINT_FIELDS = {
 def copy_value(
     tree: MultibodyTree, source: MultibodyTree, kind: str, element: str
 ) -> MultibodyTree:
-    """Return a tree with a value of another tree.
+    """Return a tree in which one value, such as a mass or a joint axis, is that of another tree.
 
-    If the parent of a single joint would create a loop, the parents of all joints are copied.
+    If the parent of this joint alone would create a loop, the parents of all joints are copied.
 
     Args:
         tree: Tree to modify; the result is a copy.
         source: Tree with the new value, and with the same names of bodies, joints and frames.
-        kind: Kind of the `Difference` between the trees.
+        kind: Kind of the value, as in a `Difference` between the trees.
         element: Body, joint or frame. For values of the whole robot, the base.
     """
     if kind in _BODY_FIELDS:

@@ -145,7 +145,7 @@ def read_document(path: Path) -> XmlDocument:
         elements.append(element)
 
     def end(_: str) -> None:
-        """Return to the parent element at an end tag."""
+        """Make the parent the current element, when the parser reaches an end tag."""
         stack.pop()
 
     parser.StartElementHandler, parser.EndElementHandler = start, end

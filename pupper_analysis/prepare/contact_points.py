@@ -154,9 +154,10 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
 
 
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
-    """Fit a sphere to the lower end of a foot's points: centre and radius.
+    """Fit a sphere to the lowest points of a foot: centre and radius.
 
-    The equation |p - c| = r is linear in c and r^2 - |c|^2.
+    Spheres are fitted to the points within 10, 20, 30 and 45 mm above the tip, as linear least
+    squares: the equation |p - c| = r is linear in c and r^2 - |c|^2.
 
     Args:
         points: Points, shape (n, 3) [m].
@@ -164,8 +165,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
         down: Unit vector towards the ground, shape (3,), in the frame of the points.
 
     Returns:
-        Centre, shape (3,) [m], of the largest part that fits, and radius [m] along ``down`` from
-        the centre to the tip; the tip and 0 if no part is a sphere.
+        Centre, shape (3,) [m], of the last of these spheres that fits, and radius [m]: distance
+        along ``down`` from the centre to the tip. The tip and 0 if no sphere fits.
     """
     found = tip, 0.0
     for size in (0.01, 0.02, 0.03, 0.045):  # height of the fitted part [m]

@@ -57,10 +57,13 @@ def limit_continuous_joints(robot: Robot) -> Description | None:
 
 
 def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
-    """Narrow the joint limits of the URDF [rad, m] to those of the MJCF; return notes.
+    """Narrow the joint limits of the URDF [rad, m] to their overlap with those of the MJCF.
 
-    MuJoCo would move a stand beyond its limits in the first simulation step. Limits are kept if
-    both ranges do not overlap. The returned description is None if no limit changes.
+    Otherwise, MuJoCo would push joints back that are beyond the limits of the MJCF in a stand.
+    Limits are kept if both ranges do not overlap.
+
+    Returns:
+        Robot description with the new limits, None if no limit changes; and notes on the change.
     """
     model, narrower = robot.mj_model, {}
     for name, low, high in zip(

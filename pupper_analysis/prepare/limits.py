@@ -79,7 +79,7 @@ def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortSt
 def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bool:
     """Return True if a motor with a torque limit of zero must hold a torque in a stance.
 
-    Torques [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot are rounding.
+    Torques [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot count as zero.
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass

@@ -530,9 +530,10 @@ def simulate_published(
         seconds: Duration [s].
 
     Returns:
-        Minimum and maximum torque of the actuators and external servos in the last `FORCE_WINDOW`,
-        and at a reset, each of shape (model.nv,) [N m]. Gravity compensation that MuJoCo adds to
-        actuator forces (``actuatorgravcomp``) is subtracted.
+        Minimum and maximum force of actuators and external servos on each degree of freedom, shape
+        (model.nv,) each [N m, N]. The extremes are those of the last `FORCE_WINDOW` of the
+        duration, and of the step at which MuJoCo resets the state. Gravity compensation that
+        MuJoCo adds to actuator forces (``actuatorgravcomp``) is subtracted.
     """
     model = published.model
     dofs, kp, kd, targets, feedforward = hold.external

@@ -98,9 +98,9 @@ def compare_as_published(
 ) -> Published | None:
     """Compare the published file with the prediction for a stand.
 
-    The nominal stand of the robot as loaded is compared instead if the robot was changed since, if
-    the task has welds, or if the ground is not level. If the caller passed gains, the published
-    model gets the same gains.
+    If the robot was changed after loading, has welds, or stands on ground that is not level, the
+    nominal stand of the robot as loaded is compared instead of ``stand``. If the caller passed
+    gains, the published model gets the same gains.
 
     Args:
         robot: Prepared robot.
@@ -110,8 +110,8 @@ def compare_as_published(
         kd: Requested servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
     Returns:
-        Comparison. None if the robot has no file, or if its file is simulated without changes. See
-        ``_compare_in`` and ``compare_nominal_stand`` for further cases.
+        Comparison. None, for example, if the robot has no file, if its file is simulated without
+        changes, or if nothing is predicted for the stand.
     """
     if robot.published is None or robot.published.is_unchanged:
         return None
@@ -145,7 +145,7 @@ RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
 def compare_nominal_stand(robot: Robot) -> Published | None:
     """Compare the published file with the prediction for the nominal stand of a robot.
 
-    None without a nominal stand, and in the cases of ``_compare_in``.
+    None, for example, if the robot has no nominal stand, or nothing is predicted for this stand.
     """
     return _compare_nominal(robot, None)
 
@@ -432,8 +432,9 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
 def explain_own_run(robot: Robot) -> OwnRun | None:
     """Simulate a robot's unmodified file from its keyframe, and name the causes of a failure.
 
-    The result is cached per loaded robot; it is None if that of `own_run` is None. No causes are
-    searched for a file with a servo whose stiffness is zero or negative.
+    The result is cached per loaded robot. None in the cases in which `own_run` returns None, for
+    example for a fixed base. No causes are searched for a file with a servo whose stiffness is zero
+    or negative.
     """
     return get_loaded_robot(robot).compute_once(_own_run_explained)
 
@@ -616,7 +617,7 @@ def _test_causes(
 
     @cache
     def deviation_without(removed: frozenset[CauseCandidate]) -> float | None:
-        """Return the result of ``test_model`` for the model with some candidates switched off."""
+        """Return the result of ``test_model`` for the model without some candidate elements."""
         model = copy.copy(published.model)
         for candidate in removed:
             candidate.switch_off(model)

@@ -72,11 +72,11 @@ Chosen, not tuned."""
 def find_carrying_hulls(
     footless: Robot, robot: Robot, feet: Sequence[Foot]
 ) -> tuple[tuple[Foot, ...], Diagnostic] | None:
-    """Find other shapes of foot bodies that carry more load than soft feet in the published model.
+    """Find shapes beside soft feet that carry most of their load in the published model.
 
-    A soft foot may penetrate the ground so far that another shape of the foot body, such as the
-    convex hull of the shank, touches too and is stiffer. The load fraction of the foot is its force
-    at the penetration at which the hull alone carries the load.
+    A soft foot may penetrate the ground so far that another shape of its body, such as the convex
+    hull of the shank, touches too and is stiffer. The foot's fraction of the load is estimated as
+    its force at the penetration at which the other shape alone would carry the load.
 
     Args:
         footless: Robot before feet were added.

@@ -420,7 +420,7 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
 
 
 def describe_cause(cause: Cause) -> Diagnostic:
-    """Create the message for a cause for which a published file departs from the computed stand.
+    """Create the message about a cause of the deviation of a published file from a computed stand.
 
     Raises:
         KeyError: If the code of the cause is unknown.

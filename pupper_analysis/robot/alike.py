@@ -129,8 +129,8 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
 def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report the limbs without a foot if at least half of the similar limbs have a foot.
 
-    The limb itself is counted as one of the similar limbs.
-    Empty unless the feet were detected by this package (note ``feet-found``).
+    The limb itself is counted as one of the similar limbs. Empty if the feet were not detected by
+    this package (no note ``feet-found``).
     """
     if not any(note.code == "feet-found" for note in robot.notes):
         return ()

@@ -157,7 +157,7 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 
 
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
-    """Build a robot with additions to the MJCF; data are kept as in `rebuild_robot`."""
+    """Build a robot with additions to the MJCF; stand height, notes and contacts are kept."""
     description = robot.description.with_additions(*additions)
     return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
 

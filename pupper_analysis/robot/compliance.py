@@ -133,12 +133,11 @@ class GroundLaw:
     def depth(self, force: float, near: float | None = None) -> float:
         """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
 
-        Positive forces are solved for by Newton's method. With ``near``, up to
-        `_NUM_UNBOUNDED_STEPS` steps start from this guess. If these steps do not converge, or
-        without ``near``, a second iteration keeps a lower and an upper bound of the penetration.
-        There a step is replaced by the geometric mean of the bounds if the step leaves the bounds,
-        or if the previous step did not halve the residual. While the lower bound is zero, half the
-        upper bound replaces the mean.
+        Method for positive forces: Newton steps within a lower and an upper bound of the
+        penetration. A step that leaves the bounds, or that follows a step which did not halve the
+        residual, is replaced by the geometric mean of the bounds (half the upper bound while the
+        lower bound is zero). With ``near``, up to `_NUM_UNBOUNDED_STEPS` Newton steps without
+        bounds are tried before.
 
         The iteration ends if the relative step is at most `_STEP_RTOL`, if the relative distance of
         the bounds is at most `_DEPTH_RTOL`, or after `_MAX_ITERATIONS`.

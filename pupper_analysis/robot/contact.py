@@ -285,10 +285,10 @@ def stand_height(
 ) -> float:
     """Return the height [m] of the base above the ground in the nominal (default) stand.
 
-    With ``foot_depth``, the centres of the feet are this distance below the first bodies of their
-    legs, with all joints at the values in qpos0. Otherwise, the lowest foot touches the ground
-    with the joint positions of the keyframe. Distances are along the z axis of the base. The height
-    is 0 without feet.
+    With ``foot_depth``, the centres of the feet are this distance below the hips, the first bodies
+    of their legs, with all joints at the values in qpos0. Otherwise, the lowest foot touches the
+    ground with the joint positions of the keyframe. Distances are along the z axis of the base. The
+    height is 0 without feet.
 
     Args:
         model: MuJoCo model.

@@ -164,7 +164,7 @@ def simulate_keyframe(
 
     The runs start with a nudge, with the opposite nudge, and without a nudge. The result is the
     first run in which the robot collapses; if there is none, the run with the first nudge. Two
-    signs are needed because a drop may end between a stand and a fall to one side.
+    signs are needed because a robot may end in a pose from which it falls to one side only.
 
     Args:
         model: MuJoCo model.

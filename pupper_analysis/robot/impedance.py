@@ -125,10 +125,10 @@ class EqualityCompliance:
         return self._compliance.copy()
 
     def max_compliance(self) -> Array:
-        """Return the largest compliance of each equation that any violation gives, shape (m,).
+        """Return the maximum over all violations of the compliance of each equation, shape (m,).
 
-        The unit is m/N, or rad/(N m) for an angle. MuJoCo's compliance depends on the violation of
-        the equality constraint (``solimp``).
+        The unit is m/N, or rad/(N m) for an angle. The compliance of a MuJoCo equality constraint
+        depends on its violation (``solimp``).
         """
         compliance = self._base_compliance.copy()
         for rows, solimp in self._row_groups:

@@ -319,7 +319,7 @@ class Nudge(Result):
 
     @property
     def stays(self) -> bool:
-        """Whether all joints stayed within ``MAX_JOINT_DISPLACEMENT`` at all times after the nudge.
+        """Whether all joints of the nudged robot always stayed within ``MAX_JOINT_DISPLACEMENT``.
 
         Creep is subtracted.
         """

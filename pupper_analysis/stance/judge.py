@@ -191,11 +191,11 @@ class Stand(Pictured, Tabular):
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the sphere centres from which steps and planes of the ground are located.
+        """Targets of the foot spheres' centres from which steps and planes are located.
 
         {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
         targets are moved out of the ground by the penetration (`remove_penetration`). Otherwise
-        these are the ``foot_targets``, since the position of a level step does not depend on the
+        these are the ``foot_targets``: the position of a level step does not depend on the
         penetration.
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)

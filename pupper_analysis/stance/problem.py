@@ -182,11 +182,11 @@ class Goal:
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the foot spheres' centres, which determine the places of steps and planes.
+        """Targets of the foot spheres' centres from which steps and planes are located.
 
         {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
-        penetration is removed (`remove_penetration`). Otherwise these are the ``targets``,
-        since the position of a level step does not depend on the penetration.
+        targets are moved out of the ground by the penetration (`remove_penetration`). Otherwise
+        these are the ``targets``: the position of a level step does not depend on the penetration.
         """
         return remove_penetration(self.task.ground, self.targets, self.depths, self.normals)
 

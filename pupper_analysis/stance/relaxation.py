@@ -168,10 +168,10 @@ class _Search:
         self.starts = [nearest.qpos, home]
 
     def find_relaxations(self) -> list[_StatedRelaxation]:
-        """Return the relaxation of each requirement that suffices alone, with its stand.
+        """Return relaxations of a task that make it reachable, each with its stand.
 
-        If none suffices alone: the relaxation of a small set of requirements that suffices
-        together. Empty if no set is found.
+        Each relaxation changes a single requirement. If no single requirement suffices, the result
+        is one relaxation of a small set of requirements; it is empty if no set is found.
         """
         robot, task = self.context.robot, self.goal.task
         differing = [demand for demand in DEMANDS if differs_from_nominal(robot, task, [demand])]

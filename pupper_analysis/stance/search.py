@@ -200,14 +200,14 @@ class _Search:
     def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:
         """Solve IK from one initial guess after another, and return the first solved stand.
 
-        If the base would be in the ground, no stand can be solved. The result is then the first
-        configuration with the feet at the targets, if there is one.
+        If the goal puts the base into the ground, no stand can be solved. The result is then the
+        first configuration with the feet at the targets, if there is one.
 
         Args:
             joints: Initial guesses of the joint positions, shape (nu,) [rad, m] each.
 
         Returns:
-            Stand; None if no guess leads to such a result.
+            Stand, or this configuration as a stand; None if no guess leads to either.
         """
         for start in joints:
             stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
@@ -221,7 +221,8 @@ class _Search:
         """Solve IK from combinations of the legs' IK branches whose feet may be in reach.
 
         Returns:
-            First solved stand, as of `try_initial_guesses`; None if no combination leads to it.
+            Result of `try_initial_guesses` for these combinations; None if no combination leads to
+            a stand.
         """
         robot, goal = self.robot, self.goal
         for _ in range(_BRANCH_ROUNDS):

@@ -80,7 +80,8 @@ def solve_stand_on_soft_ground(
         ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
         UnknownNameError: As for `solve_stand`.
         ModelError: As for `solve_stand`.
-        StanceUnreachableError: If the stance is unreachable, at least with the feet in the ground.
+        StanceUnreachableError: If the stance is unreachable on rigid ground, or with the feet in
+            the soft ground.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the depths, or the openings of closed loops, do not converge.
     """

@@ -180,7 +180,8 @@ def solve_stands(
 
     Raises:
         ConfigurationError: As for `solve_stand`; raised before the first solve, with the index of
-            the task, unless the robot lacks a required clearance or the first task's contacts.
+            the task. Errors without index: the robot lacks the first task's contacts, or has no
+            parts for a required clearance (raised when the task is solved).
         UnknownNameError: As for `solve_stand`; raised before the first solve.
         ModelError: As for `solve_stand`.
         StanceUnreachableError: For the first unreachable task, with the task index.

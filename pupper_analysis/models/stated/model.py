@@ -66,7 +66,8 @@ class Inertial:
         Args:
             inertia: Spatial inertia.
             stated: Whether the file specifies the values.
-            rounding: Upper bound [kg m^2] of half a unit of the last digit of the entries.
+            rounding: Upper bound of the rounding error of the inertia's entries [kg m^2]: half a
+                unit of the last digit.
         """
         com, tensor = np.array(inertia.lever), np.array(inertia.inertia)
         return Inertial(float(inertia.mass), com, tensor, stated, rounding)

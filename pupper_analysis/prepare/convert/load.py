@@ -74,9 +74,10 @@ class ModelPair:
         return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
     def add_conversion_note(self, robot: Robot) -> Robot:
-        """Add the note that one model was converted from the other to a robot; return the robot.
+        """Return a robot with a note that one of its models was converted from the other.
 
-        The format is stored in ``description.converted``. Unchanged if both models have files.
+        The format of the converted model is stored in ``description.converted``. The robot is
+        returned unchanged if both models were read from files.
         """
         if not self.converted:
             return robot

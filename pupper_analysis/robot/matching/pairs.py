@@ -261,9 +261,9 @@ class Guess:
 def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match the unmatched joints of two trees by position and axis below matched parents.
 
-    If no pairs are given, and not all joints can be matched, the base frame of one file may be
-    rotated, so that legs are exchanged. All matches are then returned as candidates
-    (`Guess.choices`) instead of pairs.
+    If no pairs are given, and not all joints can be matched, all matches are returned as candidates
+    (`Guess.choices`) instead of pairs: the base frames of the files may be rotated relative to each
+    other, so that each leg is matched with a wrong leg.
 
     Args:
         urdf: Tree of the URDF.

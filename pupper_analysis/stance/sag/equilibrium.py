@@ -458,11 +458,11 @@ class SagEquilibrium:
         return seen[2]
 
     def slips(self, qpos: Array, forces: Array) -> Array:
-        """Return the slips of the touching contacts along two tangents, and their penetrations.
+        """Return the slip of each touching contact along two tangents, and its penetration.
 
-        Slips are measured from the first contact. If ``feet`` is "pinned", they are measured from
-        the start of the creep step, if there is one, and the product of compliance and tangential
-        force is added, so that the result is zero for a contact that sticks.
+        A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
+        it is the displacement since the start of the current step of simulated creep, if there is
+        one, plus the product of compliance and tangential force: zero for a contact that sticks.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -606,9 +606,10 @@ class SagEquilibrium:
     def find_slipping_contacts(
         self, forces: Array, places: Array
     ) -> list[tuple[int, float, Array]]:
-        """Find pinned contacts that slip: the augmented force f_t - rho s exceeds mu f_n.
+        """Find the touching contacts whose augmented tangential force exceeds mu f_n.
 
-        rho [N/m] is the ``friction_penalty``, and s the slip.
+        This force is f_t - rho s, with the slip s [m] and the ``friction_penalty`` rho [N/m]. The
+        result is empty with ``feet="sliding"``.
 
         Args:
             forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames.
@@ -836,7 +837,7 @@ class Welds:
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
         """Return the wrenches of the welds, in the world frame, that balance a generalised force.
 
-        Of redundant welds, the wrenches with the smallest norm (N and N m mixed).
+        If welds are redundant, the wrenches are those with the smallest norm (N and N m mixed).
 
         Args:
             config: Configuration of the robot.
@@ -948,12 +949,11 @@ def contact_compliance(
 def rigid_slips(
     anchors: Mapping[str, Anchor], soles: Mapping[str, str], frames: Mapping[str, Array]
 ) -> Array | None:
-    """Return the projection of the slips of contact points onto rigid motions of flat feet.
+    """Return the matrix that projects slips of contact points onto rigid motions of flat feet.
 
-    The points of a flat foot (sole) slip along the ground by the translation and rotation of the
-    foot. A tilt of the foot adds micrometres of slip between its points. The projection removes
-    these, since they would cause large tangential forces, which creep removes in MuJoCo within a
-    short time.
+    The points of a flat foot (sole) slip with the translation and rotation of the foot along the
+    ground. A tilt of the foot adds micrometres of slip between its points, which would cause large
+    tangential forces. The projection removes this part, as creep in MuJoCo does after a short time.
 
     Args:
         anchors: {touching contact point: pose at the first contact}.

@@ -549,17 +549,17 @@ def steady_state(
 
 
 def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
-    """Follow an equilibrium while its feet creep on the ground for ``HOLD_DURATION`` (12 s).
+    """Compute how long an equilibrium lasts while its feet creep on the ground [s].
 
-    Nothing is computed if no foot creeps, or if the base height changes by at most
-    `MAX_CREEP_LOSS_RATIO` times the height in this time.
+    Creep is simulated for up to ``HOLD_DURATION`` (12 s). It is not simulated if no foot creeps, or
+    if the base height would change by at most `MAX_CREEP_LOSS_RATIO` times the height in this time.
 
     Args:
         path: Path of equilibria that ends at ``pose``; the call extends the path.
         pose: Stable equilibrium.
 
     Returns:
-        Time until the equilibrium ends or has a failure [s]; infinite if longer than
+        Time until the equilibrium no longer exists or has a failure [s]; infinite if longer than
         ``HOLD_DURATION``, or if no creep is simulated.
     """
     creeps = pose.feet != "sliding" and any(pose.foot_creep.values())

@@ -53,28 +53,28 @@ class SmallPayload:
         self._laws = {foot: GroundLaw.of_contact(loaded, foot) for foot in robot.contact_points}
 
     def compute_rows(self, stand: Stand) -> Array | None:
-        """Compute the constraints a + b m >= 0 of a stand on the payload mass m [kg].
+        """Compute the inequalities a + b m >= 0 that a stand imposes on the payload mass m [kg].
 
-        Torques and minimum-tangential contact forces are linear in m, so two equilibria, without
-        and with ``mass``, determine both. On level ground, with or without steps, this is exact
-        while every normal force is positive: the forces are vertical and minimise the sum of
-        squares under three balance equations, whose right-hand side is linear in m. On a slope it
-        is an approximation.
+        Torques and minimum-tangential contact forces are taken as linear in m, and interpolated
+        between two equilibria, without and with ``mass``. This is exact on level ground, with or
+        without steps, while every normal force is positive; it is an approximation on a slope.
 
         Args:
             stand: Stand.
 
         Returns:
             Rows (a, b), shape (k, 2) [1, 1/kg], or None if the stand is not stable without payload.
-            The rows are: buckling modes; distances of the torques from both effort limits, relative
-            to the limits; normal forces, relative to the robot's weight; and, if the stand has a
-            ``ground_clearance``, distances of the normal forces from those at which the foot sinks
-            by this clearance, relative to the robot's weight.
+            The rows state, in this order: the servos do not buckle; torques are within both effort
+            limits (relative to the limits); normal forces are positive (relative to the robot's
+            weight); and, if the stand has a ``ground_clearance``, no foot sinks by more than this
+            clearance (force relative to the robot's weight).
 
         Raises:
             StaticsInfeasibleError: If no contact forces balance the stand without payload or with
                 ``mass``.
         """
+        # On level ground the contact forces are vertical, and minimise the sum of squares under
+        # three balance equations with a right-hand side that is linear in m.
         robot, mass = self._robot, self.mass
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
         load = config.static_load()

@@ -189,7 +189,11 @@ def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
 
 
 def summarise_check(check: RepositoryCheck) -> Text:
-    """Return a line with the numbers of failing, less severe, known and stale findings."""
+    """Return a line with the numbers of failing, less severe and known findings of a check.
+
+    The line also has the number of baseline entries that no longer occur, and the name of the
+    baseline if it was rewritten.
+    """
     new = [remark for remark in check.remarks if not remark.known]
     counts = {
         "count-to-fix": check.failures,

@@ -463,10 +463,10 @@ _DEFAULT_ATTRIBUTES = {
 
 
 def put_defaults(root: etree._Element) -> None:
-    """Move common attribute values of an MJCF into its top default class; ``root`` is changed.
+    """Move common attribute values of an MJCF into its main default class; ``root`` is changed.
 
-    A value is moved if a type has at least two elements, all of which have the attribute, and more
-    than half of them have this value.
+    A value is moved if there are at least two elements with the tag, all of these elements have the
+    attribute, and more than half of them have this value.
     """
     top = root.find("default")
     assert top is not None

@@ -316,7 +316,8 @@ class _QuadraticCost:
         again.
 
         Args:
-            damping: Factor on the diagonal of the posterior information that is added to it.
+            damping: Factor of the damping: ``damping`` times the diagonal of the posterior
+                information is added to the information.
         """
         lower_bounds = (self.lower_bounds - self.x) / self.table.width
         step, free = np.zeros(len(self.x)), np.ones(len(self.x), dtype=bool)

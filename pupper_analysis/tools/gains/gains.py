@@ -371,15 +371,15 @@ class _Gains:
     def find_stable_factors(
         self, gains: Callable[[float], _Pair], inside: float
     ) -> tuple[float | None, float | None]:
-        """Find both ends of the interval of stable factors around a stable factor.
+        """Find the interval of gain factors, around a stable factor, in which the loop is stable.
 
         Args:
             gains: Function that returns kp and kd of all joints, shape (nu,), for a factor.
             inside: A stable factor.
 
         Returns:
-            Lower and upper end, the last stable factors of a bisection. An end is None if all
-            tried factors up to ``MAX_FACTOR`` (or down to its inverse) are stable.
+            Lower and upper end: the last stable factors of a bisection. An end is None if all tried
+            factors up to ``MAX_FACTOR`` (or down to its inverse) are stable.
         """
         return self._find_end(gains, inside, 0.5), self._find_end(gains, inside, 2.0)
 

@@ -284,11 +284,11 @@ def servo_payload(
 ) -> tuple[float, str]:
     """Compute the largest mass at a tool that position servos hold in a posture.
 
-    With servo stiffness K, derivatives G_0 and m G_1 of the static load without mass and of the
-    mass m, and a basis W of the joint velocities that loops and couplings permit, the stiffness is
-    W^T (K + G_0 + m G_1) W. This matrix is positive definite up to the smallest positive eigenvalue
-    m of the generalised problem. The commands q + tau(m) / kp with feed-forward must be within the
-    command ranges. Effort limits are ignored.
+    The stiffness of the robot with a mass m is W^T (K + G_0 + m G_1) W: K is the servo stiffness,
+    G_0 and m G_1 are the derivatives of the static loads of robot and mass, and W is a basis of the
+    joint velocities that loops and couplings permit. The limit is the smallest m > 0 at which this
+    matrix is singular, or at which a command with feed-forward, q + tau(m) / kp, reaches the end of
+    its range. Effort limits are ignored.
 
     Args:
         robot: Robot with a fixed base.
@@ -298,8 +298,9 @@ def servo_payload(
 
     Returns:
         Mass [kg], infinite without limit; 0 if, without mass, the stiffness is not positive
-        definite, or the command of a joint that bears the mass is out of range. Joint of the
-        command that reaches the end of the range; "" if the stiffness limits the mass, or nothing.
+        definite, or the command of a joint that bears the mass is out of range. And the
+        joint whose command reaches the end of its range first; "" if the stiffness, or nothing,
+        limits the mass.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.

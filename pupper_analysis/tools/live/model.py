@@ -109,6 +109,9 @@ def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
     """Return an error that explains why a stance is out of reach, with the nearest stance.
 
     Takes about a second. None if the stance is reachable.
+
+    Args:
+        answer: Answer to the request of the page: robot, and task that may be out of reach.
     """
     assert answer.robot is not None
     try:
@@ -155,7 +158,7 @@ def simulate_stance(answer: Answer) -> Stance:
     """Simulate and judge a stance, as the command ``stand``.
 
     Args:
-        answer: Solved state.
+        answer: Stance that was solved for the state of the page: robot, task and gains.
 
     Raises:
         PupperAnalysisError: If the simulation is not possible.

@@ -223,11 +223,15 @@ def rolling_levers(
 ) -> dict[str, Array]:
     """Compute the resisting moment of the ground per normal force, for each rotating foot.
 
-    MuJoCo's contacts with ``condim`` 4 or 6 resist spinning about the normal, and rolling, by at
-    most mu_j f_n, with mu_j [m] the coefficients of the contact. As for sliding friction, the
-    moment is regularised: below the limit it is mu_j^2 / mu_1^2 (alpha + b omega) / R. The limit is
-    reached at about 0.1 rad/s. The moment is evaluated for a foot with an equal fraction of
-    the weight.
+    MuJoCo's contacts with ``condim`` 4 or 6 resist spinning about the normal, with ``condim`` 6
+    also rolling, by a moment of at most mu_j f_n, with the contact's coefficient mu_j [m]. Below
+    this limit, which is reached at about 0.1 rad/s, the moment is
+
+        mu_j^2 / mu_1^2 (alpha + b omega) / R
+
+    against the rotation, with the coefficient mu_1 of sliding friction, the angular acceleration
+    alpha and velocity omega of the foot, and b and the tangential R of `GroundLaw`. For f_n, all
+    loaded feet are assumed to carry equal parts of the weight.
 
     Args:
         config: State of the robot, with ``qvel``.

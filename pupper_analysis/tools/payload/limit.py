@@ -661,10 +661,10 @@ class _PayloadSearch:
             return _LoadedStand(self._robot, None, (Failure.TIPPING, ()))
 
     def find_stance_failure(self, mass: float) -> FailureCause:
-        """Return the reason why a stance with a payload [kg] fails, apart from the motors.
+        """Return the failure of a stance with a payload [kg], without an evaluation of the motors.
 
-        Either there is no stand, or a part other than a foot touches the ground. None without a
-        failure.
+        The failure is that there is no stand, or that a part other than a foot touches the ground.
+        None if neither is so.
         """
         loaded = self.get_loaded_stand(mass)
         if loaded.stand is None or loaded.statics is None:

@@ -177,11 +177,12 @@ class PushBench:
     ) -> list[Diagnostic | None]:
         """Simulate pushes until each outcome is decided, and return the failure of each or None.
 
-        The arguments and the result are those of ``simulate_fully``, but a simulation ends early
-        if it diverges, if a body other than a foot touches the ground, or if the robot is at rest
-        and no mode of the spectrum leaves that state. If the robot is not at rest after
+        Arguments and result are those of ``simulate_fully``. A simulation ends early if it
+        diverges, if a body other than a foot touches the ground, or if the robot is at rest and no
+        mode of the linearised dynamics leaves that state. If the robot is not at rest after
         ``duration``, the simulation goes on until the robot rests or falls, up to
-        ``MAX_DURATION_RATIO`` times the duration. A slow fall is no rest, see ``_will_rest``.
+        ``MAX_DURATION_RATIO`` times the duration. A slow fall does not count as rest
+        (``_will_rest``).
         """
         return self._simulate_intervals(directions, impulses, may_rest=True)
 

@@ -160,7 +160,7 @@ def study_pushes(
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that pushes load, and whose torque limit no file states.
+    """Return the joints that bear load during a push, but have no torque limit in the files.
 
     These are joints between the base and a foot, and joints of closed loops or couplings.
     """

@@ -36,16 +36,16 @@ tuned."""
 def list_single_part_changes(
     parts: Mapping[Part, pin.Inertia], target: pin.Inertia, empty: Part
 ) -> list[tuple[Part, pin.Inertia]]:
-    """List the changes of a single part that give a body the target inertia.
+    """List the ways to give a body a target inertia by changing a single one of its parts.
 
     Args:
-        parts: Inertias of the parts with mass, in a common frame.
+        parts: Inertias of the parts with mass that form the body, in a common frame.
         target: Target inertia of the body, in the same frame.
         empty: Part that is used if no part has mass.
 
     Returns:
-        (part, new inertia) of each physical change, the heaviest part first; may be empty. The
-        target is not checked if at most one part has mass.
+        (part, new inertia) of each change that is physical, the heaviest part first; may be empty.
+        If at most one part has mass, its new inertia is the target, without a check.
     """
     changes = []
     for part in sorted(parts, key=lambda name: -parts[name].mass) or [empty]:
@@ -127,11 +127,11 @@ class MatchedRobots:
 
 
 def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
-    """Create the pair of matched robots.
+    """Compute the joint trees of a URDF and an MJCF in common frames, and each file's own frames.
 
     Args:
         matched: Match of the two files.
-        alignment: Tree of the MJCF in the URDF's link frames.
+        alignment: Result of the alignment; contains the tree of the MJCF in the URDF's link frames.
     """
     robot = matched.robot
     urdf, mjcf_tree = kinematic_trees(robot)
