@@ -288,7 +288,7 @@ def robot_and_stance(command: Command) -> Command:
 
 
 def _gather_options(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
-    """Add options to a command, which receives the option values as `RobotAndTask`."""
+    """Add the options of robot and stance, and ``more``, to a command that takes `RobotAndTask`."""
     own = ("stance", "which", "fixed_base")
     names = [field.name for field in fields(RobotAndTask) if field.name not in own]
 

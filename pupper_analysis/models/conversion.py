@@ -294,7 +294,10 @@ def joint_damping(model: mujoco.MjModel) -> Array:
 
 
 def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
-    """Return the sum of gear^2 times value of the actuators at each degree of freedom, (nv,)."""
+    """Return the sum of gear^2 times value over the actuators at each degree of freedom, (nv,).
+
+    ``values`` has an entry per actuator. Only actuators at a single joint are included.
+    """
     total = np.zeros(model.nv)
     for actuator in range(model.nactuator):
         if values[actuator] and is_at_one_joint(model, actuator):

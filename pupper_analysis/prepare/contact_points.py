@@ -382,7 +382,7 @@ def _find_end_spheres(
 
 
 def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
-    """Return the outward normal (3,) of a sole, and True; ``down`` and False without a sole."""
+    """Return the outward normal (3,) of a foot's sole and True; ``down`` and False without one."""
     surface = points + radii[:, None] * down
     end = float((surface @ down).max())
     candidates = list(_yield_level_normals(surface, down))

@@ -511,7 +511,11 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
 
 
 def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
-    """Return the joint that deviates most as a cause, with the kind of its deviation."""
+    """Return the joint that makes a run of the file fail as a cause.
+
+    It is a joint without servo that moved, if there is one, else the joint that deviates most. If
+    no joint is known, the cause is that the run diverges.
+    """
     joint = run.unheld or run.worst
     if joint is None:
         return (Cause("diverges", ()),)

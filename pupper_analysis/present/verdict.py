@@ -131,7 +131,7 @@ def get_verdict_key(verdict: Verdict) -> str:
 
 
 def _disagrees(verdict: Verdict) -> bool:
-    """Return True if a simulated robot stands, but otherwise than predicted.
+    """Return True if a simulated robot stands, but not as predicted.
 
     The robot is the prepared model or, for `VerdictCode.DIFFERS_AS_PUBLISHED`, the published file.
     """

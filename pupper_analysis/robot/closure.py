@@ -443,7 +443,7 @@ class Closure:
         return rows[:, self._first_dof :]
 
     def _independent_combinations(self, rows: Array) -> Array:
-        """Return the combinations (r, m) of the rows (m, nu) that are independent."""
+        """Return r combinations (r, m) of constraint rows (m, nu); r is the rank of the rows."""
         left_vectors, singular_values, _ = np.linalg.svd(rows, full_matrices=False)
         count = int(
             np.count_nonzero(singular_values > _RANK_RTOL * singular_values.max(initial=0.0))

@@ -135,7 +135,7 @@ class StandReference:
         return base_tilt(self.robot, self.rotation, state)
 
     def _locate_com_point(self, state: Array) -> Array:
-        """Return the world position of the base-fixed point at the CoM of the stand, (3,) [m]."""
+        """Return the world position (3,) [m] of a point fixed to the base: the CoM in the stand."""
         base = state[1 + self.robot.mj_convention.qpos_index[:7]]
         position: Array = base[:3] + rotation_from_quaternion(base[3:]) @ self.com_offset
         return position

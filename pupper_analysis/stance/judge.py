@@ -105,7 +105,7 @@ class Stand(Pictured, Tabular):
 
     @cached_property
     def _statics(self) -> list[tuple[ref[Robot], str, GravityCompensation]]:
-        """Cached statics: robot (weak reference), criterion, result."""
+        """Cached results of statics, each with a weak reference to the robot, and the criterion."""
         return []
 
     def cached_statics(

@@ -267,7 +267,7 @@ class _Search:
     def _round_task(
         self, relaxation: Relaxation, demands: Sequence[str], share: float
     ) -> StandTask | None:
-        """Return the task of a relaxation with rounded values, relaxed further by a fraction.
+        """Return the task of a relaxation with rounded values, relaxed further by ``share``.
 
         Demands are rounded one after another, the largest relaxation first; after each, the
         relaxation of the remaining demands is computed again. None if it becomes infeasible.

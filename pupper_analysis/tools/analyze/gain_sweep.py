@@ -84,7 +84,7 @@ class GainSweep(Tabular):
     integrator: str
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return the columns of the table, with a row for each pair of kp and kd."""
+        """Return {column: values} of a table of the simulations, a row per pair of kp and kd."""
         kp, kd = np.meshgrid(self.kp, self.kd, indexing="ij")
         return {
             "kp": kp.ravel(),

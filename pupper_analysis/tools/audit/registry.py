@@ -194,7 +194,7 @@ class Audit(Tabular):
     floating: bool
 
     def _columns(self) -> dict[str, list[object]]:
-        """Return the columns of the table, with a row for each finding."""
+        """Return {column: values} of a table of the findings of an audit, a row per finding."""
         names = ("rule", "severity", "file", "line", "element", "message")
         return {name: [getattr(found, name) for found in self.findings] for name in names}
 

@@ -140,7 +140,7 @@ def _compute_buckling_modes(
     laws: Sequence[GroundLaw],
     penetrations: Array,
 ) -> Array | None:
-    """Compute the payloads at which a stand with feed-forward torques loses static stability.
+    """Compute 1 / m of the payloads m at which a stand with feed-forward torques buckles.
 
     Gravity and the contact forces are linear in the payload mass m, and so is the stiffness:
     K(m) = K_0 + m G. K_0 is the stiffness of servos and ground, plus the geometric stiffness of the

@@ -450,7 +450,7 @@ def _evaluate_at_rest(
     base: str,
     dofs: NDArray[np.int64],
 ) -> dict[str, ArrayLike]:
-    """Evaluate the quantities that do not depend on the state; ``data`` must be at zero angles."""
+    """Return body and joint parameters of a MuJoCo model; ``data`` must be at zero angles."""
     joints = [model.joint(name).id for name in robot.joint_names]
     moving_bodies = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
     bodies = _lump_fixed_bodies(model, data, moving_bodies)

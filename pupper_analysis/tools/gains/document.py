@@ -76,7 +76,7 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _describe_range(study: GainStudy) -> doc.Words:
-    """State present gains with their bounds: absolute if equal at all joints, else as factors."""
+    """State the range of the gains, as values if equal at all joints, otherwise as factors."""
     largest = study.largest_kd.factor
     if study.uniform:
         kp, kd = study.classes[0].kp, study.classes[0].kd

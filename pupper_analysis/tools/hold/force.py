@@ -73,7 +73,7 @@ class ToolForce(Tabular):
     frontal: Array = field(metadata={"unit": "N"})
 
     def _columns(self) -> dict[str, object]:  # type: ignore[override]  # directions are tuples
-        """Return the columns of the result's table, a row per direction."""
+        """Return {column: values} of a table of the largest forces, a row per direction."""
         return {
             "direction": [tuple(direction) for direction in self.directions.tolist()],
             "force": self.forces,

@@ -74,7 +74,7 @@ class ReachLoad(Tabular):
     utilisation: Array = field(metadata={"unit": "1"})
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return the columns of the result's table, a row per random posture."""
+        """Return {column: values} of a table of the random postures, a row per posture."""
         return {
             "distance": self.distances,
             "height": self.heights,
@@ -430,7 +430,7 @@ class Hold(Tabular):
         return self.verdict.passed
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return the columns of the result's table, a row per joint."""
+        """Return {column: values} of a table of joint positions and torques, a row per joint."""
         return {
             "joint": self.statics.joint_names,
             "position": self.posture.qpos,

@@ -324,7 +324,7 @@ class WorstPostures(Tabular):
     endless: Diagnostic | None
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return the columns of the result's table, a row per joint."""
+        """Return {column: values} of a table of the largest torques, a row per joint."""
         return {
             "joint": self.joint_names,
             "torque": self.joint_torques,

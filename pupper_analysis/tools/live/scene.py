@@ -400,7 +400,7 @@ class Scene:
         area.color = INSIDE_COLOUR if held else OUTSIDE_COLOUR
 
     def _draw_com(self, described: StandingScene) -> None:
-        """Draw the centre of mass, its projection, and a line between; colour: inside or not."""
+        """Draw the CoM, its projection and a line between; the colour shows if it is inside."""
         colour = INSIDE_COLOUR if described.com_inside else OUTSIDE_COLOUR
         for name, place, size in (
             ("com", described.com, 0.075),

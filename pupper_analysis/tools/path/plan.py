@@ -119,7 +119,7 @@ def compute_path_sample(
 
 
 def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Find the previous or next segment of a sample if fewer feet carry load on it.
+    """Return the feet of the previous and next path segment, where fewer feet carry load.
 
     Returns:
         For each such segment: its carrying feet; nearness of the sample to the stance between the
@@ -208,7 +208,7 @@ class StancePath(Tabular):
     fastest_joint: str
 
     def _columns(self) -> dict[str, Array]:
-        """Return the columns of the result's table, a row per sample."""
+        """Return {column: values} of a table of angles, torques and margins, a row per sample."""
         angles = dict(zip(self.joint_names, self.joint_positions().T, strict=True))
         torques = dict(zip(self.joint_names, self.torques.T, strict=True))
         return {

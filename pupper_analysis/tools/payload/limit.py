@@ -422,7 +422,7 @@ FailureCause = tuple[Failure, tuple[str, ...]] | None
 
 
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
-    """Return the servo bound, larger if `stand` holds with ``FAILING_RATIO`` of the bound.
+    """Return the servo bound, or a larger bound if the command `stand` holds with more mass.
 
     The bound is the mass with which a deviation doubles in ``HOLD_DURATION``, measured directly
     after the start. `stand` measures the doubling time after 5 s, in which feet creep. Close to the

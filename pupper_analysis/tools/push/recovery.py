@@ -220,7 +220,7 @@ class PushRecovery(PushSettings, Tabular):
     failures_without_push: tuple[Diagnostic, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return the columns of the table, a row per direction."""
+        """Return {column: values} of a table of the survived pushes, a row per direction."""
         names = ("direction", "impulse", "velocity_step", "failure", "tipping_estimate")
         values = (
             self.directions,

@@ -82,7 +82,7 @@ class Stance(Tabular):
     minimum_stiffness: float | None = field(metadata={"unit": "N m/rad"})
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return the columns of the result's table, a row per joint."""
+        """Return {column: values} of a table of joint positions and torques, a row per joint."""
         return {
             "joint": self.statics.joint_names,
             "position": self.joint_positions,

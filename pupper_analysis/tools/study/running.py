@@ -486,7 +486,7 @@ class StudyRun:
                 yield [names[index] for index in new], numbers[new]
 
     def _make_chunks(self, blocks: Iterable[tuple[list[str], Array]]) -> Iterator[Chunk]:
-        """Yield the designs in chunks, each for one worker; sizes adapt to the measured time.
+        """Yield the designs in chunks, each for one worker, sized by the measured times.
 
         Args:
             blocks: (hashes of n designs, variable values, shape (n, variables)) of each block.

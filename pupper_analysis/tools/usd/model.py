@@ -591,7 +591,11 @@ class _JointForest:
         self.base = max(self._sizes, key=lambda root: (self._sizes[root], root in roots))
 
     def _rank_root(self, body: str) -> tuple[bool, bool, bool, int]:
-        """Sort key of roots: marked root, joint to the world, without parent, most children."""
+        """Return the sort key of a body as root of the tree; the smallest key is preferred.
+
+        Preferred are bodies marked as root, then with a joint to the world, then without a parent,
+        then with the most children.
+        """
         edges = self._adjacent_edges[body]
         num_children = sum(edge.bodies[0] == body for edge in edges)
         return (
