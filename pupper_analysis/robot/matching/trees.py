@@ -250,7 +250,11 @@ def fix_other_joints(root: etree._Element) -> tuple[list[str], list[str], list[D
 
 
 def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
-    """Return {base or joint of the robot: base link, or link that the joint moves in a URDF}."""
+    """Return the base link of a URDF, and the link that each joint of a robot moves.
+
+    Returns:
+        {base or joint of the robot: link in the URDF}.
+    """
     tree = UrdfTree(root)
     links = {name: link for name, link in tree.moved_links.items() if name in robot.joint_names}
     return {robot.base: tree.base.name, **links}

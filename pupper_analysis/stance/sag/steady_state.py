@@ -498,30 +498,30 @@ def steady_state(
 ) -> SteadyState:
     """Predict the rest position of a standing robot on position servos and soft ground.
 
-    Solves for the equilibrium of tau = clip(kp (ctrl - q), +- limit), gravity, and feet on soft
-    ground:
+    Solves for the equilibrium of gravity g, servo torques tau = clip(kp (ctrl - q), +- limit) and
+    forces f_i of the soft ground on contact spheres with radius r_i and centre height z_i:
 
         g(q) - S^T tau - sum J_i(q)^T f_i = 0
         depth_i = r_i - z_i(q) = depth of f_i  if f_i > 0,   depth_i <= 0  if f_i = 0
 
-    J_i is the Jacobian of the material point at the contact. With ``feet="pinned"`` this point
-    stays (the foot rolls on it); if ``seconds`` is positive, it creeps with -f_t / c, as in
-    MuJoCo's friction. With ``feet="sliding"`` its tangential force is zero. Newton's method follows
-    the equilibrium from the stand, which the full feed-forward holds, while feed-forward is
-    removed. A swing foot that reaches the ground on this path is pinned there and carries load; a
-    foot that would have to pull is released. Then backward Euler steps follow the creep. If
-    continued creep takes the robot down within ``HOLD_DURATION`` (12 s), the result has a failure:
-    just above the smallest stiffness, a millimetre of creep ends the equilibrium.
+    S selects the joints with motors; J_i is the Jacobian of the material point at the contact. With
+    ``feet="pinned"`` this point does not slip (the foot rolls on it), or, if ``seconds`` is
+    positive, creeps at the velocity -f_t / c, as in MuJoCo's friction. With ``feet="sliding"`` its
+    tangential force f_t is zero. Dry friction of joints and rolling feet is ignored.
 
-    Dry friction of joints and rolling feet is ignored.
+    Newton's method starts at the stand, which full feed-forward holds, and follows the equilibrium
+    while feed-forward is removed. A swing foot that reaches the ground is pinned there and carries
+    load; a foot that would have to pull is released. Then backward Euler steps follow the creep.
+    The result has a failure if further creep would take the robot down within ``HOLD_DURATION``
+    (12 s), as with stiffnesses just above the smallest one.
 
     Args:
         robot: Robot.
         stand: Stand from which the robot sags.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        feet: ``pinned``: friction holds, as rubber's does, and MuJoCo's for seconds. ``sliding``:
-            no tangential forces, the end of MuJoCo's creep.
+        feet: ``pinned``: the feet do not slip (as of rubber, or in MuJoCo for some seconds).
+            ``sliding``: no tangential forces, the final state of MuJoCo's creep.
         seconds: Creep time of pinned feet [s].
 
     Returns:
@@ -533,8 +533,8 @@ def steady_state(
         ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
             the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NoEquilibriumError: If no equilibrium continues the stand, or creep ends the equilibrium
-            within ``seconds``.
+        NoEquilibriumError: If the equilibrium is lost while feed-forward is removed, or ends by
+            creep within ``seconds``.
     """
     robot = with_contacts(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, seconds)

@@ -238,8 +238,8 @@ def study_gains(
         rate: Control rate [Hz]; default: one command per time step of the model.
         delay: Time between measurement and effect of a command [s].
         error: Position error [rad, m] for which the motors must have torque.
-        encoder_bits: Resolution of the joint encoders [counts per turn, as a power of two], from
-            which velocities are computed by differences.
+        encoder_bits: Resolution of the joint encoders [bits per turn]. Velocities are computed from
+            differences of the readings.
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.

@@ -342,7 +342,7 @@ def worst_postures(
     near: WorstPostures | None = None,
     bearing: NDArray[np.bool_] | None = None,
 ) -> WorstPostures:
-    """Search the posture with the largest static torque of each motor of a fixed-base robot.
+    """Search for the posture with the largest static torque of each motor of a fixed-base robot.
 
     As a function of the angle q of a joint, with all other joints at rest, the torque of gravity
     and joint springs is a + b cos q + c sin q + k q (a + b q for a slide). Three evaluations give
