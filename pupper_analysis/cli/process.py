@@ -132,7 +132,7 @@ class ProcessEnding:
 
     @property
     def status(self) -> int:
-        """Exit status of the process as shells report it: 128 + number of the signal."""
+        """Exit status of the process as shells report it, 128 + number of the signal."""
         return 128 + self.signal
 
     def __str__(self) -> str:

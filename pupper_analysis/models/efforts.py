@@ -149,7 +149,7 @@ class EffortLimit(Result):
 
     @property
     def code(self) -> EffortCode:
-        """Status of this torque limit: stated, zero, negative or unknown.
+        """Status of this torque limit (stated, zero, negative or unknown).
 
         ``UNKNOWN``: no file states a limit. ``STATED``: the limit permits a torque in at least one
         direction. Otherwise ``NEGATIVE`` if the lower end of the range in the file is above the
@@ -164,7 +164,7 @@ class EffortLimit(Result):
 
     @property
     def without_torque(self) -> bool:
-        """Whether the limit is zero or negative: the motor gives no torque."""
+        """Whether the limit is zero or negative, so that the motor gives no torque."""
         return self.code in (EffortCode.ZERO, EffortCode.NEGATIVE)
 
     @property

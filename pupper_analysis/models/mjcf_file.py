@@ -143,7 +143,7 @@ _FLAT_MESH_ERROR: Final = re.compile(
 
 
 def flat_mesh(error: BaseException) -> str | None:
-    """Return the name of the mesh whose volume is too small for MuJoCo; None for other errors."""
+    """Return the name of the mesh that MuJoCo's error calls too flat; None for other errors."""
     match = _FLAT_MESH_ERROR.search(str(error))
     return match[1] if match else None
 

@@ -413,7 +413,7 @@ def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = No
 
 
 def read_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
-    """Return a mesh of a MuJoCo model."""
+    """Return a mesh of a MuJoCo model, with vertices [m] in the frame of the mesh."""
     first_vertex, num_vertices = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     first_face, num_faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     return Mesh(

@@ -126,7 +126,7 @@ class UrdfLink(UrdfElement):
 
     @property
     def shapes(self) -> Iterator[tuple[str, etree._Element, etree._Element | None]]:
-        """Visual shapes, then collision shapes: (tag, element, element inside ``<geometry>``)."""
+        """(tag, element, element inside ``<geometry>``) of visual, then of collision shapes."""
         for tag in ("visual", "collision"):
             for shape in self.element.iterfind(tag):
                 geometry = shape.find("geometry")
@@ -149,7 +149,7 @@ class UrdfJoint(UrdfElement):
 
     @property
     def kind(self) -> str:
-        """Type: ``revolute``, ``continuous``, ``prismatic``, ``fixed``, ``floating`` ..."""
+        """Type of the joint, such as ``revolute``, ``continuous``, ``prismatic`` or ``fixed``."""
         return str(self.element.get("type"))
 
     @property
@@ -271,24 +271,24 @@ class UrdfTree:
 
     @cached_property
     def links(self) -> dict[str, UrdfLink]:
-        """{name: link}, in the order of the file."""
+        """Links of the URDF as ``{name: link}``, in the order of the file."""
         links = map(UrdfLink, self.root.findall("link"))
         return {link.name: link for link in links}
 
     @cached_property
     def joints(self) -> dict[str, UrdfJoint]:
-        """Joints of the URDF as {name: joint}, in the order of the file."""
+        """Joints of the URDF as ``{name: joint}``, in the order of the file."""
         joints = map(UrdfJoint, self.root.findall("joint"))
         return {joint.name: joint for joint in joints}
 
     @cached_property
     def parent_joints(self) -> dict[str, UrdfJoint]:
-        """{link: joint whose child is the link}; the base has no entry."""
+        """``{link: joint whose child is the link}``; the base has no entry."""
         return {joint.child: joint for joint in self.joints.values()}
 
     @cached_property
     def child_joints(self) -> dict[str, list[UrdfJoint]]:
-        """{link: joints whose parent is the link}, for links with such joints."""
+        """``{link: joints whose parent is the link}``, for links with such joints."""
         joints_by_parent: dict[str, list[UrdfJoint]] = {}
         for joint in self.joints.values():
             joints_by_parent.setdefault(joint.parent, []).append(joint)
@@ -331,7 +331,7 @@ class UrdfTree:
 
     @property
     def moved_links(self) -> dict[str, str]:
-        """Child link of each joint of the URDF: {joint: link}."""
+        """Child link of each joint of the URDF, as ``{joint: link}``."""
         return {name: joint.child for name, joint in self.joints.items()}
 
     def fixed_group(self, link: str) -> list[str]:

@@ -497,7 +497,7 @@ class Document:
 
     @property
     def mark(self) -> str:
-        """Emphasis of the verdict: ``"good"``, ``"bad"``, ``"warn"``; empty without a verdict."""
+        """Emphasis of the verdict, ``"good"``, ``"bad"`` or ``"warn"``; empty without a verdict."""
         if self.passed is None:
             return ""
         return "warn" if self.warned else "good" if self.passed else "bad"

@@ -77,7 +77,7 @@ class Annotation:
 
     @property
     def kind(self) -> str:
-        """Rule identifier: ``rule``, or ``title`` if ``rule`` is empty."""
+        """Identifier of the rule, which is ``rule``, or ``title`` if ``rule`` is empty."""
         return self.rule or self.title
 
     @property

@@ -315,8 +315,8 @@ class Closure:
     def check(self, qpos: Array, load: Array) -> None:
         """Raise an error unless the loops are closed, up to their deflection under a static load.
 
-        The violation of each constraint may be ``MAX_OPENING`` plus ``_MAX_COMPLIANCE_FACTOR``
-        times the deflection under its force, at the largest compliance.
+        Each constraint may be violated by ``MAX_OPENING``, plus ``_MAX_COMPLIANCE_FACTOR`` times
+        the deflection of the soft constraint under its force.
 
         Args:
             qpos: Configuration, shape (nq,).

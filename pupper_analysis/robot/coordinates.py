@@ -91,7 +91,7 @@ class PinocchioConvention:
 
     @property
     def base_nv(self) -> int:
-        """Degrees of freedom of the base: 6 if floating, 0 if fixed."""
+        """Number of degrees of freedom of the base, 6 if floating, 0 if fixed."""
         return 6 if self.floating else 0
 
     def q(self, qpos: Array) -> Array:

@@ -103,7 +103,7 @@ class Ground:
 
     @property
     def planes(self) -> Mapping[str, Plane]:
-        """{foot: separate plane under this foot}, set by ``with_planes``; empty by default."""
+        """``{foot: separate plane under this foot}``, set by ``with_planes``; empty by default."""
         return self._planes
 
     def with_planes(self, planes: Mapping[str, Plane]) -> Ground:

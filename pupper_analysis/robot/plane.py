@@ -48,7 +48,7 @@ class Plane:
 
     @property
     def kind(self) -> str:
-        """Kind of plane, a key of ``KINDS``: wall, table or ceiling; "" for another normal."""
+        """Kind of plane, a key of ``KINDS`` (wall, table or ceiling); "" for another normal."""
         return next((name for name, out in KINDS.items() if out == self.normal), "")
 
     @property
@@ -58,7 +58,7 @@ class Plane:
 
     @property
     def parameter(self) -> float:
-        """Coordinate [m] that determines the position: x of a wall, z of a table or ceiling.
+        """Coordinate [m] that determines the position (x of a wall, z of a table or ceiling).
 
         For another plane, the offset n . p of the plane along its unit normal n, with p a point on
         the plane: positive if the normal points away from the world origin.

@@ -389,7 +389,7 @@ class Robot(EngineModels):
 
     @cached_property
     def welds(self) -> Mapping[str, str | None]:
-        """Parts that a task fixes to the world: {part: contact point on it, or None for the base}.
+        """Contact point of each part that a task fixes to the world, None for the base.
 
         First the welded parts, then the gripping parts (``grips``).
         """
@@ -403,7 +403,7 @@ class Robot(EngineModels):
 
     @cached_property
     def grips(self) -> Mapping[str, float]:
-        """{gripping part: maximum norm of the grip force [N]}.
+        """``{gripping part: maximum norm of the grip force [N]}``.
 
         A grip fixes the contact point of a part to the world, and permits rotation about the point.
         """
@@ -433,7 +433,7 @@ class Robot(EngineModels):
 
     @property
     def bearing_points(self) -> tuple[str, ...]:
-        """Contact points that can bear contact forces: all but points of welded or gripping parts.
+        """Contact points that can bear contact forces (not those of welded or gripping parts).
 
         Empty for a robot with a fixed base.
         """
@@ -457,12 +457,12 @@ class Robot(EngineModels):
 
     @property
     def nq(self) -> int:
-        """Size of qpos of this robot: 7 for a free base, and 1 per joint."""
+        """Size of qpos of this robot, with 7 entries for a free base, and 1 per joint."""
         return len(self.joint_names) + (7 if self.floating else 0)
 
     @property
     def nv(self) -> int:
-        """Size of qvel: 6 for a free base, and 1 per joint."""
+        """Size of qvel of this robot, with 6 entries for a free base, and 1 per joint."""
         return len(self.joint_names) + (6 if self.floating else 0)
 
     @property
@@ -557,7 +557,7 @@ class Robot(EngineModels):
 
     @property
     def joint_friction(self) -> Array:
-        """Dry friction (nu,) [N m, N] of each joint: MuJoCo's ``frictionloss``."""
+        """Dry friction (nu,) [N m, N] of each joint, MuJoCo's ``frictionloss``."""
         friction: Array = self.mj_model.dof_frictionloss[self.mj_convention.qvel_index[-self.nu :]]
         return friction
 

@@ -70,7 +70,7 @@ class Servos:
 
     @property
     def is_implicit(self) -> bool:
-        """True for an implicit integrator: servo damping acts on the velocity after the step."""
+        """True for an implicit integrator, whose damping acts on the velocity after the step."""
         return self.integrator.startswith("implicit")
 
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:

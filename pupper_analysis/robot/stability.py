@@ -206,7 +206,7 @@ class Mode(Result):
 
     @property
     def nudge_unit(self) -> str:
-        """Unit of ``nudge``, the deviation from which growth was measured: m or rad.
+        """Unit (m or rad) of ``nudge``, the deviation from which growth was measured.
 
         m if the coordinate with the largest displacement in the mode is a translation.
         """
@@ -296,7 +296,7 @@ class Stability(Result):
 
     @property
     def damping_ratio(self) -> float:
-        """Smallest damping ratio of oscillations: 1 without any, negative if an oscillation grows.
+        """Smallest damping ratio of all oscillations; 1 without any, negative if one grows.
 
         Growing modes count if `Mode.shakes` is true.
         """

@@ -66,7 +66,7 @@ class StandCheck(Result):
 
     @property
     def stands(self) -> bool:
-        """Whether the robot stands: upright, not collapsed, and on its feet only."""
+        """Whether the robot stands upright, not collapsed, and on its feet only."""
         return self.tilt <= MAX_STANDING_TILT and not self.touching and not self.collapses
 
 

@@ -76,7 +76,7 @@ class SolidPair(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """Distance of the two collision shapes [m]; negative if they overlap: penetration depth."""
+        """Distance of both collision shapes [m]; minus the penetration depth if they overlap."""
         return float(self.near.min_distance)
 
 

@@ -151,7 +151,7 @@ class Field:
 
     @property
     def default_value(self) -> Any:
-        """Value of this field in a default task: an empty mapping, None or 0."""
+        """Value of this field in a default task (an empty mapping, None or 0)."""
         if self.per:
             return FrozenDict()
         return None if self.optional else 0.0

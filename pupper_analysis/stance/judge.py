@@ -211,7 +211,7 @@ class Stand(Pictured, Tabular):
 
     @property
     def blocked(self) -> tuple[Diagnostic, ...]:
-        """Messages about constraints that this stand violates: CoM margin, or clearances."""
+        """Messages about constraints (CoM margin, clearances) that this stand violates."""
         violations = []
         if self.com_shortfall > TASK_TOLERANCE:
             violations.append(
@@ -245,7 +245,7 @@ class Stand(Pictured, Tabular):
 
     @property
     def constraint_slack(self) -> float:
-        """Smallest slack of CoM margin and clearances [m]: 0 if satisfied, else negative."""
+        """Smallest slack of CoM margin and clearances [m]; 0 if satisfied, else negative."""
         slacks = (near.distance - least for near, least in self._clearances())
         return min([-self.com_shortfall, *slacks])
 

@@ -115,12 +115,12 @@ class Contacts:
 
     @functools.cached_property
     def directions(self) -> dict[str, Array]:
-        """{contact point: unit normal out of the ground, shape (3,)}."""
+        """``{contact point: unit normal out of the ground, shape (3,)}``."""
         return dict(zip(self.feet, self.normals, strict=True))
 
     @functools.cached_property
     def coefficients(self) -> dict[str, float]:
-        """{contact point: friction coefficient}."""
+        """``{contact point: friction coefficient}``."""
         return dict(zip(self.feet, self.friction.tolist(), strict=True))
 
     def points(self, config: Configuration) -> Array:

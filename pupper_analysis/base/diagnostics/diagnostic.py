@@ -42,7 +42,7 @@ class Severity(StrEnum):
 
     @property
     def rank(self) -> int:
-        """Rank of the severity: 0 for errors."""
+        """Rank of the severity; errors have rank 0."""
         return list(Severity).index(self)
 
 

@@ -194,7 +194,7 @@ class RobotModel:
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
-        """{name: joint} of all joints."""
+        """All joints of the file as ``{name: joint}``."""
         return {joint.name: joint for body in self.links.values() for joint in body.joints}
 
     @cached_property

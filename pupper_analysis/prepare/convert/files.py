@@ -95,7 +95,7 @@ class FileSource:
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """Scale factors of the robot's dimensions: empty, since a robot of files has none."""
+        """Scale factors of the robot's dimensions, empty because a robot of files has none."""
         return {}
 
     def robot(self, scales: Mapping[str, float]) -> Robot:

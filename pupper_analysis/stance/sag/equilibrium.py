@@ -241,7 +241,7 @@ class EquilibriumScales:
 
     @property
     def stiffness(self) -> float:
-        """Scale of servo stiffness of this robot: weight times height [N m/rad]."""
+        """Scale of servo stiffness of this robot, weight times height [N m/rad]."""
         return self.weight * self.length
 
     @property

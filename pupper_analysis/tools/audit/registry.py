@@ -160,7 +160,7 @@ class Finding(Result):
 
     @property
     def place(self) -> Place:
-        """Place of the finding: file and line, or file and path of the prim in a USD."""
+        """File and line of the finding, or file and path of the prim in a USD."""
         return Place(Path(self.file), self.line, self.prim)
 
     def __str__(self) -> str:

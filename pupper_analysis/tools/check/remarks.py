@@ -87,7 +87,7 @@ class Remark(Result):
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
-        """Key of the remark: check, pair, file, kind and element, without values and lines."""
+        """Key of the remark (check, pair, file, kind and element), without values and lines."""
         return self.check, self.pair, self.file, self.kind, self.element
 
     @property

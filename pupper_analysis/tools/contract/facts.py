@@ -289,7 +289,7 @@ class Node:
 
     @property
     def is_present(self) -> bool:
-        """True if this value of a file is present: not None."""
+        """True if this value of a file is not None."""
         return self.value is not None
 
     @property
@@ -333,12 +333,12 @@ class Node:
 
     @property
     def items(self) -> list[Node]:
-        """Items of the node's list; the node itself if it is not a list; empty without a value."""
+        """Items of this value of a file if it is a list, else the value itself; empty without one."""
         return self.value if isinstance(self.value, list) else [self] * self.is_present
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Texts of the node: a text or a list of texts; empty for other values and empty texts."""
+        """Texts of the node, a text or a list of texts; empty for other values and empty texts."""
         texts = tuple(item.value for item in self.items)
         return texts if all(isinstance(item, str) and item for item in texts) else ()
 

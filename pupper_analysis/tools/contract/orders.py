@@ -69,7 +69,7 @@ class RobotJoints:
 
     @property
     def joints_by_depth(self) -> tuple[str, ...]:
-        """Names of the moving joints, sorted by depth in the tree: the order of Isaac Lab."""
+        """Names of the moving joints, sorted by depth in the tree, as in Isaac Lab."""
         ancestors = {
             name: list(self.model.ancestors(joint.child))
             for name, joint in self.model.joints.items()

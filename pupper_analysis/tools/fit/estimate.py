@@ -185,7 +185,7 @@ class Posterior:
 
     @property
     def degrees_of_freedom(self) -> float:
-        """Expectation of ``chi2``: number of residuals minus effective number of parameters.
+        """Expectation of ``chi2``, number of residuals minus effective number of parameters.
 
         With prior precision P, information J and n parameters the effective number of parameters,
         which the measurements determine, is n - trace((P + J)^-1 P).

@@ -113,12 +113,12 @@ class Fit(Result):
 
     @property
     def explained(self) -> bool:
-        """Whether the fitted model explains the measurements: ``failures`` is empty."""
+        """Whether the fitted model explains the measurements, so that ``failures`` is empty."""
         return not self.failures
 
     @property
     def noise_inflation(self) -> float:
-        """Ratio of residuals to assumed noise: sqrt(chi2 / degrees of freedom), at least 1."""
+        """Ratio of residuals to assumed noise, sqrt(chi2 / degrees of freedom), at least 1."""
         return max(
             1.0, math.sqrt(self.posterior.chi2 / max(self.posterior.degrees_of_freedom, 1.0))
         )

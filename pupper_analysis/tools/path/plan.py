@@ -51,8 +51,8 @@ def compute_path_sample(
 
     The tangential forces are minimal.
 
-    Towards a segment on which fewer feet carry load, the forces are a weighted mean of two
-    solutions, with all feet and with fewer feet. Equilibrium is linear in the forces, so the mean
+    Near a segment of the path on which fewer feet carry load, the forces are a weighted mean of
+    solutions with all feet and with fewer feet. Equilibrium is linear in the forces, so the mean
     satisfies the equilibrium.
 
     Args:

@@ -242,12 +242,12 @@ class PayloadLimit(Result):
 
     @property
     def torque_by_joint(self) -> dict[str, float]:
-        """{joint: static motor torque [N m] in the stand with the largest payload}."""
+        """``{joint: static motor torque [N m] in the stand with the largest payload}``."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
 
     @property
     def bounds(self) -> dict[str, Bound]:
-        """Bounds of the payload, {name: bound with mass in kg}, the smallest mass first.
+        """Bounds of the payload, ``{name: bound with mass in kg}``, the smallest mass first.
 
         The names are ``stance``, ``motors``, ``servos`` and ``simulation``.
         """

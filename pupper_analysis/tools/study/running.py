@@ -288,7 +288,7 @@ class Progress:
 
     @property
     def remaining_time(self) -> float:
-        """Estimated remaining time of a run [s]: 0 if no design remains.
+        """Estimated remaining time of a run [s], 0 if no design remains.
 
         Infinite if designs remain and none has been evaluated so far.
         """
@@ -313,7 +313,7 @@ class WorkerPool:
 
     @property
     def owns_processes(self) -> bool:
-        """Whether the pool owns its processes and can replace them: no executor was given."""
+        """Whether the pool owns its processes (no executor was given), and can replace them."""
         return self._given_executor is None
 
     @property

@@ -411,7 +411,7 @@ class UsdModel(RobotModel):
 
     @property
     def gains(self) -> dict[str, tuple[float, float]]:
-        """{joint: stiffness and damping of the servo} [N m/rad, N m s/rad; N/m, N s/m for slides].
+        """``{joint: (stiffness, damping)}`` of the servos [N m/rad, N m s/rad; slides N/m, N s/m].
 
         Joints without a force drive of positive stiffness are left out.
         """
@@ -722,7 +722,7 @@ class StageUnits:
 
     @property
     def force(self) -> float:
-        """Unit of force of the USD stage [N]: unit of mass times unit of length per second^2."""
+        """Unit of force of the USD stage [N], unit of mass times unit of length per second^2."""
         return self.mass * self.length
 
     @property
