@@ -151,15 +151,14 @@ def draw_samples(
 ) -> tuple[tuple[str, ...], Array]:
     """Draw random robots from the posterior distribution, all parameters of a robot jointly.
 
-    Measurements determine sums and ratios: if Pupper v3 was weighed, the total mass is known to
-    0.2 %, but hardly how the links share the mass. Parameters drawn independently would give robots
-    that the measurements exclude.
+    Measurements determine sums and ratios, for example the total mass, but hardly how the links
+    share the mass. Parameters drawn independently would give robots that the measurements exclude.
 
-    Robots with a mass or kp below 10 % of the written value are drawn again. (Logarithms of the
-    masses would be always positive, but a sum of log-normal masses is biased: the total mass of v3
-    was 2.957 ± 0.094 kg instead of 2.787 ± 0.006 kg.) Gravity is linear in masses m and first
-    moments m c, so masses and moments are drawn: the deviation of a CoM is scaled by m0 / m, with
-    the written mass m0. Other factors are clipped at 0.
+    Robots with a mass or kp below 10 % of the written value are drawn again; other factors are
+    clipped at 0. (Log-normal masses would be always positive, but their sum is biased: the total
+    mass of v3 was 2.957 ± 0.094 kg instead of 2.787 ± 0.006 kg.) Gravity is linear in masses m and
+    first moments m c, so these are drawn: the deviation of a CoM is scaled by m0 / m, with the
+    written mass m0.
 
     Args:
         posterior: Distribution of the parameters.

@@ -100,9 +100,8 @@ def find_wiring(
     """Find the wiring (assignment and signs of the joints) with which the model explains stands.
 
     Wirings with one error are ranked by the log evidence of the measurements, linearised about the
-    stated values. The three most probable wirings, as far as they are more probable than the
-    present wiring, are fitted. The first one whose fit has no failures is returned; None without
-    such a wiring.
+    stated values. Of those more probable than the present wiring, the three most probable are
+    fitted. The first one whose fit has no failures is returned; None without such a wiring.
 
     Args:
         robot: Robot.
