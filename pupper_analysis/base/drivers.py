@@ -22,7 +22,7 @@ class _MuJoCoLoader(SourceFileLoader):
     """Loader of ``mujoco`` that loads MuJoCo without OpenGL if the backend in MUJOCO_GL fails."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Execute the module; if OpenGL raises an exception, again without OpenGL."""
+        """Execute the module; after an exception that is no ImportError, again without OpenGL."""
         try:
             super().exec_module(module)
         except ImportError:

@@ -449,11 +449,12 @@ def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
 
 
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
-    """Return {(tag or section, name): element}; the first element with a name counts.
+    """Return the index {(tag or section, name): element} of the elements of an MJCF.
 
-    If no element has the name, the key also finds an actuator by the joint name, and a joint
-    without name by the body name. A default is listed by class; a mesh, texture or height field
-    without name by the file name without suffix; a ``freejoint`` also as ``joint``.
+    The name of a default is its class; that of a mesh, texture or height field without name is the
+    file name without suffix. A ``freejoint`` is also listed as ``joint``. Of elements with equal
+    keys, the first is listed. If no element has the key, an actuator is also listed by the name of
+    its joint, and a joint without name by the name of its body.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}

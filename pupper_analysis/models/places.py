@@ -126,7 +126,7 @@ def make_input_error(path: Path, error: InputError) -> ModelError:
 
 
 def source_name(path: Path, line: int | None = None) -> str:
-    """Return a printable name of a file, followed by the line number if given."""
+    """Return a path as printable text, followed by a colon and the line number if given."""
     name = str(path) if str(path).isprintable() else repr(str(path))
     return name if line is None else f"{name}:{line}"
 

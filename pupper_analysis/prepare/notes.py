@@ -110,7 +110,7 @@ def report_added_servos(
 
     Args:
         servos: Added servos.
-        own: Number of joints with a servo of the MJCF.
+        own: Number of joints that have a servo in the MJCF.
         timestep: Time step of the model with the added servos [s].
     """
     bad: dict[str, list[str]] = {}

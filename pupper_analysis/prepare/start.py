@@ -669,7 +669,7 @@ def find_start_pose(
     exists. If no keyframe has level feet within the limits, a keyframe from which the unmodified
     file stands (``rest_depth``) is taken, with its joints clipped to the limits, if the nominal
     stand exists. Otherwise a start pose is searched; if no pose is found, a note reports the
-    failure. Shapes beside the feet are ignored here: see ``touching``.
+    failure. Contacts of shapes other than the feet are ignored here (see ``touching``).
 
     Args:
         robot: Robot with feet.
@@ -679,7 +679,7 @@ def find_start_pose(
             from a keyframe, or None if the file falls. Called only if needed.
 
     Returns:
-        Robot with the start pose, and notes: the chosen pose, and reasons against keyframes.
+        Robot with the start pose, and notes: the chosen pose, and why keyframes were rejected.
     """
     whole, robot = robot, with_foot_contacts_only(robot)
     standing = {name: pose for name, pose in known.items() if is_standing_pose(robot, pose)}

@@ -358,7 +358,7 @@ class _FailureConditions:
         )
 
     def find_touching(self, sample: monitor.ContactSample) -> list[str]:
-        """Return the sorted names of bodies and swing feet that touch the ground in a sample."""
+        """Return the sorted names of swing feet and other bodies on the ground in a sample."""
         return sorted(sample.bodies | (set(sample.forces) - self.carrying))
 
 

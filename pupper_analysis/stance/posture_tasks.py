@@ -94,7 +94,7 @@ class PostureTask(ABC):
 
     @abstractmethod
     def residual(self, body: WholeBody) -> float:
-        """Return the error of this posture task at a posture, at least 0 [``unit``: m or rad]."""
+        """Return the magnitude of this task's error at a posture, in ``unit`` (m or rad)."""
 
     @abstractmethod
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:

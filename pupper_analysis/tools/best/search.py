@@ -219,8 +219,9 @@ class StanceSearch:
             near: Stand with almost the same coordinates; see `StanceSpace.find_stand`.
 
         Returns:
-            Evaluated stance, also if not allowed. None if no stand is found, its task is
-            rejected, no contact forces balance it, or the servos do not hold it without payload.
+            Evaluated stance, even if it violates a constraint (``allowed`` is False). None if no
+            stand is found, its task is rejected, no contact forces balance it, or the servos do not
+            hold it without payload.
         """
         key = tuple(coordinates.tolist())
         if key not in self.known:

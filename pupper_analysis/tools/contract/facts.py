@@ -220,7 +220,7 @@ class Source:
         """Content of the source without file locations, for comparisons between sources.
 
         It consists of the stated values, the orders of joints and motors, and the observations of
-        the policy. Of several configurations in a file with equal content, one is kept.
+        the policy. Sources with equal content count once.
         """
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(name, scale) for name, scale, _ in self.observations]

@@ -800,9 +800,10 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
 
 
 def find_closed_loops(case: PatternCase) -> PatternFindings:
-    """Find two or more equality constraints that only the MJCF has: a single cause of differences.
+    """Report all equality constraints that only the MJCF has as a single cause of differences.
 
-    A constraint that an earlier cause explains does not count.
+    Nothing is reported for a single constraint. Constraints that an earlier cause explains do not
+    count.
     """
     found = [name for kind, name in case.unexplained if kind == "equality"]
     if len(found) > 1:

@@ -690,7 +690,7 @@ def validate_state_request(count: int, seed: int) -> None:
 
 
 def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
-    """Yield a note for a large robot: evaluated in MuJoCo only, and if necessary at fewer states.
+    """Yield a note if a robot is large: compared in MuJoCo only, and possibly at fewer states.
 
     Args:
         robot: Robot.

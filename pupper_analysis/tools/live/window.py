@@ -206,7 +206,7 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
 
 
 def format_drop(result: Drop) -> str:
-    """Return the line that reports a drop: base height, its deviation, tilt, ground contacts."""
+    """Return the text about a dropped robot: base height, its deviation, tilt, ground contacts."""
     still = result.height_deviation < STABLE_DEVIATION
     sign, end = "<" if still else ">=", result.end
     ending = " = stable" if result.stable else " = NOT stable" if not still else ""

@@ -390,7 +390,7 @@ def make_push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> A
 
 
 def raise_upright(upright: StandReference, lift: float) -> StandReference:
-    """Return the reference of the fall criterion for a robot that stands higher by `lift` [m]."""
+    """Return a copy of the reference of the fall criterion whose CoM is higher by ``lift`` [m]."""
     place = upright.com_position + np.array([0.0, 0.0, lift])
     return replace(upright, com_position=place, com_height=upright.com_height + lift)
 

@@ -133,11 +133,11 @@ def _list_start_angles(
 
 @rule
 def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find servo commands that do not belong to the pose of the keyframe.
+    """Find keyframes with servo commands that are far from the joint positions.
 
-    The accepted offset between command and joint is the effort limit divided by the stiffness, plus
-    1 mrad (1 mm). Without effort limit, `MAX_SAG` is accepted. The severity is NOTE if the keyframe
-    has no ctrl. At most `MAX_KEYFRAMES` keyframes are checked.
+    The accepted difference of command and position is the effort limit divided by the stiffness,
+    plus 1 mrad (1 mm). Without effort limit, `MAX_SAG` is accepted. The severity is NOTE if the
+    keyframe has no ctrl. At most `MAX_KEYFRAMES` keyframes are checked.
     """
     model = robot.mj_model
     if model is None:

@@ -1126,9 +1126,9 @@ class LogCoordinates:
     def transform_linearised(
         self, linearised: LinearisedResiduals, coordinates: Array
     ) -> LinearisedResiduals:
-        """Convert residuals linearised in the parameters x to residuals linearised in y.
+        """Convert linearised residuals from the parameters x to the coordinates y of the fit.
 
-        y are the coordinates of the fit (`from_parameters`).
+        `from_parameters` converts x to y.
 
         Args:
             linearised: Residuals, linearised with respect to the parameters x.
