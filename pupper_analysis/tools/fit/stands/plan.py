@@ -113,8 +113,8 @@ def plan_stands(
     The candidates are random stands; ``choose_stands`` maximises the determinant of the information
     greedily, then by exchanges. Candidates are reachable, balanced, free of self-collision and
     within 60 % of the torque limits; the servos hold them with feed-forward for the file's masses.
-    If possible at most a third of the stands has a foot in the air. Half of the candidates is
-    rotated by 180 deg. If there is a known mass, half of the candidates carries this mass.
+    If possible at most a third of the stands has a foot in the air. Half of the candidates has a
+    heading of 180 deg. If there is a known mass, half of the candidates carries this mass.
 
     Args:
         robot: Robot with a free base and feet.
