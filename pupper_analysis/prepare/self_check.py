@@ -572,9 +572,10 @@ def find_difference_causes(
     """
 
     def test_model(model: mujoco.MjModel) -> float | None:
-        """Return the torque error of a changed model if its simulation agrees with the prediction.
+        """Return the relative torque error of a changed model against the prediction.
 
-        None if the simulation does not agree.
+        None unless the simulation agrees with the prediction, or the change repairs the torques
+        while the joints stay in place.
         """
         new_run = simulate_prediction(replace(published, model=model), robot, prediction)
         if new_run is None or new_run.collapses:

@@ -42,11 +42,11 @@ class EngineModels:
 
         @property
         def nq(self) -> int:
-            """Size of qpos: 7 for a free base, and 1 per joint."""
+            """Size of qpos, 7 for a free base plus 1 per joint."""
 
         @property
         def nv(self) -> int:
-            """Size of qvel: 6 for a free base, and 1 per joint."""
+            """Size of qvel, 6 for a free base plus 1 per joint."""
 
         @property
         def shapes(self) -> tuple[CarriedShape, ...]:

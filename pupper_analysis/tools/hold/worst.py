@@ -357,8 +357,8 @@ def worst_postures(
         tool: Point with the payload.
         payload: Point mass at the tool [kg].
         near: Worst postures for another payload, from which searches start first.
-        bearing: True if a motor may bear the payload, shape (nu,). The results of all other motors
-            are copied from ``near``; without ``near`` this argument is ignored.
+        bearing: Whether each motor may carry a part of the payload, shape (nu,). The results of
+            other motors are copied from ``near``; ignored without ``near``.
     """
     motions = JointMotions(robot, posture)
     starts = motions.draw_postures(_NUM_RANDOM_STARTS)

@@ -133,7 +133,7 @@ def write_numbers(
 
     Only attributes with changed numbers are written; all other bytes are unchanged. Both files get
     the numbers, whatever the files stated, each file in its own frames and attributes. The mass of
-    a body is that of all links that move together; a single link is changed. If a mass is given
+    a body is that of all links that move together, of which one link is changed. If a mass is given
     without inertia, the inertia about the CoM is scaled by the ratio of the masses.
 
     Args:

@@ -1193,10 +1193,10 @@ def scale_common_widths(
 ) -> ParameterTable:
     """Scale the prior widths of foot moments and of one-sided joint friction with the noise levels.
 
-    Both kinds of parameters describe errors that are equal in all stands: ``moment`` the common
-    part of the moments on a foot, ``settling`` the common (one-sided) part of the dry friction. The
-    prior widths are multiplied by the ratio of estimated to expected random noise. For ``settling``
-    the factor is at least 1, because this estimate does not show one-sided friction.
+    Parameters of the kind ``moment`` are the part of the moments on a foot that is equal in all
+    stands; ``settling`` is the equal (one-sided) part of the dry friction. The prior widths are
+    multiplied by the ratio of estimated to expected random noise. For ``settling`` the factor is at
+    least 1, because random noise does not show one-sided friction.
 
     Args:
         table: Parameters.
