@@ -139,7 +139,7 @@ VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
         )
     }
 )
-"""{name: variant}."""
+"""Predefined variants of the robot Pupper, as ``{name: specification}``."""
 
 
 def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
