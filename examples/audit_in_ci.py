@@ -1,8 +1,8 @@
 """Audit model files in CI.
 
-Prints each finding as an annotation that GitHub shows at the line of the file; the exit status is 1
-if a finding is an error. ``pupper-analysis audit FILE --format github`` does the same from a shell;
-a script can have rules of its own.
+The output shows each finding as an annotation, which GitHub displays at the line of the file. The
+exit status is 1 if a finding is an error. ``pupper-analysis audit FILE --format github`` prints the
+same from a shell; a script can have rules of its own.
 """
 
 import sys

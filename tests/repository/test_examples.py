@@ -102,7 +102,7 @@ def test_every_example_is_run_here_and_in_the_list() -> None:
 def test_example_is_short_and_prints_the_stated_lines(name: str, shown: Shown) -> None:
     code = (EXAMPLES / f"{name}.py").read_text()
     assert len(code.splitlines()) < 40
-    assert "One sees" in (ast.get_docstring(ast.parse(code)) or "")
+    assert "The output shows" in (ast.get_docstring(ast.parse(code)) or "")
     if name == "pink_and_mink":
         pytest.importorskip("pink")
         pytest.importorskip("mink")
