@@ -83,7 +83,11 @@ def find_menagerie_file(word: str) -> Path:
 
 
 def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
-    """Return the package's default model, or the file whose name is the longest end of ``name``."""
+    """Return the default model of a robot in ``folder``; None if there is none.
+
+    ``robot`` is the robot's entry in the Menagerie package. Without an entry (None), the result is
+    the XML file whose name without suffix is an end of ``name``; of several, the longest.
+    """
     if robot is not None:
         return folder / str(robot.entry(robot.default_model).file)
     candidates = [path for path in folder.glob("*.xml") if name.endswith(path.stem)]

@@ -115,7 +115,11 @@ def is_published_name(word: str) -> bool:
 
 
 def _is_description(word: str) -> bool:
-    """Return True if a word names a description: with the prefix, or ``go2_mj_description``."""
+    """Return True if a word names a robot description.
+
+    It has the prefix ``DESCRIPTION_PREFIX``, or a form such as ``go2_mj_description``, and no file
+    of this name exists.
+    """
     return word.startswith(DESCRIPTION_PREFIX) or (
         _BARE_DESCRIPTION.fullmatch(word) is not None and not Path(word).exists()
     )

@@ -494,7 +494,11 @@ def _find_corner_balls(
 def _find_pressed_contacts(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Return MuJoCo's contacts of a foot pressed into the floor, the normal ``out`` (3,) down."""
+    """Return the contact points that MuJoCo finds if a foot is pressed into the floor.
+
+    The robot is first rotated so that the outward normal ``out`` (3,) of the sole, in the frame of
+    the foot's body, points down.
+    """
     data = mujoco.MjData(model)
     floor = ground_geom(model)
     mujoco.mj_kinematics(model, data)

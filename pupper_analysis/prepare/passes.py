@@ -287,7 +287,15 @@ def _rebuild_robot(draft: Draft, description: Description | None) -> Draft:
 def _find_requested_feet(
     robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
 ) -> tuple[Foot, ...]:
-    """Find the named feet; without names, the feet in the poses (none if no limb is found)."""
+    """Find the contact points of the feet.
+
+    Args:
+        robot: Robot without feet.
+        frames: {foot: (link in the URDF, element in the MJCF)} of named feet; if None, the feet are
+            found at the ends of limbs.
+        poses: Joint positions in which feet are searched, (nu,) each [rad, m]; for named feet only
+            the first is used.
+    """
     if frames is None:
         return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
     return tuple(find_named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
@@ -648,8 +656,8 @@ _DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
 def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
     """Apply passes to a draft.
 
-    If a pass raises a `ModelError` and the base may be fixed, the remaining passes are skipped
-    except passes with `Pass.after_refusal`.
+    If a pass raises a `ModelError`, but the robot may be prepared again with a fixed base
+    (`Draft.may_fix_base`), only the passes with `Pass.after_refusal` still run: one fixes the base.
 
     Raises:
         ModelError: If no robot can be made.

@@ -259,7 +259,11 @@ def _find_free_joint(model: mujoco.MjModel, base: str) -> int | None:
 
 
 def _hold_base(spec: mujoco.MjSpec, base: str, model: mujoco.MjModel, free: int) -> None:
-    """Remove the free joint of a base and the keyframe values, in place; disable the ground."""
+    """Fix the base of a spec to the world, in place, and disable the ground.
+
+    The free joint (id ``free`` in the compiled ``model``) is removed, with its values in all
+    keyframes.
+    """
     qpos = np.arange(7) + model.jnt_qposadr[free]
     qvel = np.arange(6) + model.jnt_dofadr[free]
     body = spec.body(base)
@@ -493,7 +497,8 @@ def _set_position_commands(
 ) -> None:
     """Set the controls of the servos at a joint; the servos share the torque by stiffness.
 
-    The command is that of an ideal position servo: ctrl = gear * q* + tau / (gear * stiffness). A
+    The command is that of an ideal position servo: ctrl = gear * q* + tau / (gear * stiffness),
+    with the joint position q* (``target``) and the servo's part tau of the joint's ``torque``. A
     bias of the file, or a gain that differs from the stiffness, is not compensated: the effect is
     part of the published model.
     """

@@ -368,10 +368,10 @@ def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
 
 
 def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
-    """Return the first robot that has a nominal stand, from the middle outwards; else None.
+    """Return the robot nearest to the middle of a sequence that has a nominal stand; else None.
 
-    The nominal stand has the CoM in the centre, which may be out of reach for a start of the
-    search: straight legs move the CoM when they are bent.
+    The robots differ in the start of the search for this stand. A start may fail: the stand needs
+    the CoM in the centre of the feet, and straight legs move the CoM when they are bent.
     """
     middle = len(starts) // 2
     ordered = sorted(range(len(starts)), key=lambda number: abs(number - middle))
@@ -746,7 +746,10 @@ def make_start_keyframe(
 
 
 def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
-    """Return the robot with a start pose in which the lowest foot penetrates the ground [m]."""
+    """Return the robot with a start pose whose lowest foot is ``sunk`` [m] below the ground.
+
+    ``joints`` are the joint positions, shape (nu,) [rad, m]; the base is level.
+    """
     qpos = robot.make_qpos(joints)
     places = Configuration(robot, qpos).foot_positions()
     height = max(robot.contact_radius[foot] - float(place[2]) for foot, place in places.items())

@@ -391,7 +391,11 @@ def _add_ballast_geom(torso: mujoco.MjsBody, variant: VariantSpec) -> None:
 
 
 def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
-    """Return the depth of the lowest foot below the base [m]: at zero angles, then per keyframe."""
+    """Return the vertical distance from the base down to the lowest foot [m].
+
+    The first value is at zero angles, the others are in the keyframes, with a level base each.
+    ``sites`` are the names of the foot sites.
+    """
     model = compile_spec(_copy_skeleton(spec), Path(spec.modelname))
     data = mujoco.MjData(model)
     ids = [model.site(name).id for name in sites]  # type: ignore[attr-defined]
@@ -419,7 +423,11 @@ def _copy_skeleton(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 def _raise_keyframes(
     spec: mujoco.MjSpec, torso: mujoco.MjsBody, before: Sequence[float], after: Sequence[float]
 ) -> None:
-    """Raise the base, and the base in all keyframes, by the increase of the foot depths."""
+    """Raise the base, also in all keyframes, in place, so that the lowest foot keeps its height.
+
+    ``before`` and ``after`` are the distances [m] from the base down to the lowest foot, as from
+    `_measure_foot_depths`.
+    """
     torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):
         qpos = np.array(key.qpos)

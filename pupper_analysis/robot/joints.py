@@ -118,6 +118,8 @@ positions are entered with up to six decimals."""
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
     """Return the joints of all loops and couplings that a posture determines.
 
+    ``placed`` is the posture, {joint: position [rad or m]}.
+
     Joints that move a foot are omitted, because the stance determines their positions. The result
     is empty if the posture omits a joint of a loop or coupling, or violates a constraint by more
     than `_MAX_POSTURE_VIOLATION`.

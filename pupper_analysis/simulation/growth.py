@@ -298,7 +298,11 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
 
 
 def _crossing_time(rising: Array, level: float, window: float) -> float:
-    """Return the time (s) at which a rising sequence crosses a level (interpolated logarithm)."""
+    """Return the time [s] at which a rising sequence reaches a level.
+
+    The elements are ``window`` [s] apart, the first at time 0. Between two elements the logarithm
+    is interpolated linearly.
+    """
     after = int(np.searchsorted(rising, level))
     low, high = np.log(rising[after - 1]), np.log(rising[after])
     if not math.isfinite(high):

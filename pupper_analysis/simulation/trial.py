@@ -254,10 +254,11 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 
 
 def _free_joint_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
-    """Return lower and upper joint limits, (nu,) each [rad, m], which the nudged stand must keep.
+    """Return lower and upper joint limits, shape (nu,) each [rad, m]; beyond them a stand fails.
 
-    A limit is infinite if a joint that carries no foot rests on it in the stand, for example the
-    joint of a closed gripper; or if the range of the joint permits no motion.
+    The limits are those of the robot, without limits that a joint cannot fail at: a limit is
+    infinite if a joint that carries no foot rests on it in the stand, for example the joint of a
+    closed gripper; or if the range of the joint permits no motion.
     """
     angles, free = stand.qpos[7:], np.isin(robot.joint_names, free_joints(robot))
     locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL

@@ -370,10 +370,15 @@ def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Arr
 
 
 def _nudge_duration(duration: float, nudged: float | None) -> float:
-    """Return the simulated time after the nudge [s].
+    """Return the simulated time after the nudge (velocity disturbance) [s].
+
+    Args:
+        duration: Duration of the whole simulation [s].
+        nudged: Requested time after the nudge [s]; None for `NUDGED_FRACTION` of ``duration``.
 
     Raises:
-        ConfigurationError: If less than a second would be left for settling.
+        ConfigurationError: If ``nudged`` is negative, or less than `MEASURING_TIME` is left before
+            the nudge.
     """
     max_duration = duration - MEASURING_TIME
     if nudged is None:

@@ -380,7 +380,12 @@ def feet_centre(
 
 
 def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Array, Array]:
-    """Compute joint limits with margin, shape (nu,) [rad, m]; equal for joints of a posture."""
+    """Return the lower and upper joint limits of a task, shape (nu,) each [rad, m].
+
+    The limits of the robot are narrowed by the task's joint margin. Both limits of a joint in the
+    task's posture are its position. If ``checked``, a margin without a remaining range, or a
+    position out of the range, raises a ConfigurationError.
+    """
     lower = robot.lower_limits + task.joint_margin
     upper = robot.upper_limits - task.joint_margin
     if checked and (lower > upper).any():

@@ -194,7 +194,7 @@ class _Search:
 
     @cached_property
     def _is_base_in_ground(self) -> bool:
-        """Whether no stand exists: the base would be in the ground. Evaluated at first access."""
+        """Whether no stand of the goal exists, because the base would be in the ground."""
         return is_base_in_ground(self.shapes, self.goal)
 
     def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:

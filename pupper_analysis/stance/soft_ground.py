@@ -235,10 +235,11 @@ def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) 
 
 
 def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
-    """Return {contact point of a sole: penetration [m]}, as a rigid sole has under the same load.
+    """Return {contact point of a sole: penetration [m]} of rigid soles under the same load.
 
-    The contact forces of a sole keep resultant force and moment. A corner may lift: its depth is
-    then negative.
+    ``depths`` are the penetrations {contact point: depth [m]} of independent contact points. The
+    contact points of a rigid sole stay in one plane, with the same resultant force and moment of
+    the contact forces. A corner may lift: its depth is then negative.
     """
     sole_depths: dict[str, float] = {}
     for foot in robot.feet_with(depths):

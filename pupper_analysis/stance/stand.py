@@ -205,11 +205,13 @@ def solve_stands(
 
 
 def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
-    """Return the stand next to an extrapolation of previous stands; None without a nearby stand.
+    """Search a stand near the previous stands of a sequence; None without one.
+
+    The search starts from the extrapolated configuration, then from the latest one.
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Goal of the stand.
         before: Configurations (nq,) of up to four previous stands, the latest first.
     """
     if not before or has_redundant_joints(context.robot) or _depends_on_start(goal):

@@ -542,7 +542,17 @@ def _explain_failure(
     residuals: Array,
     qpos: Array,
 ) -> PostureUnreachableError:
-    """Return the error: required task with the largest residual, and joints at their limits."""
+    """Return the error of an unreachable posture.
+
+    It names the required task with the largest residual, and the joints at their limits.
+
+    Args:
+        robot: Robot.
+        tasks: Tasks of the posture.
+        kept: Contacts that the posture keeps, for the names of their tasks.
+        residuals: Residual of each task [m or rad].
+        qpos: Configuration with these residuals, shape (nq,).
+    """
     required = np.array([task.required for task in tasks])
     worst, first = int(np.where(required, residuals, -1.0).argmax()), robot.nq - robot.nu
     at_limit = {}

@@ -606,7 +606,11 @@ def _remove_massless_root(tree: UrdfTree) -> bool:
 
 
 def _has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
-    """Return True if the base has enough limbs, and is not the world; True for a floating base."""
+    """Return True if the base floats, or may be made free.
+
+    A base may be made free if it is not the world, and carries at least `MIN_FREE_BASE_LIMBS`
+    moving joints.
+    """
     base = tree.base.name
     if base == WORLD_LINK or is_floating:
         return is_floating

@@ -72,7 +72,10 @@ class MeshFiles:
 
     @staticmethod
     def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
-        """Return the first ROS package with missing files; empty if there is none."""
+        """Return the first ROS package of left-out files; empty if there is none.
+
+        The result is empty too if the reason ``why`` is not that the files do not exist.
+        """
         missing_files = files if why.code == "no-such-mesh-file" else ()
         named = (
             file.removeprefix(_PACKAGE_PREFIX)
@@ -362,6 +365,13 @@ def _test_compile(
     content: bytes | None, path: Path, scale: str, *, touches: bool, shell: bool
 ) -> None:
     """Compile a mesh with MuJoCo, as a test.
+
+    Args:
+        content: Content of the file; if None, MuJoCo reads ``path``.
+        path: Path of the mesh.
+        scale: Scale factors along x, y and z, as text.
+        touches: Whether the shape of the mesh can collide.
+        shell: Whether the mesh is compiled as a surface, without a volume.
 
     Raises:
         ValueError: If MuJoCo refuses the mesh.

@@ -263,7 +263,7 @@ def _candidate_steps(
     The first candidate is zero. A hinge then has two candidates along its axis: the components of
     the displacement to the origin in the first tree, and of the median displacement of the points
     on the body (`_matching_points`). A slide has both displacements, and the part of the first one
-    that is perpendicular to the axis; none of these if ``still``.
+    that is perpendicular to the axis; if ``still``, a slide is not displaced.
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]

@@ -104,10 +104,11 @@ def find_conventions(
 
 
 def _is_base_displaced(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> bool:
-    """Return True if a displaced base frame is confirmed by more than the zero of one base joint.
+    """Return True if the base frames differ, and not only the zero angle of a joint on the base.
 
-    It is confirmed if several joints are on the base, if both files state the mass of the base, or
-    if the limits of the single joint are equal and less than a full turn apart.
+    With a single joint on the base, both may look alike. The base frames differ if several joints
+    are on the base, if both files state the mass of the base, or if the limits of the single joint
+    are equal and less than a full turn apart.
     """
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
@@ -277,7 +278,7 @@ def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array
 def _base_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> tuple[float, list[float]]:
-    """Return the deviation between two trees of the base body, and of each joint on the base.
+    """Return the deviations of the base body, and of each joint on the base, between two trees.
 
     Deviations are in bits: log2(1 + size / tolerance), 0 within the tolerance.
     """

@@ -332,7 +332,10 @@ class HomotopyPath:
             self._euler_step = 2 * step
 
     def _feet_about_to_slide(self) -> list[str]:
-        """Return the pinned feet whose tangential force is close to the limit of their friction."""
+        """Return the feet whose tangential force is close to the limit of their friction.
+
+        Empty unless the equations hold the feet in place (``pinned``).
+        """
         if self.system.feet != "pinned":
             return []
         feet = []

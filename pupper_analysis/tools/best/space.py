@@ -147,7 +147,7 @@ class StanceSpace:
         self.low, self.high = self._compute_bounds()
 
     def _compute_bounds(self) -> tuple[Array, Array]:
-        """Compute the lower and upper bounds of a stance's coordinates; ``start`` is inside."""
+        """Compute the lower and upper bounds of a stance's coordinates; they include ``start``."""
         # A bounded rotation saves the search for the end of its interval.
         max_changes = dict.fromkeys(BASE_COORDINATES, math.inf)
         max_changes |= dict.fromkeys(_BASE_ROTATIONS, MAX_BASE_ROTATION)

@@ -223,8 +223,9 @@ def _group_by_values(
         quantity: Quantity.
         kind: Properties of the quantity.
         differing: {joint: differing facts}.
-        is_range_difference: True for position limits of a model and another source. A limit of the
-            reference inside the range of the second source, the model, is then a note.
+        is_range_difference: True for limits of which one source is a robot model and the other is
+            not. A limit of the first source inside the range of the second is then a note only,
+            since a configuration may narrow the range of the model on purpose.
     """
     joints = list(differing)
     first_fact, second_fact = differing[joints[0]]
@@ -291,10 +292,12 @@ _ANGLE_QUANTITIES = ("default angle", "action offset")
 
 
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
-    """Return {joint: joint whose first number is its second number} if numbers are permuted.
+    """Find whether the second source has the numbers of the first source at other joints.
 
-    Otherwise, and if all numbers only change their signs or most joints have one number, the result
-    is empty.
+    Returns:
+        {joint: joint that has its number of the second source in the first source}. Empty if the
+        numbers are not a permutation, if they only differ in their signs, or if more than half of
+        the joints have the same number.
     """
     a, b = (
         Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)
@@ -369,7 +372,17 @@ def _make_disagreement(
     mistake: str = "",
     effects: tuple[Diagnostic, ...] = (),
 ) -> Disagreement:
-    """Create a disagreement with the names, values and places of two facts."""
+    """Create a disagreement with the names, values and places of two facts.
+
+    Args:
+        kind_name: Quantity, ``order`` or ``observations``.
+        message: Message.
+        sides: Facts of both sources.
+        kind: Properties of the quantity: unit and severity.
+        joints: Joints that the disagreement concerns.
+        mistake: Probable mistake, see `Disagreement.probable_mistake`.
+        effects: Consequences of the disagreement.
+    """
     names, values, places = zip(
         *((fact.source, fact.value, fact.place) for fact in sides), strict=True
     )

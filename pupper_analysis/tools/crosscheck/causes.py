@@ -480,7 +480,11 @@ def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
 
 
 def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
-    """Return the wrong unit or decimal point that explains a factor; None if there is none."""
+    """Return the wrong unit or decimal point that explains a factor; None if there is none.
+
+    ``units`` is {factor: (unit that was meant, right unit)}, for a mistake in the MJCF; the inverse
+    factor is a mistake in the URDF.
+    """
     for size, (meant, right) in units.items():
         for file, times in (("MJCF", size), ("URDF", 1 / size)):
             if math.isclose(factor, times, rel_tol=2e-3):
@@ -722,7 +726,14 @@ def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
 def _describe_tensor_mistake(
     kind: str, file: str, pairs: Sequence[_TensorPair], total: int
 ) -> Diagnostic:
-    """Describe a mistake in the tensors of some bodies, of ``total`` bodies with other tensors."""
+    """Describe a mistake that explains different inertia tensors of some bodies.
+
+    Args:
+        kind: Mistake: ``inertia axes``, ``inertia origin``, or another word for a lost rotation.
+        file: File with the mistake: ``URDF`` or ``MJCF``.
+        pairs: Tensors of the bodies with this mistake.
+        total: Number of bodies whose tensors differ, for any reason.
+    """
     links, count = [pair.urdf.name for pair in pairs], len(pairs)
     other = "URDF" if file == "MJCF" else "MJCF"
     if kind == "inertia axes":

@@ -944,7 +944,14 @@ def _find_min_scale(name: str, evaluation: Evaluation) -> float:
 def _compute_deviation(
     first: Array, second: Array, least: float, *, per_row: bool
 ) -> tuple[float, float, float, tuple[int, ...]]:
-    """Return the largest relative deviation, with absolute deviation, scale and indices there."""
+    """Return the largest relative deviation of two arrays, element by element.
+
+    The absolute deviation is divided by a scale: the largest magnitude in both arrays, or in the
+    same row of both if ``per_row``; at least ``least``.
+
+    Returns:
+        Relative deviation; absolute deviation, scale and indices of the same element.
+    """
     with np.errstate(invalid="ignore"):
         difference = np.abs(first - second)
     difference[first == second] = 0.0  # includes equal infinite limits

@@ -615,7 +615,11 @@ _TRANSLATED_WORDS: Final = (SHAPE_WORD, "friction")
 
 
 def _format_value(element: Element | None, word: str) -> object:
-    """Return the value of an attribute for a message; "" as attribute stands for the element."""
+    """Return the value of an attribute for a message.
+
+    ``word`` is the name of the attribute. If it is empty, the result states whether the element
+    exists, or describes its shape.
+    """
     if element is None:
         return Term("none")
     if not word:
@@ -859,6 +863,11 @@ def _compare_runs(
     before: _SimulatedRun, after: _SimulatedRun, where: Mapping[str, Any]
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
     """Compare the recorded motions of two simulations.
+
+    Args:
+        before: Simulation of the old model.
+        after: Simulation of the new model.
+        where: Further fields of the message: duration, keyframe, and whether a ground was added.
 
     Returns:
         {`MOTION_QUANTITY`: largest difference of a coordinate [m, rad]} if it is above

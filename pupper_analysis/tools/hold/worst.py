@@ -226,7 +226,10 @@ class TorqueSearch:
 
 
 def _maximize_sinusoid(cosine: float, sine: float, rate: float, low: float, high: float) -> float:
-    """Return the argument of the maximum of a cos x + b sin x + r x in [low, high]."""
+    """Return the x [rad] in [low, high] that maximises a cos x + b sin x + r x.
+
+    a is ``cosine``, b is ``sine``, and r is ``rate``.
+    """
     candidates, amplitude = [low, high], math.hypot(cosine, sine)
     if abs(rate) <= amplitude and amplitude > 0:
         # Stationary points: b cos x - a sin x + r = 0; one of the two per turn is a maximum.

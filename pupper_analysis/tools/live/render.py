@@ -304,7 +304,7 @@ def _escape_text(text: str) -> str:
 
 
 def _render_box(mark: str, text: str) -> str:
-    """Render a box with emphasis."""
+    """Render a text in an HTML box whose colour shows the emphasis ``mark``."""
     return f'<div class="{_BOX_CLASSES[mark]}">{_escape_text(text)}</div>'
 
 

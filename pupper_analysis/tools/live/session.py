@@ -221,7 +221,10 @@ class Session:
         self._request_job("pushing", self._simulate_push)
 
     def _request_job(self, words: str, job: Callable[[Answer], None]) -> None:
-        """Queue a simulation of the current stance; without a balanced stance, show a hint."""
+        """Queue a simulation of the current stance; without a balanced stance, show a hint.
+
+        ``words`` is the catalogue key of the text that is shown while the user waits for ``job``.
+        """
         with self._lock:
             if self._answer is None or self._answer.statics is None:
                 self._panels.show_hint("nothing-to-simulate")

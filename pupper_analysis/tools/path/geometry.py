@@ -471,14 +471,15 @@ def _differentiate(
 ) -> tuple[Array, Array]:
     """Compute dq/ds and d2q/ds2, shape (nv,), in the coordinates of ``qvel``.
 
-    On a path the constraints c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds and
+    s is the path parameter ``share``, from 0 to 1 in a segment. On a path the constraints
+    c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds and
     J d2q/ds2 = d2w/ds2 - (dJ/ds) dq/ds. The last term is the acceleration of the constraints for
     the velocity dq/ds and zero acceleration. If there are more joints than constraints, the
     minimum-norm solution is returned.
 
-    Constraints: contact points of loaded feet (``rolling``) or the centres of their spheres do not
-    move. Swing feet, the height of the base, the CoM, roll, pitch, yaw, and joints of a posture are
-    linear in s.
+    Constraints: the contact points of loaded feet do not move (if ``rolling``), or the centres of
+    their spheres do not move. Swing feet, the height of the base, the CoM, roll, pitch, yaw, and
+    joints of a posture are linear in s.
     """
     one, two = segment.start, segment.end
     angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (one, two)])

@@ -119,12 +119,13 @@ def compute_path_sample(
 
 
 def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Return the feet of the previous and next path segment, where fewer feet carry load.
+    """Return the carrying feet of neighbouring segments in which fewer feet carry load.
 
     Returns:
-        For each such segment: its carrying feet; nearness of the sample to the stance between the
-        segments, from 0 (far end) to 1 (at this stance); CoM margin [m] in this stance with these
-        feet.
+        For the previous and the next path segment, if fewer feet carry there than at the sample
+        ``place``: carrying feet of that segment; nearness of the sample to the stance between the
+        two segments, from 0 (at the other end) to 1 (in this stance); CoM margin [m] in this stance
+        with the feet of that segment.
     """
     segment, stance_feet = place.segment, place.stand.stance_feet
     return [

@@ -68,7 +68,11 @@ _NEXT_STEPS = {
 
 
 def _select_next_step(limit: PayloadLimit) -> NextStep:
-    """Return the command that raises the limit, or the cause if no payload is carried."""
+    """Return the command to run next.
+
+    If motor limits are unknown, this is `audit`; if no payload is carried, `stand`, which states
+    the cause; otherwise the command for the bound that limits the payload (`_NEXT_STEPS`).
+    """
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
     if not limit.passed or not limit.bounds:

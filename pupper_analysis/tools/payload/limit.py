@@ -516,10 +516,10 @@ def _bisect_mass(
     tolerance: float,
     relative_tolerance: float = 0.0,
 ) -> Bound:
-    """Return the largest mass without a failure, by bisection, with the failure above.
+    """Find the largest mass without a failure by bisection, and the failure with more mass.
 
     Args:
-        find_cause: Function that returns the failure with a mass [kg].
+        find_cause: Function that returns the failure with a mass [kg], None without a failure.
         low: Mass without a failure [kg].
         high: Mass with a failure [kg].
         cause: Failure with ``high``.

@@ -239,7 +239,11 @@ def _is_base_bolted(stance: Stance) -> bool:
 
 
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the text of minimum kp, equilibrium without feed-forward, and presses of hands [N]."""
+    """Yield the texts of the findings of a stance.
+
+    These are the minimum kp, the equilibrium without feed-forward, and the force [N] with which
+    each hand presses.
+    """
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",

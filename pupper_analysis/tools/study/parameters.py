@@ -132,7 +132,11 @@ def match_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
 
 
 def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
-    """Return {joint: names that a pattern may match} for joints, or for the moved bodies."""
+    """Return {joint: names by which a pattern selects it}, for a kind of parameter.
+
+    For the ``BODY_KINDS``, a joint stands for the body that it moves: the names are those of its
+    link, body and joint, and "" stands for the base. For other kinds the name is that of the joint.
+    """
     if kind not in BODY_KINDS:
         return {joint: (joint,) for joint in robot.joint_names}
     links, bodies = UrdfTree.of(robot.description.urdf).moved_links, map_joint_bodies(robot)

@@ -367,7 +367,12 @@ def choose_files(
 
 
 def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tuple[int, int]]:
-    """Yield the indices of the selected differences, with the specificity of the selection."""
+    """Yield (index, rank) of the differences that a choice selects; empty ``which``: all.
+
+    ``which`` is a label, link, element or kind, or numbers such as ``1,3-5``. If several choices
+    select a difference, the one with the highest rank (the most specific) applies: 4 for numbers, 3
+    for a label, 2 for a link or element, 1 for a kind, 0 for all.
+    """
     if not which:
         yield from ((index, 0) for index in range(len(differences)))
         return

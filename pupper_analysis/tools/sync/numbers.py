@@ -463,7 +463,11 @@ class NumberChanges:
         return replace(tree, bodies=bodies, joints=joints)
 
     def _change_body(self, body: TreeBody, mover: str) -> TreeBody:
-        """Return a body with the new numbers; the inertia is scaled with the mass unless given."""
+        """Return a body with the requested mass, CoM and inertia.
+
+        ``mover`` is the joint that moves the body, or the base. Without a requested inertia, the
+        inertia is scaled with the mass.
+        """
         mass = float(self.wanted.get(("mass", mover), np.array(body.mass)))
         com = self.wanted.get(("com", mover), body.com)
         pattern = body.inertia * (mass / body.mass if body.mass > 0 else 1.0)

@@ -174,7 +174,13 @@ class UrdfSide(Side):
         return members
 
     def _plan_inertial(self, mover: str, keys: list[Key]) -> None:
-        """Plan the inertia of the links that move with a joint, by changing a single link."""
+        """Plan to change one link, so that all links moving with a joint have the target inertia.
+
+        Args:
+            mover: Joint, or the base.
+            keys: Differences (kind, ``mover``); without a suitable link, those of mass, CoM and
+                inertia are recorded in ``unwritten``.
+        """
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()
         target = frame.act(self.target.bodies[mover].spatial_inertia)

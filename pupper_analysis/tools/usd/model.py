@@ -210,7 +210,19 @@ def _read_numbers(
     is_hinge: bool,
     units: StageUnits,
 ) -> dict[str, float]:
-    """Return {attribute: number in SI units} of all attributes that state a kind of number."""
+    """Return the numbers of one kind that the attributes of a joint state, in SI units.
+
+    Args:
+        prim: Prim of the joint.
+        number_kind: Kind, such as ``effort``.
+        statements: Attributes that may state it.
+        axis_word: Word for the axis in the names of the attributes.
+        is_hinge: Whether the joint rotates.
+        units: Units of the file.
+
+    Returns:
+        {attribute: number}, of finite numbers that the file contains.
+    """
     numbers = {}
     for statement in statements:
         name = statement.name.format(axis=axis_word)

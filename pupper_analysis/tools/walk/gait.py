@@ -523,9 +523,16 @@ def _compute_static_torques(
 ) -> Array:
     """Return the motor torques of a static pose, shape (nu,) [N m].
 
-    Non-negative least squares of the force fractions n at the points p: minimise |sum n p - c|^2
-    with sum n = 1, where c is the projected centre of mass. Without points, no contact
-    force is included.
+    The contact forces are vertical and carry the weight. Their fractions n at the points p follow
+    from non-negative least squares: minimise |sum n p - c|^2 with sum n = 1, where c is the
+    horizontal position of the CoM. Without points, no contact force is included.
+
+    Args:
+        stage: Robot and its model.
+        model: MuJoCo model.
+        data: MuJoCo data of the pose.
+        points: Contact points in the world frame, shape (n, 3) [m].
+        bodies: Id of the body of each contact point, shape (n,).
     """
     from scipy.optimize import nnls  # takes a quarter of a second
 

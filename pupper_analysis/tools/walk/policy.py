@@ -523,7 +523,11 @@ def _read_word(
 
 
 def _read_weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[Array]:
-    """Return the weight arrays of a layer: matrices, then biases with 1 or 2 dimensions."""
+    """Return the ``count`` weight arrays of a layer: matrices, and at last the biases.
+
+    Raises:
+        ModelError: If the file at ``path`` states other arrays for the layer ``name``.
+    """
     stated = layer.get("weights")
     problem = ModelError(path, diagnose("layer-weights", layer=name, count=count))
     if not isinstance(stated, list) or len(stated) != count:

@@ -542,6 +542,10 @@ def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
 
 
 def _find_extent_points(link: Link, parts: list[Link]) -> Array | None:
-    """Return points, shape (n, 3) [m], around shapes in base axes; None if an extent is unknown."""
+    """Return points with about the convex hull of all shapes of ``parts``, shape (n, 3) [m].
+
+    The points are in the frame of the base; ``link`` is the link to which the parts are fixed. None
+    if there are no shapes, or if the size of a shape is unknown.
+    """
     points, is_complete = list_known_points(parts, link)
     return link.pose.point(points) if is_complete and points is not None else None

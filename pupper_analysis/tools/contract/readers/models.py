@@ -117,7 +117,10 @@ def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator
 
 
 def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
-    """Return the place of the first stated attribute of an actuator, or of the actuator."""
+    """Return the file and line of an actuator's attribute, or else of the actuator.
+
+    ``number`` is the index of the actuator; ``words`` are the attributes in the order of search.
+    """
     name = model.mj_model.actuator(number).name if model.mj_model else ""
     if not name:
         return model.file.place_by_number("actuator", number)

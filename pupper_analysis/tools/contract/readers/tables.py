@@ -182,7 +182,10 @@ def _list_table_statements(
 
 
 def _list_flat_statements(quantity: str, node: Node) -> Iterable[Statement]:
-    """Return the statements of a list; a list with a single inner list counts as the inner list."""
+    """Return the statements (values with their places in the file) of a quantity.
+
+    A list that only contains another list, such as [[1, 2]], is read as the inner list.
+    """
     inner = node.items[0] if len(node.items) == 1 else node
     return (inner if isinstance(inner.value, list) else node).make_statements(quantity)
 

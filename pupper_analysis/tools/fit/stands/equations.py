@@ -897,9 +897,10 @@ class StandEquations:
         return self.robot.total_mass + float((x - self.table.stated)[masses].sum())
 
     def _make_initial_unknowns(self, reading: StandReading) -> tuple[Array, Array]:
-        """Return an initial base pose (5,) and contact forces (p, 3) [N] of a stand.
+        """Return an initial base pose and contact forces, shape (p, 3) [N], of a stand.
 
-        The measured joint positions define the base pose; the normal forces are equal.
+        The base pose, shape (5,), is the quaternion and height [m] with which the measured joint
+        positions put the feet on the ground. The normal forces are equal.
         """
         robot, points = self.robot, reading.points
         forces = np.zeros((len(points), 3))

@@ -219,19 +219,22 @@ def check_scale(
 def _compute_surprise(
     posterior: Posterior, combinations: Array, expected_ratio: float = 1.0
 ) -> tuple[float, int, Array]:
-    """Compute chi2 of the changes of some parameter combinations, the rank, and the implied change.
+    """Test whether the change of some parameter combinations is too large for the prior.
 
     If the prior is right, the change d of the estimates has the covariance S = prior covariance
     minus posterior covariance, and d^T S^-1 d follows a chi2 distribution. Several weak deviations
-    are tested jointly in this way. The third value, prior covariance times S^-1 d, is the change
-    without the shrinkage of the prior.
+    are tested jointly in this way.
 
     Args:
         posterior: Distribution of the parameters.
-        combinations: Linear combinations of the parameters, shape (k, n), in units of the widths.
+        combinations: Linear combinations, shape (k, n), of the parameters / prior widths.
         expected_ratio: Standard deviation of an expected change over the prior standard deviation.
             Below 1, the test is stricter than the prior, for example for leg lengths, whose prior
             allows any leg.
+
+    Returns:
+        chi2; its degrees of freedom (rank of S); and prior covariance times S^-1 d, shape (k,), the
+        change without the shrinkage by the prior.
     """
     width = np.array([parameter.width for parameter in posterior.parameters])
     prior_covariance = combinations @ np.linalg.inv(posterior.precision) @ combinations.T
