@@ -261,7 +261,10 @@ def _refuse_file_options(selections: Sequence[str | VariantSpec | RobotFiles]) -
 
 
 def _print_first_difference(robot: Robot) -> None:
-    """Print the first difference of both files to correct; nothing if they cannot be compared."""
+    """Print the problem to repair first in the comparison of a robot's two files.
+
+    Nothing is printed if the files cannot be compared.
+    """
     from pupper_analysis.base.errors import ModelError
     from pupper_analysis.present.document import diagnostic_text
     from pupper_analysis.present.terminal import make_console

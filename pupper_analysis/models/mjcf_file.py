@@ -829,7 +829,10 @@ def _compile_file(
 def _parse_spec(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Parse a spec, and remove elements whose files are missing; also return diagnostics."""
+    """Parse an MJCF, and remove elements whose files are missing; also return diagnostics.
+
+    ``index`` finds the elements of the file by tag and name (`index_of`).
+    """
     try:
         with silence_mujoco():
             spec = parse_spec(tree.path)

@@ -190,7 +190,15 @@ def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], N
 def _yield_if_any(
     code: str, elements: tuple[str, ...], fields: str, index: Any, value: Any = 0
 ) -> Iterator[CauseCandidate]:
-    """Yield a candidate that sets fields of elements to a value, if there are any elements."""
+    """Yield a candidate cause, if there are any elements.
+
+    Args:
+        code: Code of the cause.
+        elements: Names of the elements.
+        fields: Names of the fields of a MuJoCo model that the candidate sets, joined by spaces.
+        index: Index of the elements in these fields.
+        value: New value.
+    """
     if elements:
         yield CauseCandidate(code, elements, _make_switch((fields, index, value)))
 

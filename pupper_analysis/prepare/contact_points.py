@@ -364,8 +364,8 @@ def _find_end_spheres(
 ) -> list[int]:
     """Return the spheres at the lower end of a foot: other shapes there belong to the leg.
 
-    The permitted height above the lowest geom grows with the horizontal distance, by the tangent
-    of the angle ``lean`` [rad].
+    The permitted height of a sphere above the lowest geom is larger by tan(``lean``) times the
+    horizontal distance of their centres; ``lean`` is an angle [rad].
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     lowest = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]))

@@ -53,7 +53,11 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
 
 
 def _proposed_limit_fields(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
-    """Return the message fields for the limit of another file or limb; None values without one."""
+    """Return the fields of a message that proposes an effort limit.
+
+    ``found`` contains a joint and the statement of its limit, from the other file or a similar
+    limb. All fields are None if ``found`` is None.
+    """
     if found is None:
         return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}
     joint, statement = found
@@ -66,7 +70,11 @@ def _proposed_limit_fields(found: tuple[str, EffortStatement] | None) -> dict[st
 
 
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
-    """Return the corresponding joint of a similar limb with its stated limit; None without one."""
+    """Return a joint of a similar limb and the statement of its effort limit; None without one.
+
+    ``null`` are the limits that are zero or negative. The result corresponds to the first joint
+    among them for which a similar limb states a limit.
+    """
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:
         for name in siblings.get(limit.joint, ()):

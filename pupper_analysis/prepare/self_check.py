@@ -229,10 +229,10 @@ def compare_with_file(
 
 
 def _moves_like_prepared_robot(robot: Robot, prediction: PredictedRest, run: PublishedRun) -> bool:
-    """Return True if the published file and the prepared robot both keep moving, equally.
+    """Return True if neither published file nor prepared robot comes to rest without feed-forward.
 
-    Without feed-forward, neither then reaches the predicted rest, and their torques deviate alike:
-    the file is no cause. The verdict reports the failure without feed-forward, with its cause.
+    The torques of both must also deviate alike from the prediction, within ``TORQUE_RTOL``. The
+    file is then no cause: the verdict reports the failure without feed-forward, with its cause.
     Measured for the reduced Talos of example-robot-data, whose soles chatter: both deviate by
     42.3 % in torque.
     """
@@ -511,10 +511,10 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
 
 
 def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
-    """Return the joint that makes a run of the file fail as a cause.
+    """Return the cause for which a run of the file fails: a joint, or a divergence.
 
-    It is a joint without servo that moved, if there is one, else the joint that deviates most. If
-    no joint is known, the cause is that the run diverges.
+    The joint is one without servo that moved, if there is one, else the joint that deviates most.
+    If no joint is known, the cause is that the run diverges.
     """
     joint = run.unheld or run.worst
     if joint is None:

@@ -298,6 +298,7 @@ def _place_on_ground(robot: Robot, stand: Stand) -> Robot:
 
 
 def _name_type(result: object) -> str:
+    """Return the name of the class of a result."""
     return type(result).__name__
 
 
@@ -397,7 +398,10 @@ def _list_drivers() -> tuple[str, ...]:
 
 
 def _run_drawing(folder: Path, driver: str) -> str | None:
-    """Draw the views of a folder with a driver; return the reason of a failure, or None."""
+    """Draw the views stored in a folder, in another process; return why this failed, or None.
+
+    ``driver`` is the value of MUJOCO_GL, which selects MuJoCo's rendering backend.
+    """
     environment = {**os.environ, "MUJOCO_GL": driver}
     program = Path(__file__).with_name("offscreen.py")
     try:

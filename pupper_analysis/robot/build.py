@@ -229,9 +229,10 @@ def _copy_armature(
     joint_names: Sequence[str],
     null: Mapping[str, EffortStatement],
 ) -> list[Diagnostic]:
-    """Copy the armature of MuJoCo's model to Pinocchio's, in place; report armature and efforts.
+    """Copy the armature of MuJoCo's model to Pinocchio's, in place.
 
-    ``null`` maps each joint whose force range in the MJCF is empty to this statement.
+    Returns notes about armature and effort limits. ``null`` contains the empty force ranges of the
+    MJCF, {joint: statement of the range}.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = report_efforts(limits)

@@ -148,7 +148,10 @@ class BodyMotion:
         return self.collapses and not self.diverged and not self._has_collapsed(0.0)
 
     def _has_collapsed(self, away: float) -> bool:
-        """Evaluate ``has_collapsed`` for a horizontal distance (m)."""
+        """Evaluate ``has_collapsed``; ``away`` is the CoM's horizontal distance from the start [m].
+
+        All other arguments are those of this motion.
+        """
         size = self.height + max(self.clearance, 0.0) if self.lies else self.height
         return has_collapsed(self.lean, size - self.end_height, away, size)
 

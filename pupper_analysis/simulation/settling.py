@@ -191,7 +191,13 @@ def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) ->
 
 
 def _rest_ratio(held: StandStart, states: Array, displacements: Array) -> float:
-    """Return the largest ratio of height deviation, drift and foot displacement to its bound."""
+    """Return the largest of three ratios to a bound: height deviation, drift, foot displacement.
+
+    Args:
+        held: Start of the simulation.
+        states: States over which deviation and drift of the base height are computed.
+        displacements: Mean displacement of each foot, shape (feet, 3) [m].
+    """
     heights = monitor.base_heights(held.robot, states)
     duration = float(held.drive.model.opt.timestep) * (len(states) - 1)
     drift = abs(float(heights[-1] - heights[0])) / duration

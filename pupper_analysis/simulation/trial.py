@@ -511,9 +511,10 @@ class _NudgedRun:
         )
 
     def _reaches_ground(self, distance: float) -> bool:
-        """Return True if a body or swing foot touches the ground with the base lowered [m].
+        """Return True if a body or swing foot touches the ground once the base is lowered.
 
-        The base is lowered along the normal of each stance foot.
+        The base is lowered by ``distance`` [m], in turn along the ground normal of each stance
+        foot.
         """
         conditions = self._conditions
         columns = 1 + conditions.robot.mj_convention.qpos_index[:3]

@@ -344,8 +344,8 @@ class Balance:
     def _cone_rows(self, friction: Array) -> Array:
         """Return the rows of the second-order cones of n contacts and g grips, (4 n + 4 g, size).
 
-        The product of four rows with f is, for a contact, (mu f_n, tangential force), with mu
-        reduced by `_CONE_MARGIN`, and both divided by the coefficient if that is above
+        The product of four rows with the forces (size,) is, for a contact with the normal force
+        f_n and the friction coefficient mu, (mu f_n, tangential force), with mu reduced by `_CONE_MARGIN`, and both divided by the coefficient if that is above
         `_LARGE_FRICTION`; for a grip, (0, grip force).
         """
         normals, count = self.normals, len(self.normals)

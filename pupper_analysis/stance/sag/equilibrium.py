@@ -536,7 +536,10 @@ class SagEquilibrium:
         ).reshape(-1, 2)
 
     def _force_scales(self) -> Array:
-        """Return stiffnesses (n,) [N/m] that convert force equations to depth equations."""
+        """Return the normal stiffness of each touching contact as it begins, shape (n,) [N/m].
+
+        A force residual divided by this stiffness is a penetration residual [m].
+        """
         return np.array(
             [self.laws[point].normal_stiffness(-self.laws[point].margin) for point in self.anchors]
         )
@@ -595,7 +598,11 @@ class SagEquilibrium:
         return whole
 
     def _slip_compliances(self) -> Array:
-        """Return slip per tangential force, shape (n,) [m/N]: creep and compliance."""
+        """Return slip per tangential force of the n touching contacts, shape (n,) [m/N].
+
+        The sum of the compliance of the creep step (``yielding``) and of the compliance that keeps
+        the slip equations independent (`contact_compliance`).
+        """
         return np.array(
             [
                 self.yielding.get(foot, 0.0) + self._compliance_factor * self._compliance[foot]

@@ -161,8 +161,8 @@ def _make_result(
 ) -> BestStance:
     """Make the result for a stance of a search.
 
-    For a payload, the result is the initial task if the payload limit of the initial task is
-    larger.
+    If the objective is the payload at ``point``, and the initial task has a larger payload limit,
+    the result is the initial task.
     """
     robot, space, payload = search.robot, search.space, None
     # Solve the task again without the search's initial guesses, which determine redundant joints.

@@ -265,7 +265,11 @@ def describe_stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
 
 
 def _make_annotation(group: list[Remark], remark: Remark, place: str | None) -> Annotation:
-    """Create the annotation of a remark at a place; with a cause, the group's only annotation."""
+    """Create the annotation of a remark at a place.
+
+    If the remark has a cause, the annotation states the cause and the number of differences that
+    it explains: the size of ``group``.
+    """
     both = (remark.place, remark.other_place)
     others = [relative_to_root(location) for location in both if location and location != place]
     message = " ".join([remark.message, *(f"[{location}]" for location in others)])

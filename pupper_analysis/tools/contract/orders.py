@@ -250,7 +250,10 @@ that no source states is assumed. Chosen, not tuned."""
 
 
 def _compute_unlike_fraction(order: tuple[str, ...], source: Source, model: RobotJoints) -> float:
-    """Return the fraction of left-right pairs whose numbers are no mirror images in an order."""
+    """Return the fraction of left-right pairs of values that are no mirror images.
+
+    The values are those of a source, such as gains of joints; ``order`` states the joint of each.
+    """
     values = {
         (statement.quantity, order[statement.index]): statement.value
         for statement in source.statements

@@ -450,7 +450,15 @@ def _evaluate_at_rest(
     base: str,
     dofs: NDArray[np.int64],
 ) -> dict[str, ArrayLike]:
-    """Return body and joint parameters of a MuJoCo model; ``data`` must be at zero angles."""
+    """Return body and joint parameters of a MuJoCo model, {quantity: values}.
+
+    Args:
+        robot: Robot, whose joint order is used.
+        model: Model.
+        data: Kinematics of the model at zero angles.
+        base: Name of the base body.
+        dofs: Indices of the joints' degrees of freedom, in the same order.
+    """
     joints = [model.joint(name).id for name in robot.joint_names]
     moving_bodies = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
     bodies = _lump_fixed_bodies(model, data, moving_bodies)

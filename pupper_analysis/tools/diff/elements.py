@@ -192,7 +192,10 @@ def list_collisions(model: UrdfModel) -> dict[Key, Element]:
 
 
 def _make_attribute_finder(file: MjcfFile, tag: str, otherwise: Place) -> Callable[[str], Place]:
-    """Return a function that finds the first element of a tag with an attribute."""
+    """Return a function of an attribute that finds the first element of ``tag`` that states it.
+
+    The function returns the place of the element; ``otherwise`` if no element has the attribute.
+    """
 
     def place(word: str) -> Place:
         stated = (where for words, where in file.elements(tag) if word in words)
@@ -763,7 +766,10 @@ class SimulatedPair:
         return [name for name in names[0] if name in names[1]]
 
     def _simulate_joints(self, model: mujoco.MjModel, nudge: float = 0.0) -> _SimulatedRun:
-        """Simulate a model, and record the common joints (`_simulate_model`)."""
+        """Simulate a model, and record the common joints (`_simulate_model`).
+
+        ``nudge`` is an offset of all initial velocities [rad/s, m/s].
+        """
         number = {joint_name(model, n): n for n in range(model.njnt)}
         return _simulate_model(model, [number[name] for name in self._common_joints], nudge)
 

@@ -144,7 +144,10 @@ def _list_limits(hold: Hold) -> Iterator[doc.Words]:
 
 
 def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
-    """Create the table of motor torques and joint deflections."""
+    """Create the table of motor torques and joint deflections.
+
+    ``limits`` are the effort limits of the motors (`Hold.limits`) [N m, N].
+    """
     sag: list[float | None] = [None] * len(limits)
     scales = get_display_scales(hold.units)
     if hold.settled is not None:

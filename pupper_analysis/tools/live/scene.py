@@ -327,7 +327,11 @@ class Scene:
             )
 
     def _get_node(self, name: str, make: str, *arguments: Any, **options: Any) -> Any:
-        """Return a node, made visible; created on first use."""
+        """Return the scene node ``name``, made visible; created on first use.
+
+        ``make`` is the name of the scene's method that creates the node from ``arguments`` and
+        ``options``.
+        """
         if name not in self._nodes:
             self._nodes[name] = getattr(self._scene, make)(f"/{name}", *arguments, **options)
         node = self._nodes[name]

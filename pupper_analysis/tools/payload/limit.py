@@ -687,10 +687,11 @@ class _PayloadSearch:
         return (Failure.MOTOR, overloaded) if overloaded else None
 
     def _confirm_servo_bound(self, bounds: dict[str, Bound]) -> Bound:
-        """Check the servo bound of the spectrum by simulations; if it is wrong, search again.
+        """Check the servo bound by simulations; if it is wrong, search the bound by simulations.
 
-        The spectrum is evaluated in milliseconds per mass. The simulations are run just below the
-        smallest bound and, if the servos set this bound, just above.
+        The servo bound in ``bounds`` is computed from the spectrum of the linearised step, which
+        takes milliseconds for each mass. The simulations are run just below the smallest bound and,
+        if the servos set this bound, just above.
         """
         bound, other_masses = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
         find_cause = self.find_servo_failure

@@ -189,9 +189,15 @@ class PushBench:
     def _simulate_intervals(
         self, directions: NDArray[np.int64], impulses: Array, *, may_rest: bool
     ) -> list[Diagnostic | None]:
-        """Simulate pushes interval by interval until each outcome is decided.
+        """Simulate n pushes interval by interval until each outcome is decided.
 
-        If ``may_rest``, a robot at rest ends its simulation before ``duration``.
+        Returns the failure of each push, or None. If ``may_rest``, the simulation of a robot at
+        rest ends before ``duration``.
+
+        Args:
+            directions: Indices of the push directions in ``axes``, shape (n,).
+            impulses: Impulses of the pushes, shape (n,) [N s].
+            may_rest: Whether a robot at rest ends the simulation of its push.
         """
         count = len(directions)
         failures: list[Diagnostic | None] = [None] * count
@@ -240,7 +246,11 @@ class PushBench:
         )
 
     def _compute_push_forces(self, directions: NDArray[np.int64], impulses: Array) -> Array:
-        """Compute the horizontal forces of pushes, shape (n, 2) [N]: impulse / duration."""
+        """Compute the horizontal forces of n pushes, shape (n, 2) [N]: impulse / duration.
+
+        ``directions`` (n,) are indices of the push directions in ``axes``, ``impulses`` (n,) are
+        in N s.
+        """
         forces: Array = impulses[:, None] * self.axes[directions]
         return forces / (self.pulse_steps * self.timestep)
 

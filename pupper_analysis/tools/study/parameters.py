@@ -230,14 +230,14 @@ def _add_offsets(
 def _scale_value(
     tree: ModelTree, link: str, kind: str, joint: str, factor: float, robot: Robot
 ) -> None:
-    """Scale a number in a file, in place.
+    """Scale a mass, inertia or joint parameter in a file, in place.
 
     Args:
         tree: Tree of the URDF or the MJCF.
-        link: Link whose mass or inertia is scaled, with all fixed links; used only for the
+        link: Link whose mass or inertia is scaled, with the links fixed to it; used only for the
             kinds ``BODY_KINDS``.
-        kind: Kind of the number: one of ``BODY_KINDS``, or the kind of a joint number.
-        joint: Joint whose number is scaled, for all other kinds.
+        kind: What is scaled: one of ``BODY_KINDS``, or the kind of a joint parameter.
+        joint: Joint whose parameter is scaled, for all other kinds.
         factor: Factor.
         robot: Robot of the files, for error messages.
     """

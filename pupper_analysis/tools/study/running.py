@@ -567,7 +567,7 @@ class StudyRun:
         pool.renew()
 
     def _retry_alone(self, pool: WorkerPool, chunk: Chunk, seconds: float) -> None:
-        """Evaluate the designs of a chunk whose worker ended unexpectedly one by one.
+        """Evaluate one by one the designs of a chunk after its worker ended unexpectedly.
 
         A single design is recorded as failed after `MAX_CRASHES` crashes or after the time limit.
 

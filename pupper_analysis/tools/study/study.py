@@ -400,7 +400,10 @@ class Study:
 
 
 def _resolve_files(path: Path, word: str) -> str:
-    """Return file names with the folder of the study file; names of variants are unchanged."""
+    """Prepend the folder of the study file ``path`` to the file names in ``word``.
+
+    ``word`` contains names joined by ``+``. Names of variants are unchanged.
+    """
     parts = [(path.parent / part, part) for part in word.split("+")]
     return "+".join(str(file) if is_input(file) else part for file, part in parts)
 

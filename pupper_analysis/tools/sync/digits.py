@@ -77,7 +77,11 @@ def _parse_number(word: str) -> float:
 
 
 def _find_shortest(value: float, scale: float) -> float:
-    """Return the number with the fewest digits within the tolerance for this number of digits."""
+    """Return ``value`` with the fewest digits that keep it within a tolerance.
+
+    The tolerance depends on the number of digits, and is relative to ``scale``
+    (`_ROUNDING_STEPS`).
+    """
     for max_digits, tolerance in _ROUNDING_STEPS:
         for count in range(1, max_digits + 1):
             rounded = float(f"{value:.{count}g}")

@@ -82,7 +82,10 @@ _MAX_SHOWN_CONFIGURATIONS = 75
 
 
 def _make_view(walk: Walk, robot: Robot | None) -> doc.View:
-    """Create the 3-D view of the end of the first run, with the base in place."""
+    """Create the 3-D view of the first run: its first and its last configurations.
+
+    The horizontal position of the base is set to zero.
+    """
     gait, motions = walk.gaits[0], []
     for name, selection in (
         ("walk-begins", slice(0, 1)),
@@ -169,7 +172,10 @@ _MIN_TORQUE = 1e-9
 
 
 def _max_over_runs(walk: Walk, name: str) -> Array:
-    """Return the largest value of all runs, shape (nu,), of a gait's attribute per motor."""
+    """Return the maximum over all runs of a quantity of each motor, shape (nu,).
+
+    ``name`` is an attribute of a run's gait with a value per motor, such as ``torque_peak``.
+    """
     worst: Array = np.max([getattr(gait, name) for gait in walk.gaits], axis=0)
     return worst
 
@@ -324,7 +330,12 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
 
 
 def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> doc.NextStep:
-    """Return ``walk --orders`` if no seed tracks, more seeds if not passed, else ``push``."""
+    """Return the next command after a search for tracked intervals.
+
+    It is ``walk --orders`` if the policy tracks the command with no seed; ``walk`` with more seeds
+    if the result is not passed or ``outside`` (a measured interval is not inside the tracked one);
+    else ``push``.
+    """
     omitted = ("--vary", "--fit")
     if not result.seeds:
         return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds", *omitted))
@@ -386,9 +397,14 @@ def _make_interval_table(result: TrackedIntervals) -> doc.Table:
 
 
 def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -> doc.Number:
-    """Create the cell of an interval bound.
+    """Create the cell of one end of an interval of values at which the policy tracks the command.
 
-    Marked with * if the range ended before an untracked value.
+    The cell is marked with ``*`` if the tested range ended before an untracked value was found.
+
+    Args:
+        interval: Interval.
+        tracked: End of the interval, in its unit.
+        beyond: Nearest untracked value found beyond this end, shape (seeds,); NaN without one.
     """
     open_end = tracked != interval.nominal and bool(np.isnan(beyond).all())
     return doc.Number(f"{tracked:.3g}{' *' if open_end else ''}", float(tracked))

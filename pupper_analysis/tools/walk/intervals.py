@@ -120,7 +120,11 @@ def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 
 
 def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Scale positions beyond the first joint of each limb with a foot; sizes and masses remain."""
+    """Multiply the positions in limbs with a foot by ``value``; sizes and masses are unchanged.
+
+    These are the positions of the bodies after the first body of a limb, and of their CoMs, geoms
+    and sites.
+    """
     base, bodies_beyond = _find_base(stage, model), set()
     for body, _ in stage.robot.contact_places.values():
         chain = []

@@ -133,7 +133,10 @@ def _run_policy_mode(
     report_path: Path | None,
     **_: object,
 ) -> None:
-    """Find the tracked intervals of a robot, or of several for ``push``, and show the result."""
+    """Find and show the intervals of quantities within which a policy tracks the command.
+
+    ``name`` is the command: ``push`` accepts several robots, others accept one.
+    """
     from pupper_analysis.tools.walk.intervals import tracked_intervals
     from pupper_analysis.tools.walk.policy import Policy
 

@@ -293,7 +293,11 @@ def _list_limb_orders(count: int) -> Iterator[tuple[int, ...]]:
 
 
 def _group_by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tuple[str, ...]:
-    """Return joints grouped by kind (all first joints first) if by limb, otherwise by limb."""
+    """Return the joints in the other grouping: by kind if they are by limb, otherwise by limb.
+
+    By kind, the first joints of all limbs come first, then the second joints, and so on. ``limbs``
+    contains the indices of the joints of each limb.
+    """
     places = sorted(place for limb in limbs for place in limb)
     grouped = [place for limb in limbs for place in limb]
     if grouped == places:  # by limb

@@ -495,7 +495,13 @@ class Observer:
         return np.concatenate([part.reshape(len(active), -1) for part in parts], axis=1)
 
     def _make_frame(self, states: Array, active: Integers, tick: int) -> Array:
-        """Return the newest frame of the active runs, shape (n, frame size), before clipping."""
+        """Return the newest observation frame of n runs, shape (n, frame size), before clipping.
+
+        Args:
+            states: MuJoCo states of the runs, a row per run.
+            active: Indices of the runs, shape (n,).
+            tick: Number of the control step, from which the phase is computed.
+        """
         stage, contract = self._stage, self._contract
         convention, joints = stage.robot.mj_convention, stage.joints
         qpos = states[:, 1 + convention.qpos_index]

@@ -115,7 +115,7 @@ def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 def _list_start_angles(
     robot: RobotModel,
 ) -> Iterator[tuple[tuple[str, str], Diagnostic, dict[str, float]]]:
-    """Yield element, name, and {joint: position} of each initial configuration."""
+    """Yield each initial configuration: element (tag, name), title, {joint: position [rad, m]}."""
     if not isinstance(robot, MjcfModel):
         if robot.base:
             values = {joint.name: 0.0 for joint in robot.joints.values()}

@@ -79,9 +79,10 @@ def read(request: Request) -> Iterator[Source]:
 
 
 def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
-    """Evaluate a name of a module: an instance, an instance of a class, or a function's result.
+    """Return a node whose value is an instance; call a class or function to create it.
 
-    The value is None for another object, and if a call cannot be evaluated.
+    The arguments of a function are instances of its annotated classes. The value is None if
+    ``node`` is none of the three, or if the call cannot be evaluated.
     """
     value = node.value
     if not isinstance(value, py.FunctionValue | py.ClassValue):

@@ -151,7 +151,7 @@ def _read_motor_numbers(motors: Node) -> list[int]:
 def _list_table_statements(
     table: Node, order: Sequence[str], motors: list[int], is_standing_table: bool
 ) -> Iterator[Statement]:
-    """Yield the joint numbers of a table.
+    """Yield a statement for each value in a table, such as a joint's gain or default angle.
 
     Args:
         table: Table with keys in lower case.

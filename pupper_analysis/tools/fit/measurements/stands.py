@@ -289,7 +289,10 @@ def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
 
 
 def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
-    """Yield the links with known masses: masses [kg] and positions [m], shape (m, 4)."""
+    """Yield each link with known masses, and the mass and its position in each of m stands.
+
+    Shape (m, 4): mass [kg], position in the link frame [m]; zeros without mass.
+    """
     axes = ("added_x", "added_y", "added_z")
     for kind in axes:
         for link in table.get_columns(kind):

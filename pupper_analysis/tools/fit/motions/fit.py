@@ -271,9 +271,10 @@ def _report_misfit(
 def _report_notes(
     runs: Sequence[Run], rms_error: float, stated_error: float
 ) -> Iterator[Diagnostic]:
-    """Yield notes: a prediction worse than with the stated values, and a replayed motion.
+    """Yield notes if the fit predicts worse than the stated parameters, or if motions repeat.
 
-    Both errors are RMS position errors [rad]: with the fitted and with the stated parameters.
+    Motions repeat if held-out commands agree with fitted commands (`measure_replay`). Both errors
+    are RMS position errors [rad]: with the fitted and with the stated parameters.
     """
     if rms_error > stated_error:
         yield diagnose(
@@ -497,7 +498,12 @@ class MotionResiduals:
         )
 
     def _iterate_derivatives(self) -> Iterator[tuple[IntArray, Array, int, int]]:
-        """Yield k parameter indices, derivatives, shape (samples, k), joint index and run index."""
+        """Yield the derivatives of the predicted positions of each joint in each run.
+
+        Yields:
+            Indices of k parameters, derivatives by these parameters, shape (samples, k), joint
+            index and run index.
+        """
         for run, jacobians in enumerate(self._jacobians):
             for group, (indices, jacobian) in jacobians.items():
                 for column, joint in enumerate(self.simulator.groups[group][0]):

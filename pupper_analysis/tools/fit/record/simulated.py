@@ -83,7 +83,10 @@ class SimulatedRobot:
         self._place_on_feet(())
 
     def _attach_loads(self, loads: Mapping[str, Array]) -> None:
-        """Create the simulation with known masses {link: mass [kg], position (3,) [m]}."""
+        """Create the simulation of the robot with known masses on its links.
+
+        ``loads`` is {link: mass [kg] and position in the link frame [m], shape (4,)}.
+        """
         loaded = self.robot
         for link, (mass, *position) in loads.items():
             loaded = with_payload(loaded, float(mass), (link, *position))
