@@ -345,8 +345,9 @@ class Balance:
         """Return the rows of the second-order cones of n contacts and g grips, (4 n + 4 g, size).
 
         The product of four rows with the forces (size,) is, for a contact with the normal force
-        f_n and the friction coefficient mu, (mu f_n, tangential force), with mu reduced by `_CONE_MARGIN`, and both divided by the coefficient if that is above
-        `_LARGE_FRICTION`; for a grip, (0, grip force).
+        f_n and the friction coefficient mu, (mu f_n, tangential force), with mu reduced by
+        `_CONE_MARGIN`, and both divided by the coefficient if that is above `_LARGE_FRICTION`;
+        for a grip, (0, grip force).
         """
         normals, count = self.normals, len(self.normals)
         rows, index = np.zeros((count, 4, count, 3)), np.arange(count)
