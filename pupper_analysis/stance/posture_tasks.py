@@ -409,7 +409,10 @@ def _freeze_array(task: object, name: str, value: Array) -> None:
 
 
 def _make_vector(name: str, value: Any) -> Array:
-    """Return a copy as a vector (3,); ConfigurationError if the value is no finite vector."""
+    """Return a copy as a vector (3,); ConfigurationError if the value is no finite vector.
+
+    ``name`` is the name of the argument, for the error message.
+    """
     vector = real_array(name, value)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ConfigurationError(name, diagnose("no-vector-of-three", given=repr(value)))

@@ -41,10 +41,11 @@ def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[Val
 def _make_urdf_repair(
     robot: UrdfModel, tag: str, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
 ) -> Iterator[ValueRepair]:
-    """Yield the repair of an element of a URDF.
+    """Yield the repair of an element of a URDF: new values of its attributes.
 
-    Nothing is yielded if no or several elements fit, or if the element lacks one of the attributes
-    or already has the new values.
+    The element is the ``child`` of the link or joint (``tag``) with this ``name``. Nothing is
+    yielded if no or several elements fit, or if the element lacks one of the attributes or already
+    has the new values.
     """
     element = _find_element(robot, tag, name, child)
     if element is None or any(element.get(attribute) is None for attribute in new):

@@ -178,7 +178,10 @@ def _tabulate_sources(contract: Contract) -> doc.Table:
 def _tabulate_facts(
     contract: Contract, facts: Sequence[Fact], title: doc.Words, unit: str = ""
 ) -> doc.Table:
-    """Make the table of a quantity, or of all settings, with a column per source."""
+    """Make the table of a quantity, or of all settings, with a column per source.
+
+    ``facts`` are the values in the table, in ``unit``; other facts of the contract are left out.
+    """
     facts_by_cell = {(fact.joint or fact.quantity, fact.source): fact for fact in facts}
     names = [
         source.name for source in contract.sources if any(f.source == source.name for f in facts)

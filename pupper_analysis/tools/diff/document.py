@@ -87,7 +87,10 @@ def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
 
 
 def _make_file_place(file: str, place: str, value: object, unit: str) -> doc.FilePlace:
-    """Create the place of a value in a file, with the quoted line or else the value."""
+    """Create the place of a value in a file, with the quoted line or else the value.
+
+    ``place`` is path and line as text; empty if the file does not contain the value.
+    """
     line = quote_line(place, file) or f"{shorten(value)} {unit}".rstrip()
     named = doc.Name(Path(place).name) if place else text("not-in-the-file")
     return doc.FilePlace(named, doc.Name("-" if value is None else line), place)

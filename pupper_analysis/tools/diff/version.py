@@ -394,7 +394,11 @@ def _is_outside(path: str) -> bool:
 
 
 def _resolve_lfs_pointer(content: bytes, kept: Path) -> bytes:
-    """Return the content of a file; for a pointer of Git LFS, the stored file if present."""
+    """Return the content of a file; for a pointer of Git LFS, the object that it points to.
+
+    ``kept`` is the folder that contains ``lfs/objects``. Without the object, ``content`` is
+    returned.
+    """
     found = pointed_file(content)
     if found is None or not found.isalnum():
         return content

@@ -288,10 +288,11 @@ _MEASURING_OPTIONS = ("--plan", "--record", "--bridge", "--prior", "--added", "-
 
 
 def _select_next_step(result: Fit | StandPlan | Recording, output: Path | None) -> NextStep | None:
-    """Return the suggested next command: plan, recording, fit, written files, in this order.
+    """Return the suggested next command; it depends on the type of ``result``.
 
-    None after an explained fit with an output folder: `command` then suggests a command with the
-    written files.
+    A plan is to be written or recorded, a recording completed or fitted, a fit shown in detail or
+    written. None after an explained fit with an output folder: `command` then suggests a command
+    with the written files.
     """
     from pupper_analysis.tools.fit.record.recorder import Recording
     from pupper_analysis.tools.fit.stands.plan import StandPlan

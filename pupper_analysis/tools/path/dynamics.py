@@ -146,7 +146,11 @@ def inverse_dynamics(
 
 
 def _mean_ground_point(config: Configuration, normals: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return the mean contact point, shape (3,) [m], and the mean unit normal, shape (3,)."""
+    """Return the mean position where feet touch the ground, (3,) [m], and the mean normal, (3,).
+
+    ``normals`` contains the unit normal of the ground at each contact point, in the world frame.
+    Without contact points: the origin and up.
+    """
     robot = config.robot
     points = [
         config.frame_position(robot.contact_frames[foot]) - robot.contact_radius[foot] * normal

@@ -304,7 +304,10 @@ def make_metric(requested: str | MetricFunction) -> Metric:
 
 
 def _bind_file(metric: Metric, requested: str) -> Metric:
-    """Return a named metric, bound to the file after the colon if the metric needs a file."""
+    """Return a metric; if it needs a file, bound to the file in ``requested``.
+
+    ``requested`` is ``NAME``, or ``NAME:FILE`` for a metric that needs a file.
+    """
     _, colon, file = requested.partition(":")
     if metric.of_file is None:
         if colon:

@@ -316,7 +316,11 @@ def _evaluate_interpretation(
     change: Change,
     workers: int | None,
 ) -> Candidate:
-    """Simulate an interpretation of a policy with all commands, and return its result."""
+    """Simulate an interpretation of a policy with all commands, and return its result.
+
+    Each of ``commands`` (n, 3) is simulated for ``seconds`` [s]. ``change`` is the difference of
+    the interpretation from the stated contract.
+    """
     stage = prepare_stage(robot, policy)
     cases = [stage.make_case(command) for command in commands]
     tracked = fallen = 0
