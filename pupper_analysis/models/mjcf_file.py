@@ -341,7 +341,11 @@ class IncludeTree:
     def _read_include(
         self, element: etree._Element, path: Path, within: tuple[Path, ...]
     ) -> tuple[Path, etree._Element]:
-        """Return path and root element of the file of an ``<include>``; parse each file once."""
+        """Return path and root element of the file of an ``<include>``; parse each file once.
+
+        ``path`` is the file that contains the ``<include>``, and ``within`` are the resolved paths
+        of the files whose inclusion leads to it: a file must not include itself.
+        """
         included = self._find_included(element, path)
         resolved = included.resolve()
         if resolved in within:

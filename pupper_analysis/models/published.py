@@ -117,8 +117,8 @@ def is_published_name(word: str) -> bool:
 def _is_description(word: str) -> bool:
     """Return True if a word names a robot description.
 
-    It has the prefix ``DESCRIPTION_PREFIX``, or a form such as ``go2_mj_description``, and no file
-    of this name exists.
+    It either has the prefix ``DESCRIPTION_PREFIX``, or it has a form such as
+    ``go2_mj_description`` and is not the name of an existing file.
     """
     return word.startswith(DESCRIPTION_PREFIX) or (
         _BARE_DESCRIPTION.fullmatch(word) is not None and not Path(word).exists()

@@ -497,8 +497,8 @@ def _set_position_commands(
 ) -> None:
     """Set the controls of the servos at a joint; the servos share the torque by stiffness.
 
-    The command is that of an ideal position servo: ctrl = gear * q* + tau / (gear * stiffness),
-    with the joint position q* (``target``) and the servo's part tau of the joint's ``torque``. A
+    The command is that of an ideal position servo: ctrl = gear * q + tau / (gear * stiffness),
+    with the joint position q (``target``), and the part tau of the joint's ``torque``. A
     bias of the file, or a gain that differs from the stiffness, is not compensated: the effect is
     part of the published model.
     """

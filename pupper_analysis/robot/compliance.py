@@ -127,7 +127,7 @@ class GroundLaw:
 
     @cached_property
     def _initial_stiffness(self) -> float:
-        """Normal stiffness [N/m] at the start of the contact."""
+        """Normal stiffness [N/m] of the ground at the start of the contact (depth -``margin``)."""
         return self.normal_stiffness(-self.margin)
 
     def depth(self, force: float, near: float | None = None) -> float:

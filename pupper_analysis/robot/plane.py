@@ -403,7 +403,10 @@ def _format_exact_angle(angle: float) -> str:
 
 
 def _format_placement(contact: Contact | Weld, write: Callable[..., str]) -> Iterator[str]:
-    """Yield the texts of place and offset of a contact or weld, if specified."""
+    """Yield the texts of place and offset of a contact or weld, if specified.
+
+    ``write`` formats numbers with a unit, as from `_make_formatter`.
+    """
     if contact.place is not None:
         yield "place=" + write(contact.place, "m")
     if any(contact.offset):

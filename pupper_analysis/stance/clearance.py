@@ -190,7 +190,9 @@ class ClearanceShapes:
         return self._find_nearest(qpos, self._pairs, most)
 
     def _find_nearest(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
-        """Return up to ``most`` of some pairs (n, 2), nearest first.
+        """Return the ``most`` nearest pairs of shapes in a configuration (nq,), nearest first.
+
+        ``pairs``, shape (n, 2), are the indices of the shapes to be compared.
 
         Bounding spheres exclude most pairs without an exact distance.
         """

@@ -244,7 +244,10 @@ _DOWN_DIRECTION = np.array([[0.0, 0.0, -1.0]])
 def _compare_feet(
     feet: Mapping[str, Limb], matched: Match, urdf: UrdfFile, mjcf: MjcfFile
 ) -> Iterator[Difference]:
-    """Yield differences of the shapes of feet: existence, and height of the lowest point."""
+    """Yield differences of the collision shapes of feet between URDF and MJCF.
+
+    Reported are a foot with shapes in one file only, and different heights of the lowest points.
+    """
     for name, (urdf_shapes, mjcf_shapes) in feet.items():
         subject, sides = (
             ("joint", name),

@@ -215,7 +215,7 @@ class Difference(Stated, Result):
 
     @property
     def _relative_mass_difference(self) -> float:
-        """Difference of the masses, relative to the larger."""
+        """Difference between the masses in URDF and MJCF, relative to the larger mass."""
         first, second = (float(value) for value in (self.urdf, self.mjcf))  # type: ignore[arg-type]
         return abs(second - first) / max(abs(first), abs(second), 1e-300)
 

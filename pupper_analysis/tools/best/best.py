@@ -144,7 +144,7 @@ def _run_search(
     point: Place,
     kp: ArrayLike | None,
 ) -> StanceSearch:
-    """Run the search of `best_stance`, and return the finished search."""
+    """Run the search of `best_stance`, with its arguments, and return the finished search."""
     robot = with_contacts(robot, task.contacts) if task is not None else robot
     robot.check_tree("the best stance")
     search = StanceSearch(robot, _parse_objective(objective), task, point, kp)

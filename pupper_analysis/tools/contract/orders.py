@@ -208,7 +208,18 @@ _PLAIN_NAME = re.compile(r"[\w/\- ]+")
 def _determine_order(
     source: Source, model: RobotJoints, others: Sequence[Source], matched: Mapping[str, str]
 ) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
-    """Return the joints in the order of a source's lists, how the order is known, and notes."""
+    """Return the joints in the order of a source's lists, how the order is known, and notes.
+
+    Args:
+        source: Source, for example a trainer's configuration.
+        model: Joints of the robot model.
+        others: Other sources, which may state an order.
+        matched: {joint name in ``source``: joint of the model}.
+
+    Returns:
+        Joints ("" for an unknown one), empty if the order is unknown; how the order is known, such
+        as ``named``; notes.
+    """
     if source.order:
         return tuple(matched.get(name, "") for name in source.order), "named", []
     lists = {statement.count for statement in source.statements if statement.index is not None}

@@ -369,6 +369,9 @@ def _find_decrease(
 ) -> tuple[tuple[Array, float] | None, float]:
     """Find a step that decreases the cost, with increasing damping from ``damping`` on.
 
+    ``linearise`` returns the residuals, linearised at its first argument, with the noise evaluated
+    at the second one.
+
     Returns:
         Accepted parameters and decrease of the cost (which may be negative, by at most
         ``_MIN_PREDICTED_DECREASE``), or None without an accepted step; and the next damping.

@@ -239,7 +239,8 @@ def _make_row_table(
 ) -> doc.Table:
     """Create a table of designs.
 
-    The first column is the row number in the complete table, as for ``--write``.
+    The first column is the row number of the design in ``all_rows`` (the complete table of the
+    study; by default ``table``), as for ``--write``.
     """
     all_rows = table if all_rows is None else all_rows
     numbers = {design: number for number, design in enumerate(all_rows["design"], start=1)}

@@ -218,7 +218,15 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
 def _add_offsets(
     offsets: dict[str, Array], robot: Robot, name: str, pattern: VariablePattern, offset: float
 ) -> None:
-    """Add the offset of a variable [m] to the offsets of all matching bodies."""
+    """Add an offset [m] of the CoM to the offsets of all matching bodies, in place.
+
+    Args:
+        offsets: {joint that moves the body, "" for the base: offset of its CoM (3,) [m]}.
+        robot: Robot.
+        name: Name of the variable, for messages.
+        pattern: Pattern that selects the bodies and the axis.
+        offset: Offset along this axis [m].
+    """
     if not math.isfinite(offset):
         raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))
     for joint in match_joints(robot, pattern):

@@ -329,7 +329,14 @@ class Lockstep:
 def _simulate_batch(
     stage: Stage, cases: Sequence[Case], duration: float, warm_up: float
 ) -> list[Run]:
-    """Simulate cases in lockstep, until a fall or the end."""
+    """Simulate several cases in the same time steps, each until a fall or the end.
+
+    Args:
+        stage: Robot, policy and model.
+        cases: Cases, for example commands and pushes.
+        duration: Duration of each run [s].
+        warm_up: Time at the start without evaluation of tilt and height [s].
+    """
     count = len(cases)
     ticks = max(1, round(duration / (stage.substeps * stage.timestep)))
     lockstep, steps = Lockstep(stage, cases), stage.substeps

@@ -155,7 +155,10 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _compute_reach(robot: RobotModel, name: str) -> float:
-    """Compute the distance between a link and the root along the joints, at zero angles [m]."""
+    """Return the sum of the distances between frame origins from the root to a link [m].
+
+    The origins are those of the link and its ancestors, at zero angles.
+    """
     chain = [robot.links[link_name].pose.position for link_name in (name, *robot.ancestors(name))]
     return float(sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
 

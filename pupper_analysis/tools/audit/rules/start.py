@@ -329,9 +329,10 @@ def _compute_heights(
     qpos: Array,
     geoms: Sequence[int],
 ) -> Array:
-    """Return the height of the lowest point of geoms above the ground, shape (n,) [m].
+    """Return the height above the ground of the lowest point of each geom, shape (n,) [m].
 
-    A file without a ground is judged on the plane z = 0.
+    ``ground`` is the id of the ground plane's geom; if it is None, the ground is the plane z = 0.
+    ``qpos``, shape (nq,), is the configuration; ``data`` is changed in place.
     """
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)

@@ -362,7 +362,14 @@ class _RecordingSession:
 def _list_instructions(
     stand: PlannedStand, loads: Mapping[str, Array], previous: PlannedStand | None
 ) -> Iterator[str]:
-    """Yield the instructions for the operator: heading, known mass, feet in the air."""
+    """Yield the instructions for the operator: heading, known mass, feet in the air.
+
+    Args:
+        stand: Stand to be measured next.
+        loads: {link: mass [kg], and its position in the link frame, (4,) in total [kg, m]} of the
+            known masses in this stand.
+        previous: Stand before, None for the first; heading and masses as in it are not repeated.
+    """
     if previous is None or previous.heading != stand.heading:
         heading = Quantity(stand.heading, "rad")
         yield str(diagnose("turn-the-robot", stand=stand.name, heading=heading))
