@@ -502,7 +502,13 @@ def parse_position(option: str, text: str) -> tuple[str, float]:
 
 
 def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
-    """Return the message about an invalid quantity."""
+    """Return the message about an invalid quantity on the command line.
+
+    Args:
+        kind: Kind of the quantity, a key of ``UNIT_FACTORS``.
+        text: Invalid text.
+        given: Whole typed value that contains ``text``, if longer.
+    """
     units = tuple(UNIT_FACTORS[kind])
     with suppress(ValueError):
         if is_millimetres(kind, float(text)):

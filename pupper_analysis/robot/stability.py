@@ -455,6 +455,7 @@ def _evaluate_at_limits(
     Finite differences are invalid across a limit. If joints are within `_LIMIT_DISTANCE` of limits,
     these limits are set to this distance from the joint positions, once so that the joints are
     inside and once so that they are beyond. The result with the larger spectral radius is returned.
+    ``difference`` is the finite-difference step.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]

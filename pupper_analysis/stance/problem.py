@@ -408,7 +408,13 @@ that an error message proposes. Chosen, not tuned."""
 
 
 def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
-    """Reject a horizontal CoM target with less margin than the task requires."""
+    """Raise a ConfigurationError if a CoM target has less margin than the task requires.
+
+    Args:
+        task: Task with the required margin [m].
+        place: Horizontal target (x, y) [m].
+        corners: Points whose convex hull must contain the target, (x, y) each [m].
+    """
     inside = margin_of_position((float(place[0]), float(place[1])), corners)
     if inside < min(task.com_margin, 0.0):
         there, outside = Vector((place[0], place[1]), "m"), Quantity(-inside, "m")

@@ -269,8 +269,9 @@ class _Search:
     ) -> StandTask | None:
         """Return the task of a relaxation with rounded values, relaxed further by ``share``.
 
-        Demands are rounded one after another, the largest relaxation first; after each, the
-        relaxation of the remaining demands is computed again. None if it becomes infeasible.
+        ``demands`` are the fields of the task that may be relaxed. They are rounded one after
+        another, the largest relaxation first; after each, the relaxation of the remaining demands
+        is computed again. None if it becomes infeasible.
         """
         robot, left = self.context.robot, [*demands]
         requested = task = self.goal.task

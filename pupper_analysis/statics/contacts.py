@@ -336,7 +336,10 @@ def _to_unit_vector(foot: str, normal: ArrayLike) -> Array:
 
 
 def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
-    """Return the friction coefficient of a contact point; None means that of MuJoCo's model.
+    """Return the friction coefficient of a contact point with the ground.
+
+    ``friction`` is a common coefficient or {contact point: coefficient}; None means that of
+    MuJoCo's model.
 
     Raises:
         ConfigurationError: If the coefficient is missing or not in [0, `MAX_FRICTION`], or MuJoCo's

@@ -66,7 +66,7 @@ def _corner(point: Array) -> Corner:
 
 
 def _depth_inside(place: Corner, points: tuple[Corner, ...]) -> float | None:
-    """Compute the distance from an inner point to the edge of the convex hull [m].
+    """Compute the distance from a point to the edge of the convex hull of ``points`` [m].
 
     Avoids shapely objects in the usual case. None if the point is not strictly inside, or the hull
     has no area.

@@ -573,7 +573,13 @@ def _legs_without_base(matched: Match) -> Iterator[Diagnostic]:
 def _compare_ground_contact(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, found: Iterable[Difference]
 ) -> tuple[list[Difference], list[Diagnostic]]:
-    """Compare the collision shapes of feet, unless a file was converted from another format."""
+    """Compare the collision shapes of feet, unless a file was converted from another format.
+
+    ``found`` are the differences found before: those of joints and links that displace feet.
+
+    Returns:
+        Differences, and messages; both empty if a file was converted.
+    """
     if urdf.stands_for or mjcf.stands_for:
         return [], []
     moved = {difference.element for difference in found if difference.kind in _DISPLACING_KINDS}

@@ -337,7 +337,10 @@ def _sum_mass(values: MultibodyTree) -> float:
 
 
 def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
-    """Replace the joint names in the value of a mimic joint or a motor."""
+    """Replace the joint name in the value of a mimic joint or a motor; return other values.
+
+    ``names`` is {old name: new name}.
+    """
     if isinstance(value, list) and value and isinstance(value[0], str):
         return [names.get(value[0], value[0]), *value[1:]]
     if isinstance(value, dict) and str(value.get("at", "")).startswith("joint "):

@@ -314,7 +314,7 @@ def _list_folders(fields: Mapping[str, Field]) -> list[str]:
 
 
 def _find_folder(field: Field) -> str:
-    """Return the folder of a field, or an empty text."""
+    """Return the name of the page folder that contains a field's slider; "" without a slider."""
     return field.slider.folder if field.slider else ""
 
 

@@ -374,9 +374,10 @@ class PushBench:
     def _will_rest(self, states: Array, spectrum: Stability | None = None) -> bool:
         """Return True if the base of a slow robot will move little, and no mode grows.
 
-        Motion: 1.5 v min(T, 1 / d) must be at most ``_MAX_REMAINING_RATIO`` of the CoM height, with
-        the speed v of the base, less the creep without a push, its rate of decrease d, and the
-        remaining time T of the longest simulation, at least ``HOLD_DURATION``.
+        Motion: the predicted motion of the base, ``_SPEED_FACTOR`` v min(T, 1 / d), must be at most
+        ``_MAX_REMAINING_RATIO`` of the CoM height. v is the speed of the base (less the creep speed
+        without a push, if the motion is too large otherwise), d the rate at which v decreases, and
+        T the remaining time of the longest simulation, at least ``HOLD_DURATION``.
 
         Modes: none may double within the longest simulation, with both finite-difference steps.
         Near a saddle point a robot almost stops before it falls (v3-long-leg: 0.1 mm/s after 14 s,

@@ -349,7 +349,11 @@ class DesignBuilder:
         return Design(robot, stand, own_servos=own_servos, point=self.point)
 
     def _build_robot(self, numbers: Mapping[str, float]) -> Robot:
-        """Build a robot from scales, patterns, friction and payload."""
+        """Build the robot of a design.
+
+        ``numbers`` are the values of the variables, {name: value}: scales, patterns (names with a
+        colon), ``friction``, and ``payload`` [kg].
+        """
         scales = {name: value for name, value in numbers.items() if name in self.source.scales}
         factors = {name: value for name, value in numbers.items() if ":" in name}
         robot = scale_robot(self._cached_scaled_robot(tuple(sorted(scales.items()))), factors)

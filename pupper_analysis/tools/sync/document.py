@@ -65,7 +65,11 @@ def sync_document(
 
 
 def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
-    """Return a trial of a choice, the writing of a tried choice, or the comparison of the files."""
+    """Return the command to run next.
+
+    If the files differ and none was chosen, this is a trial of `sync` that keeps the URDF's values;
+    after such a trial (``dry_run``), `sync` that writes the files; otherwise `crosscheck`.
+    """
     if not chosen and not sync.agree:
         return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))
     if dry_run and sync.edits:

@@ -206,7 +206,11 @@ def plan_stands(
 
 
 def _compute_base_top(robot: Robot) -> float:
-    """Return the height [m] of the base's geoms above the origin of the base frame, at least 0."""
+    """Return the height [m] of the highest point of the base's geoms, at least 0.
+
+    The height is measured from the origin of the base frame, along its z axis. The bounding box of
+    each geom is used.
+    """
     model, config = robot.mj_model, Configuration(robot, robot.home)
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, config.qpos)
