@@ -109,7 +109,7 @@ def place_base_frame(
 ) -> list[Diagnostic]:
     """Raise the frame of a free base to the height of its CoM if no limb ends below the frame.
 
-    Roll, pitch and height of a stand refer to the base frame with z up. The frame is kept if it is
+    Roll, pitch and height of a stand refer to the base frame with z up. The frame is kept if
     tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM.
     If the frame is tilted by more than 45 deg in the keyframe `home` (or the first keyframe, or
     without keyframes in the initial state), a note is returned.
@@ -119,7 +119,7 @@ def place_base_frame(
         file: Compiled model of the published file, before the base was freed.
         source: File name for errors.
         insert_visuals: Function that puts deferred visual meshes into a spec; None if no mesh is
-            deferred. It is called if no collision geom of a limb's end is below the frame.
+            deferred. Called if no collision geom of a limb's end is below the frame.
 
     Returns:
         Notes about the change, or about the tilt; mostly empty.

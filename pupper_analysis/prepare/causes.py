@@ -130,8 +130,8 @@ def list_difference_causes(published: PublishedModel, robot: Robot) -> list[Caus
 def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
     """Return elements of an MJCF that also act in the prepared robot, and may make both fail.
 
-    These are actuators with a negative gear, springs, joint limits, fluid forces, gravity that is
-    not vertical, and slippery or soft contacts.
+    The elements are actuators with a negative gear, springs, joint limits, fluid forces, gravity
+    that is not vertical, and slippery or soft contacts.
     """
     return [
         *_list_sign_causes(published, robot),
@@ -204,7 +204,7 @@ def _yield_if_any(
 
 
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: integration, and the constraint solver if it is inaccurate."""
+    """Yield candidate causes: integration, and an inaccurate constraint solver."""
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
     if not model.actuator_delay.any():  # a delay is stored as a number of samples
@@ -520,8 +520,8 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
     """Return causes of deviations that lie in the preparation, and not in the published file.
 
-    These are bodies with collision shapes that were replaced by spheres, and joints whose actuator
-    is neither servo nor motor (`Drive.has_other_law`).
+    The causes are bodies with collision shapes that were replaced by spheres, and joints whose
+    actuator is neither servo nor motor (`Drive.has_other_law`).
     """
     bodies = _list_ball_bodies(robot)
     named = zip(robot.joint_names, published.drives, strict=True)

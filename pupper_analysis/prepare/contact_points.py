@@ -83,7 +83,7 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
 
 
 def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
-    """Return True if the joints of a leg can move its sole along the normal without tilting it.
+    """Return True if the joints of a leg can move the sole along the normal without tilt.
 
     This is possible with four joints if three of the axes are parallel (for example hip, knee
     and ankle) and the fourth joint keeps these axes level. The test evaluates the Jacobian in
@@ -133,7 +133,7 @@ the radius, with which the sphere replaces the foot. Chosen, not tuned."""
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
     """Compute the sphere that approximates an ellipsoid at its lowest point.
 
-    The sphere touches the ellipsoid there. Its radius is the mean of the two principal radii of
+    The sphere touches the ellipsoid there. The radius is the mean of the two principal radii of
     curvature: half of the trace of S^2 / h - S^2 d d^T S^2 / h^3, with the half axes in the
     diagonal matrix S, the direction d (``down``) and h = |S d|. Source: Schneider, "Convex Bodies",
     2014, section 2.5.

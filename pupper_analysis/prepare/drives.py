@@ -68,8 +68,8 @@ _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
 order, after the deflections of `_SAG_CANDIDATES`. Chosen, not tuned."""
 
 _BRIEF_DURATION = 2.0
-"""Duration of the first simulation with candidate gains [s]. If it agrees with the prediction, no
-longer simulation follows. Chosen, not tuned."""
+"""Duration of the first simulation with candidate gains [s]. If the result agrees with the
+prediction, no longer simulation follows. Chosen, not tuned."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
@@ -206,7 +206,7 @@ def add_position_servos(
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos with suggested gains at joints without one, and return notes.
 
-    The gains hold the nominal stand; without such a stand they are those for a fixed base. Torque
+    The gains hold the nominal stand; without such a stand the gains are for a fixed base. Torque
     limits of zero are ignored in the choice, and apply again to the returned robot.
 
     Returns:
@@ -336,7 +336,7 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
     """Return True if the simulated robot comes to rest as predicted.
 
     Also True if URDF and MJCF describe different robots, since no gains help then. First a
-    simulation of `_BRIEF_DURATION` is tried; if it does not agree, the usual duration is simulated.
+    simulation of `_BRIEF_DURATION` is tried; without agreement, the usual duration is simulated.
     """
     with contextlib.suppress(PupperAnalysisError):
         stand = solve_stand_on_soft_ground(robot, stand, explain=False)

@@ -57,7 +57,7 @@ def limit_continuous_joints(robot: Robot) -> Description | None:
 
 
 def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
-    """Narrow the joint limits of the URDF [rad, m] to their overlap with those of the MJCF.
+    """Narrow the joint limits of the URDF [rad, m] to the overlap with the limits of the MJCF.
 
     Otherwise, MuJoCo would push joints back that are beyond the limits of the MJCF in a stand.
     Limits are kept if both ranges do not overlap.

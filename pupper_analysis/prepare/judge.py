@@ -203,7 +203,7 @@ def _fail_if_upset(
     """Return the simulation result ``fed``, marked as failed if the stand fails after a nudge.
 
     A nudge is a velocity disturbance. Without its result ``trial``, nudges are simulated if the
-    stand is near a limit or ``fragile``: it fails without feed-forward, and its contacts may
+    stand is near a limit or ``fragile``: the stand fails without feed-forward, and the contacts may
     chatter after a nudge.
     """
     if trial is None:

@@ -231,8 +231,8 @@ def _register_pass(
     """Return a decorator that registers a function as the next pass, named after the function.
 
     The arguments are the fields of `Pass`: ``does`` is the purpose of the pass in words,
-    ``after_refusal`` applies the pass also to refused drafts, and ``deferred`` postpones it until
-    the robot is first simulated or drawn.
+    ``after_refusal`` applies the pass also to refused drafts, and ``deferred`` postpones the pass
+    until the robot is first simulated or drawn.
     """
 
     def register(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
@@ -658,13 +658,14 @@ _DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
 
 
 def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
-    """Apply passes to a draft.
+    """Apply passes in order to a draft, the robot in preparation, and return the new draft.
 
     If a pass raises a `ModelError`, but the robot may be prepared again with a fixed base
     (`Draft.may_fix_base`), only the passes with `Pass.after_refusal` still run: one fixes the base.
 
     Raises:
-        ModelError: If no robot can be made.
+        ModelError: If no robot can be made: the base may not be fixed, the pass is deferred, or a
+            second pass fails.
         UnknownNameError: If a foot, joint or keyframe does not exist.
     """
     for step in passes:
@@ -735,7 +736,7 @@ def _keeps_joint_order(robot: Robot) -> bool:
     """Return True if the joint order does not change when servos are added.
 
     Joints are in actuator order. Servos are added in this order to all joints, or to none; the
-    order may change if some joints have no actuator, a servo of their own, or follow others.
+    order may change if some joints have no actuator, a servo already, or follow other joints.
     """
     driven = robot.mj_convention.actuator_index >= 0
     num_servos = len(list_position_servos(robot))

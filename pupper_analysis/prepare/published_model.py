@@ -152,10 +152,10 @@ def with_requested_gains(
     """Return a published model, and a robot, whose joints have the requested servo gains.
 
     The actuator of a joint becomes a position servo with these gains. A joint gets an external
-    servo (``HoldCommands``) if it has no actuator, several actuators, or one that is not meant to
-    hold a position (for example, a torque motor). Joints with a stiffness of zero depend on other
-    joints, and are unchanged. The returned robot is for comparisons only: its MuJoCo model has
-    gains that its description lacks.
+    servo (``HoldCommands``) if the joint has no actuator, several actuators, or an actuator that is
+    not meant to hold a position (for example, a torque motor). Joints with a stiffness of zero
+    depend on other joints, and are unchanged. The returned robot is for comparisons only: the
+    MuJoCo model has gains that the description lacks.
 
     Args:
         published: Published model.
@@ -184,7 +184,7 @@ def with_requested_gains(
 
 
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
-    """Compile an MJCF as published, with at most the changes that a simulation of it needs.
+    """Compile an MJCF as published, with at most the changes that a simulation needs.
 
     Bodies and joints without a name are named if the file lacks a name of the robot. A floor is
     added if the robot has a free base, and the world has neither a level plane nor a collidable
@@ -419,7 +419,8 @@ class HoldCommands:
 
     Attributes:
         ctrl: Controls of all actuators, shape (model.nu,): commands of position servos at joints of
-            the robot; without force for position servos on tendons and sites; zero for others.
+            the robot; without force for position servos on tendons and sites; zero for other
+            actuators.
         act: States of the actuator filters, shape (model.na,).
         external: External servos, which the simulation computes for n joints without position
             servo: dof addresses, kp [N m/rad], kd [N m s/rad], target positions [rad], feed-forward

@@ -252,11 +252,11 @@ def _find_loading_causes(
 ) -> tuple[Cause, ...]:
     """Find out if a deviation from the prediction is due to the preparation, or to the two files.
 
-    The model of the prepared robot is simulated. If it agrees with the prediction, the changes of
-    the preparation (`list_loading_changes`) are the cause. If it deviates as much as the published
-    MJCF (as it is, or with its candidate causes switched off), URDF and MJCF differ, since the
-    prediction is computed from the URDF. The cause is then the first difference that
-    ``compare_files`` finds and that affects weight.
+    The model of the prepared robot is simulated. If this simulation agrees with the prediction, the
+    changes of the preparation (`list_loading_changes`) are the cause. If the simulation deviates as
+    much as the published MJCF (as it is, or with its candidate causes switched off), URDF and MJCF
+    differ, since the prediction is computed from the URDF. The cause is then the first difference
+    that ``compare_files`` finds and that affects weight.
     """
     file = None if robot.published is None else robot.published.file
     computed = simulate_prediction(
@@ -471,9 +471,9 @@ def name_remaining_cause(
     """Name the cause of a failure for which no other cause was found.
 
     If the run from the keyframe fails, the cause is the stiffness of the servos, if the robot
-    stands with stiffer servos. Otherwise it is the joint that deviates most, or the divergence of
-    the simulation. If only the comparison with the prediction fails, the cause is the joint that
-    deviates most.
+    stands with stiffer servos. Otherwise the cause is the joint that deviates most, or the
+    divergence of the simulation. If only the comparison with the prediction fails, the cause is the
+    joint that deviates most.
 
     Args:
         robot: Prepared robot.

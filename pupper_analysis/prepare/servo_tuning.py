@@ -66,8 +66,8 @@ tuned."""
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
 """Divisors of the model's time step that are tried for added servos, in this order. Measured: a
 light foot without armature oscillates between a stiff servo and the ground at 2 ms. With an inertia
-of 3e-4 kg m^2 about the ankle (G1) it is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped HECTOR) at
-0.25 ms."""
+of 3e-4 kg m^2 about the ankle (G1) the foot is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped
+HECTOR) at 0.25 ms."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,7 +113,7 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
     """Convert MuJoCo's error about a moving body without mass to an error with file and line.
 
     Args:
-        error: The error; returned unchanged if it has another reason.
+        error: The error; returned unchanged if caused by another problem.
         urdf: The URDF.
         mjcf: The MJCF; the URDF is named only if the MJCF was made from the URDF.
     """
@@ -189,7 +189,7 @@ Chosen, not tuned."""
 
 
 def find_solver_error(robot: Robot) -> float | None:
-    """Return the solver residual of a robot [robot weights] if it is too large; else None.
+    """Return the solver residual of a robot [robot weights] if too large; else None.
 
     The bound is `MAX_SOLVER_RESIDUAL`.
     """

@@ -295,7 +295,7 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     """Find a nominal stand with level feet; the horizontal foot positions are free.
 
-    Bending a leg with fewer than six joints, and with axes that are not parallel, moves its sole
+    Bending a leg with fewer than six joints, and with axes that are not parallel, moves the sole
     sideways and tilts it. The sole may then not be level at the horizontal positions of straight
     legs.
 

@@ -628,7 +628,9 @@ class Robot(EngineModels):
             raise ConfigurationError("contacts", problem)
 
     def check_tree(self, what: str) -> None:
-        """Raise an error if the robot has loops, couplings, welds or grips.
+        """Raise an error if the robot has closed loops or couplings, or a part fixed by a task.
+
+        A task fixes a part to the world by a weld, or by a grip, which permits rotation.
 
         Args:
             what: Name of the requested analysis, which does not support such robots, for the

@@ -41,8 +41,8 @@ opens or takes load."""
 
 NUDGE_ANGLE, NUDGE_SPEED = 1e-4, 0.1
 """Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along a mode, in the
-simulations that test growth. Chosen small: a foot that carries 1/10,000 of the weight is 10 um
-deep, and ``2 ** DOUBLINGS * NUDGE_ANGLE`` at a leg of 0.1 m moves that foot by 80 um."""
+simulations that test growth. Chosen small: a foot with 1/10,000 of the weight is 10 um deep, and
+``2 ** DOUBLINGS * NUDGE_ANGLE`` at a leg of 0.1 m moves that foot by 80 um."""
 
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
 """Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along modes that dry
@@ -70,9 +70,9 @@ which a deviation counts as growing exponentially. Chosen between 1, for exponen
 for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
-"""Lower bound of the ratio of the deviation D (module docstring, step 2) after at least
-``_HALF_TIME`` (18 s) to the initial deviation, with which an oscillation counts as sustained.
-Chosen, not tuned."""
+"""Smallest ratio of the last to the first maximum of the deviation D (module docstring, step 2)
+with which an oscillation counts as sustained. The maxima are taken over windows of at most
+``_MAX_WINDOW``, in a simulation of at least ``_HALF_TIME`` (18 s). Chosen, not tuned."""
 
 _MAX_WINDOW = 1.0
 """Upper bound of the time window over which the maximum of an oscillating deviation is taken [s].

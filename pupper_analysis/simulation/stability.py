@@ -221,11 +221,11 @@ def _find_modes(
 ) -> tuple[Stability, mujoco.MjData]:
     """Simulate a state for a settling time, and compute its modes, with and without light contacts.
 
-    A body that carries less than ``LIGHT_FOOT_LOAD`` of the load leaves the ground as friction
-    creeps. The modes that leave the state without the contacts of such bodies are therefore added,
-    if these modes grow faster than the known modes. Measured for Pupper v3 with one foot on a slope
-    of 10 deg and 2 kg: the foot with 2e-4 of the load hid a mode with a doubling time of 4.3 s,
-    which MuJoCo's simulation shows after 12 s.
+    A body with less than ``LIGHT_FOOT_LOAD`` of the load leaves the ground as friction creeps. The
+    modes that leave the state without the contacts of such bodies are therefore added, if these
+    modes grow faster than the known modes. Measured for Pupper v3 with one foot on a slope of 10
+    deg and 2 kg: the foot with 2e-4 of the load hid a mode with a doubling time of 4.3 s, which
+    MuJoCo's simulation shows after 12 s.
 
     Args:
         model: MuJoCo model. Unchanged after the call.

@@ -225,7 +225,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
     forces by about one percent. A stand is near a limit if its CoM is near the edge of the support
-    polygon, a motor or the friction is almost used up, a joint is near its limit, or a foot carries
+    polygon, a motor or the friction is almost used up, a joint is near its limit, or a foot has
     little load. False if the statics have no CoM margin, or if the base is fixed or welded.
 
     Args:

@@ -115,7 +115,7 @@ class MjcfXml:
         return str(etree.tostring(self.root, encoding="unicode"))
 
     def section(self, tag: str) -> etree._Element:
-        """Return the top-level element with a tag, such as ``asset``; add it if it is missing."""
+        """Return the top-level element with a tag, such as ``asset``; add a missing element."""
         found = self.root.find(tag)
         return add_element(self.root, tag) if found is None else found
 
@@ -203,7 +203,7 @@ class UrdfBodies:
         self.frames = set(self.tree.links)
 
     def add(self, mjcf: MjcfXml, *, free: bool) -> None:
-        """Convert all links of the URDF to bodies, and add them to an MJCF.
+        """Add all links of the URDF to an MJCF, as bodies.
 
         Args:
             mjcf: MJCF.

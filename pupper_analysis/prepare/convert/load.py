@@ -113,7 +113,7 @@ def read_pair(
     xacro_args: Mapping[str, str] | None = None,
     defer_visuals: bool = False,
 ) -> ModelPair:
-    """Read the files of a robot, and convert the missing model from the other one.
+    """Read the files of a robot, and convert the missing model from the other model.
 
     Args:
         *models: A URDF, an MJCF, or one of each, in any order: paths, XML texts or objects.
@@ -124,7 +124,7 @@ def read_pair(
             URDF detected if possible.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF and ``$(find)`` of
             a xacro file.
-        xacro_args: {argument of the xacro file: value}; others have their default values.
+        xacro_args: {argument of the xacro file: value}; other arguments have default values.
         defer_visuals: True to convert the visual meshes of a URDF file later, in the preparation.
 
     Raises:
@@ -236,9 +236,9 @@ def load_robot(
     zero, and a floor, a free base and position servos are added. If the robot does not stand in
     a keyframe of the MJCF, a stand is searched.
 
-    Errors in the files are raised here. Servos and visual meshes are made when they are first
-    needed: by the first access to, for example, ``mj_model``, ``description`` or ``notes``, not by
-    ``pin_model``, joint names or feet. Mesh files are read again then.
+    Errors in the files are raised here. Servos and visual meshes are made when first needed: by the
+    first access to, for example, ``mj_model``, ``description`` or ``notes``, not by ``pin_model``,
+    joint names or feet. Mesh files are read again then.
 
     Args:
         *models: Path of a URDF or an MJCF, or of both, in any order; a name in MuJoCo Menagerie
@@ -261,7 +261,7 @@ def load_robot(
             the robot stands.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF and ``$(find)`` of
             a xacro file.
-        xacro_args: {argument of the xacro file: value}; others have their default values.
+        xacro_args: {argument of the xacro file: value}; other arguments have default values.
         as_is: Add no servos, motors and contact exclusions, and keep the solver and the contacts of
             all shapes. Soles are not replaced by balls.
         visuals: False if the robot is not drawn or written: visual meshes of a URDF in formats that

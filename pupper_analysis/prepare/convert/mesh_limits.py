@@ -1,8 +1,8 @@
 """Limits of mesh files whose content is small, but which describe large meshes.
 
-A glTF accessor without data consists of zeros, and primitives may share their data. A COLLADA node
-may contain two instances of another node, which contains two instances of a third one: 30 such
-nodes describe 2^30 parts. The readers of trimesh would allocate all of them.
+A glTF accessor without data consists of zeros, and primitives may share data. A COLLADA node may
+contain two instances of another node, which contains two instances of a third node: 30 such nodes
+describe 2^30 parts. The readers of trimesh would allocate all parts.
 """
 
 from __future__ import annotations

@@ -472,7 +472,7 @@ def _convert_content(data: bytes, ending: str) -> bytes:
 
 
 def read_mesh(path: Path) -> bytes:
-    """Read a mesh file of at most `MAX_MESH_BYTES`, and return its content.
+    """Read a mesh file of at most `MAX_MESH_BYTES`, and return the content.
 
     Raises:
         UnreadableError: If the file is larger, or cannot be read.

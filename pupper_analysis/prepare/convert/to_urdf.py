@@ -63,8 +63,8 @@ class UrdfLinks:
         model: Compiled model.
         tree: URDF.
         shapes: Converter of the shapes.
-        fix_balls: True to fix a ball joint at its reference if it is the only joint of its body;
-            False to refuse ball joints.
+        fix_balls: True to fix a ball joint at the reference if the body has no other joint; False
+            to refuse ball joints.
         left: Notes on parts that a URDF cannot express.
         links: {body id: (name of the link, pose of the body's frame in the link's frame)}.
     """
@@ -468,7 +468,7 @@ def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
 
 
 def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
-    """Find the robot in a model: return the id of its base body, or of its fixed root body.
+    """Find the robot in a model: return the id of the base body, or of the fixed root body.
 
     A root whose only joint is a free joint is an object, and is ignored if there are other roots
     with joints. If exactly one of these roots has a free base, this root is chosen; the rest may be

@@ -33,17 +33,17 @@ FONT_SIZE = 8
 
 # Okabe and Ito's colours, which the colour-blind can tell apart.
 BLUE_COLOUR = "#0072B2"
-"""Blue of Okabe and Ito's palette, which the colour-blind can tell apart."""
+"""Blue of Okabe and Ito's palette for colour-blind readers."""
 ORANGE_COLOUR = "#E69F00"
-"""Orange of Okabe and Ito's palette, which the colour-blind can tell apart."""
+"""Orange of Okabe and Ito's palette for colour-blind readers."""
 GREEN_COLOUR = "#009E73"
-"""Green of Okabe and Ito's palette, which the colour-blind can tell apart."""
+"""Green of Okabe and Ito's palette for colour-blind readers."""
 RED_COLOUR = "#D55E00"
-"""Red (vermilion) of Okabe and Ito's palette, which the colour-blind can tell apart."""
+"""Red (vermilion) of Okabe and Ito's palette for colour-blind readers."""
 SKY_BLUE_COLOUR = "#56B4E9"
-"""Light blue of Okabe and Ito's palette, which the colour-blind can tell apart."""
+"""Light blue of Okabe and Ito's palette for colour-blind readers."""
 BLACK_COLOUR = "#000000"
-"""Black of Okabe and Ito's palette, which the colour-blind can tell apart."""
+"""Black of Okabe and Ito's palette for colour-blind readers."""
 GREY_COLOUR = "#6B7280"
 """Grey of axes, and of marks without another colour."""
 

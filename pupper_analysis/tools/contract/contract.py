@@ -262,8 +262,8 @@ def _read_file(request: Request) -> list[Source]:
 def _select_configurations(request: Request, sources: Sequence[Source]) -> list[Source]:
     """Select the configurations of a file.
 
-    Configurations with the same content are merged. A trainer's configuration is dropped if another
-    one contains all its statements.
+    Configurations with the same content are merged. A trainer's configuration is dropped if all
+    statements are also in another configuration.
 
     Raises:
         ModelError: If a trainer's file has several configurations left, or none is found.
@@ -296,7 +296,7 @@ def _read_folder(
     """Read the deployments in a folder that name joints of this robot; Python modules are not read.
 
     A deployment is kept if it names all joints, or if the order consists of joints of the robot.
-    Others are counted in a note, as are files that cannot be read.
+    Other deployments are counted in a note, as are files that cannot be read.
     """
     known_paths = {source.path.absolute() for source in read}
     fitting, num_rejected, refused = list[Source](), 0, list[str]()

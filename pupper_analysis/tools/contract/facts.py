@@ -29,7 +29,7 @@ ENTRY_POINT_GROUP: Final = "pupper_analysis.contract"
 """
 
 MAX_VALUES: Final = 200_000
-"""Largest number of values that are read from one source, to bound time and memory. The largest
+"""Largest number of values that are read from a source, to bound time and memory. The largest
 configurations that were measured have 4,000 values; a module of a training library needs about
 10,000 evaluated expressions."""
 
@@ -93,7 +93,7 @@ def find_quantity_kind(quantity: str) -> QuantityKind:
     """Return unit, severity of a difference and symmetry of a quantity, for example of ``kp``.
 
     A quantity that is not in `QUANTITIES`, such as the scale of an observation term, belongs to the
-    source as a whole. It has the unit 1, and a difference between sources is an error.
+    source as a whole. The unit is then 1, and a difference between sources is an error.
     """
     return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
@@ -294,7 +294,7 @@ class Node:
 
     @property
     def table(self) -> dict[Any, Node]:
-        """Entries of this node if it is a dict, or fields if it is an object; otherwise empty."""
+        """Entries of a dict, or fields of an object, in this node; otherwise empty."""
         content = getattr(self.value, "fields", self.value)
         return content if isinstance(content, dict) else {}
 
@@ -322,7 +322,7 @@ class Node:
 
     @property
     def number(self) -> float | None:
-        """Value of the node as a float; None if it is not a number, or too large for a float."""
+        """Value of the node as a float; None if not a number, or too large for a float."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float):
             return None
@@ -349,8 +349,11 @@ class Node:
 
         Args:
             quantity: Quantity.
-            joint: Name or pattern of the joint; "" for a setting, or if ``index`` is passed.
-            **where: Further attributes of `Statement`, such as ``index`` and ``count``.
+            joint: Name of the joint, or regular expression of joint names; "" if the quantity
+                belongs to the whole source, or if ``index`` is passed.
+            **where: Further attributes of `Statement`. For an element of a list without joint
+                names: ``index``, the position in the list from 0, and ``count``, the length of the
+                list.
         """
         number = self.number
         shown = "[...]" if isinstance(self.value, list | dict) else str(self.value)
@@ -370,8 +373,8 @@ class Node:
         An element of a list refers to a joint by index, an entry of a table by name or pattern.
 
         Args:
-            quantity: Name of the quantity. If it belongs to the whole source instead of a joint
-                (a setting), only a number is yielded, as a single statement.
+            quantity: Name of the quantity. If the quantity belongs to the whole source instead of a
+                joint (a setting), only a number is yielded, as a single statement.
             joints: Patterns of the joints to which a single number applies; all joints if empty.
         """
         if find_quantity_kind(quantity).is_setting:

@@ -46,8 +46,8 @@ _LIMIT_QUANTITIES = ("lower limit", "upper limit")
 """Quantities that are compared with the absolute tolerance of position limits of `crosscheck`."""
 
 _MIN_COMPUTED_DECIMALS = 5
-"""Number of decimals from which a number counts as computed, so that another source may state it
-rounded. Chosen, not tuned."""
+"""Number of decimals from which a number counts as computed, so that another source may state a
+rounded value. Chosen, not tuned."""
 
 _MAX_ROUNDING_FRACTION = 0.1
 """Largest change of a number by rounding, relative to the number, with which a rounded number in
@@ -376,12 +376,13 @@ def _make_disagreement(
 
     Args:
         kind_name: Quantity, ``order`` or ``observations``.
-        message: Message.
-        sides: Facts of both sources.
-        kind: Properties of the quantity: unit and severity.
-        joints: Joints that the disagreement concerns.
-        mistake: Probable mistake, see `Disagreement.probable_mistake`.
-        effects: Consequences of the disagreement.
+        message: Message without the effects.
+        sides: Facts of both sources (or of both joints, within a source); the first is the
+            reference.
+        kind: Unit and severity of the disagreement; without severity, it is a note.
+        joints: Joints concerned; empty names are omitted.
+        mistake: Probable mistake: ``sign``, ``unit``, ``order``, ``mirror``, or "".
+        effects: Effects on the robot.
     """
     names, values, places = zip(
         *((fact.source, fact.value, fact.place) for fact in sides), strict=True
@@ -506,8 +507,8 @@ def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreeme
 
 
 _ORDER_KIND = QuantityKind("", Severity.ERROR, 0, is_setting=True)
-"""Properties of a disagreement about the order of joints or observations: it has no unit and the
-severity ERROR."""
+"""Properties of a disagreement about the order of joints or observations: no unit, and the severity
+ERROR."""
 
 
 def add_height_effects(

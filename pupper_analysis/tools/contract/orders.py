@@ -312,7 +312,7 @@ def matches_name(pattern: str, name: str) -> bool:
 
 @cache
 def is_pattern(text: str) -> bool:
-    """Return True if a text is a regular expression with few repeats, none of them nested."""
+    """Return True if a text is a regular expression with few repeats and no nested repeats."""
     num_repeats = len(_REPEAT_PATTERN.findall(text))
     try:
         return (

@@ -49,8 +49,8 @@ def stand_poses(
         joints: Names of the robot's joints.
 
     Returns:
-        Poses, and notes. No poses if no source states the angles of half of the joints, the robot
-        cannot be loaded, its base is fixed, or it has no feet.
+        Poses, and notes. No poses if no source states the angles of half of the joints, or the
+        robot cannot be loaded, has a fixed base, or has no feet.
     """
     stated_angles = {
         placed_source: {
@@ -114,7 +114,7 @@ def _stand_in_pose(
     kd: list[float] | None,
     efforts: list[float],
 ) -> Pose:
-    """Compute the stand in a default pose, with its height [m] and largest motor utilisation.
+    """Compute the stand in a default pose, with height [m] and largest motor utilisation.
 
     If the source states gains, the stand is also simulated, and the height loss [m] is computed.
 

@@ -476,9 +476,10 @@ class Evaluator:
     # Expressions.
 
     def evaluate(self, expression: ast.expr, scope: Scope) -> Node:
-        """Evaluate an expression, and return its value with the line of the expression.
+        """Evaluate an expression, and return the value with the line of the expression.
 
-        The value of an expression that is not constant is an ``UnknownValue`` with its text.
+        The value of an expression that is not constant is an ``UnknownValue`` with the text of the
+        expression.
         """
         self._count_step(expression, scope)
         try:
@@ -652,7 +653,7 @@ class Evaluator:
         return Node(sign * operand.value, operand.place, operand.decimals)
 
     def _evaluate_boolop(self, expression: ast.BoolOp, scope: Scope) -> Node:
-        """Return the first operand that decides ``and`` or ``or``, otherwise the last one."""
+        """Return the first operand that decides ``and`` or ``or``, otherwise the last operand."""
         for operand in expression.values:
             result = self.evaluate(operand, scope)
             if self._is_true(result) is isinstance(expression.op, ast.Or):

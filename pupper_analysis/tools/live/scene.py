@@ -467,7 +467,12 @@ class Scene:
 
 
 def make_force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
-    """Return contact forces as arrows from the contact points, shape (n, 2, 3) [m]: start, end."""
+    """Return the start and the end of an arrow for each contact force, shape (n, 2, 3) [m].
+
+    An arrow starts at the centre of pressure and has the direction of the force on the foot, both
+    in the world frame. A force equal to the robot's weight has an arrow of
+    ``_WEIGHT_ARROW_LENGTH`` times the height of the stand; the length is proportional to the force.
+    """
     weight = robot.weight
     scale = _WEIGHT_ARROW_LENGTH * robot.stand_height / weight
     return np.array(

@@ -88,11 +88,15 @@ class Store:
             yield
 
     def write_request(self, request: dict[str, Any]) -> None:
-        """Write the definition of the study.
+        """Write the definition of the study to ``study.json``; replace an existing definition.
+
+        Args:
+            request: Definition: the study, the digest of the study, and versions of libraries.
 
         Raises:
             OutputError: If the file cannot be written.
-            StudyError: If an existing definition cannot be read.
+            StudyError: If an existing definition cannot be read or has another format; the file
+                is then unchanged.
         """
         file = self.folder / "study.json"
         is_rerun = file.is_file() and bool(self.read_request())

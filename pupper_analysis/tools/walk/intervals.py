@@ -402,8 +402,8 @@ QUANTITY_OF_FIT_KIND: Mapping[str, str] = {
     "kd": "kd",
     "delay": "delay",
 }
-"""Quantity of each kind of a fit's parameters. The friction of a fit is that of joints and
-therefore not used."""
+"""{kind of a parameter estimated by ``fit``: quantity that ``walk`` varies}. Friction is missing:
+``fit`` estimates the friction of joints, ``walk`` varies the sliding friction of contacts."""
 
 
 def read_measured_intervals(

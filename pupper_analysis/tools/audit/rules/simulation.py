@@ -224,8 +224,9 @@ def hull_below_foot(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MAX_SHANK_ANGLE = np.deg2rad(60.0)
-"""Largest inclination of a shank from the vertical [rad] at which its hull is compared with the
-foot. Chosen: quadrupeds stand with shanks inclined by up to 50 degrees."""
+"""Largest angle [rad] between the shank and the vertical at which the lowest points of the shank's
+convex hull and of the foot are compared. Chosen: quadrupeds stand with shanks inclined by up to 50
+degrees."""
 
 MIN_HULL_DEPTH = 1e-3
 """Depth [m] of the convex hull of a mesh below the lowest point of the foot's sphere, above which

@@ -63,9 +63,10 @@ def read(request: Request) -> Iterator[Source]:
 
 
 def _read_document(request: Request, document: Node) -> Iterator[Source]:
-    """Yield a source for a table and for each nested table that states joint numbers.
+    """Yield a source for a table, and for each nested table, with joint names or joint values.
 
-    Nested tables are robots in files of rl_sar, and nodes in files of ROS 2.
+    Joint values are, for example, gains or limits. Nested tables are robots in files of rl_sar, and
+    nodes in files of ROS 2. If the request has a name, only the table with this name is read.
     """
     rate = document.get("controller_manager", "ros__parameters", "update_rate")
     # Tables inside a trainer's settings are not sources.
@@ -155,10 +156,10 @@ def _list_table_statements(
 
     Args:
         table: Table with keys in lower case.
-        order: Joint names that the table lists; empty if it lists none.
+        order: Joint names that the table lists; empty if the table lists no names.
         motors: Motor index of each joint; empty if not stated.
         is_standing_table: True if gains, efforts and default angles of the table are for standing
-            up, not for the policy. They are then skipped.
+            up, not for the policy. Such values are skipped.
     """
     valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
@@ -203,7 +204,7 @@ def list_observation_terms(terms: Node) -> Iterator[tuple[str, float | None, Pla
     """Yield (name, scale, place) of each observation term that is a table or has a function.
 
     The name is the name of the term's function if listed in `OBSERVATION_ALIASES`, otherwise the
-    key. The scale is 1 for a function without a stated scale, and None if it is not known.
+    key. The scale is 1 for a function without a stated scale, and None if the scale is unknown.
     """
     for name, term in terms.table.items():
         func, scale = term.get("func"), term.get("scale")

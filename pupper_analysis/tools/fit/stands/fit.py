@@ -364,14 +364,17 @@ def check_residuals(
 
 
 def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Iterator[Diagnostic]:
-    """Yield failures if estimated slope, softness, leg lengths or load contradict their priors.
+    """Yield failures if estimates of ground, leg lengths or load contradict their priors.
 
-    All parameters of a kind are tested jointly, by a chi2 test of the changes. The load is tested
-    only with a known mass.
+    Tested are the slope of the ground [rad], the softness of the ground (the factor on the
+    penetration that the MJCF gives), the lengths of the legs, and the load that the scale did not
+    show. All parameters of a kind are tested jointly, by a chi2 test of the changes. The load is
+    tested only if a mass that the user knows was added in some stands, since only such a mass can
+    contradict the scale.
 
     Args:
         posterior: Distribution of the parameters.
-        flatness_ratio: Estimated over expected unevenness of the ground, at most 1. Its square
+        flatness_ratio: Estimated over expected unevenness of the ground, at most 1. The square
             scales chi2 of the softness: sinking feet have the same effect as uneven ground, and a
             small estimate of the unevenness from few stands would exaggerate the softness.
     """
