@@ -393,8 +393,8 @@ def _add_ballast_geom(torso: mujoco.MjsBody, variant: VariantSpec) -> None:
 def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
     """Return the vertical distance from the base down to the lowest foot [m].
 
-    The first value is at zero angles, the others are in the keyframes, with a level base each.
-    ``sites`` are the names of the foot sites.
+    The first value is at zero angles, the other values are in the keyframes, with a level base
+    each. ``sites`` are the names of the foot sites.
     """
     model = compile_spec(_copy_skeleton(spec), Path(spec.modelname))
     data = mujoco.MjData(model)
@@ -423,7 +423,7 @@ def _copy_skeleton(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 def _raise_keyframes(
     spec: mujoco.MjSpec, torso: mujoco.MjsBody, before: Sequence[float], after: Sequence[float]
 ) -> None:
-    """Raise the base, also in all keyframes, in place, so that the lowest foot keeps its height.
+    """Raise the base, also in all keyframes, in place, to keep the height of the lowest foot.
 
     ``before`` and ``after`` are the distances [m] from the base down to the lowest foot, as from
     `_measure_foot_depths`.

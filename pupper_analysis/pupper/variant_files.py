@@ -225,7 +225,7 @@ def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     """Return the robots that command-line words name: variants by name, files as tuples of paths.
 
     A URDF followed by an MJCF is one robot. If the words name exactly one MJCF and then one URDF,
-    the pair is one robot as well. A robot is returned once even if it is named twice.
+    the pair is one robot as well. A robot that is named twice is returned once.
 
     Raises:
         VariantError: If a word names no robot.

@@ -33,7 +33,7 @@ class BaseModel:
         foot_depth: Function from leg_scale to the depth of the feet below the hips in the
             nominal stand [m].
         ballast: Centre and size of the dark block that marks a heavier torso, shape (2, 3) [m], in
-            the frame of the base. It is drawn only: it has no mass and touches nothing.
+            the frame of the base. The block is drawn only, without mass and contacts.
         remarks: Function that returns notes for users.
     """
 
