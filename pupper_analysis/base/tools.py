@@ -113,12 +113,12 @@ def find_tool_modules(module: str) -> Mapping[str, str]:
 
 
 def own_packages() -> Mapping[str, Tool]:
-    """Return {name: package} of the tools and formats of this package."""
+    """Return {name: tool or format} of all tools and formats of this package."""
     return MappingProxyType({**own_tools(), **_find_own_packages("format.toml")})
 
 
 def other_packages() -> Mapping[str, Tool]:
-    """Return {name: package} of the tools and formats of other installed packages."""
+    """Return {name: tool or format} of all tools and formats of other installed packages."""
     return MappingProxyType({**other_tools(), **_find_plugins(FORMATS_GROUP, "format.toml")})
 
 

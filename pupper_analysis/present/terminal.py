@@ -220,7 +220,7 @@ def _print_left_out(out: Console, document: Document) -> None:
 
 @singledispatch
 def _make_lines(_: object, __: _ViewOptions) -> list[_PrintedLine]:
-    """Return the lines of a block; none for plots and views."""
+    """Return no lines: the fallback for blocks that a terminal cannot show (plots and views)."""
     return []
 
 

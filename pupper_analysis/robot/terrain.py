@@ -128,7 +128,11 @@ def close_welds(
 
 
 def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Array]:
-    """Return {welded or gripping part: force (3,) [N] on the part, in world axes}."""
+    """Return the force of the world on each part that a task welds to the world or lets grip a bar.
+
+    Returns:
+        {foot or link: force, shape (3,) [N], in world axes}.
+    """
     welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
     return {name: data.efc_force[_find_rows(data, weld_id)[:3]] for name, weld_id in welds.items()}
 

@@ -199,7 +199,9 @@ class RelativePositionTask(PostureTask):
         return float(np.linalg.norm(rotation.T @ (place - origin) - np.asarray(self.position)))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for the position of ``target`` in the axes of ``frame`` [m].
+        """Add PlaCo's soft task for the position of ``target`` relative to ``frame`` [m].
+
+        The position is measured from the origin of ``frame``, in the axes of ``frame``.
 
         Args:
             solver: PlaCo solver.

@@ -179,7 +179,8 @@ _ENTRY_KEYS: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT_VALUE), "f
 """{key: required kind of its value} of keys that are valid in a [[pair]] only. The key ``map`` is
 not included."""
 _PAIR_KEYS: Final = {**_ENTRY_KEYS, "map": _TABLE_VALUE, **_COMMON_KEYS}
-"""{key: required kind of its value} in a [[pair]], without the keys of other tools."""
+"""{key: required kind of its value} in a ``[[pair]]`` entry (URDF and MJCF of one robot), without
+the keys that tools add by a module ``guard``."""
 _TABLE_VALUES: Final = {
     "tolerances": _ValueKind(Term("a positive number"), _is_number),
     "packages": _ValueKind(Term("a folder that exists"), _is_text),

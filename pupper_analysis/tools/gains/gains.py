@@ -529,7 +529,7 @@ class _Gains:
         limited = math.isfinite(limit) and limit > 0
 
         def scale_class_damping(factor: float) -> _Pair:
-            """Return kp and kd of all joints with a factor on the damping of this joint class."""
+            """Return kp and kd of all joints, with a factor on the kd of ``members`` only."""
             stiffness, damping = self.scale_gains(*stable_pair)
             damping[list(members)] *= factor
             return stiffness, damping

@@ -186,11 +186,10 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
 
 
 def list_contradictions(robot: Robot) -> tuple[str, ...]:
-    """Return messages about properties of the robot's file that contradict a stable drop.
+    """Return reasons for which the robot's own file may fall although the drop is stable.
 
-    The simulated robot is prepared: bad servos are replaced, for example. The messages are about
-    replaced servos, a failure of the unmodified MJCF started from its keyframe, and feet without
-    friction.
+    The dropped robot is the prepared one: for example, bad servos are replaced. The reasons are
+    replaced servos, a failure of the unmodified MJCF from its keyframe, and feet without friction.
     """
     replaced: tuple[MadeServo, ...] = ()
     with contextlib.suppress(ModelError):  # torque motors have no servo

@@ -35,10 +35,10 @@ from pupper_analysis.tools.path.kinds import PATH_TABLE
 Array = NDArray[np.float64]
 
 MIN_FADED_LOAD = 1e-3
-"""Smallest fraction of the load that is assigned to the remaining feet alone while the load of a
-lifted foot fades out; smaller fractions count as 0. With smaller fractions the zero-moment point is
-so close to the edge of the polygon that rolling friction decides whether fewer feet can carry the
-load. Chosen, not tuned."""
+"""Smallest fraction of the robot's load that a path assigns to the remaining feet alone while a
+foot is being unloaded; smaller fractions count as 0. With smaller fractions the zero-moment point
+is so close to the edge of the polygon that rolling friction decides whether fewer feet can carry
+the load. Chosen, not tuned."""
 
 
 def compute_path_sample(

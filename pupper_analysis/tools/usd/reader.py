@@ -52,7 +52,7 @@ from pupper_analysis.tools.usd.model import read_usd_model as read_model
 __all__ = ["CHECKS", "read_as_mjcf", "read_as_urdf", "read_file", "read_model"]
 
 REPLACED_FORMAT: Final = "the USD"
-"""Name of the file in messages about the generated model."""
+"""Words that replace the name of the generated model in messages: the user knows the USD only."""
 
 
 @dataclass(frozen=True, eq=False)

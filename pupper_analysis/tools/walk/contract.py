@@ -159,9 +159,10 @@ listed: it is the reciprocal of the stated policy step."""
 
 
 def convert_source_statements(source: Source) -> dict[str, Any]:
-    """Return the quantities that a source, such as a policy file, states as {contract key: value}.
+    """Convert the statements of a source, such as a policy file, to entries of a policy contract.
 
-    The keys and values are those of a contract TOML file.
+    A policy contract defines the observation and the action of a policy: joint order, gains, scales
+    and rates. The result is {key: value}, with the keys and units of the contract's TOML file.
     """
     values: dict[str, Any] = {}
     for statement in source.statements:

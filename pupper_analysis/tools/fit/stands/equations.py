@@ -48,8 +48,8 @@ scaled to a largest value of 1. Prevents a division by zero. Chosen, not tuned."
 
 _BALANCE_RTOL = 1e-5
 """Standard deviation of the base's equations of balance, as a fraction of the weight, or of weight
-times height. A robot at rest obeys statics, so that the value is small, but not 0, since
-no measurement noise acts on the balance equations. Chosen, not tuned."""
+times height. The value is small, because a robot at rest obeys statics. It is not 0, because the
+weighted least squares divide by it. Chosen, not tuned."""
 
 _TORQUE_RTOL = 1e-4
 """Standard deviation of a servo's torque from kp times the servo error, as a fraction of weight
@@ -66,8 +66,8 @@ exist. Chosen, not tuned."""
 
 _SIGN_BAND_RATIO = 0.7
 """Sign band (servo error over which the sign of friction changes smoothly), as a fraction of the
-dead band. Joints of Go1 and MEVIUS whose load is below the dry friction are held by any fraction of
-the friction."""
+dead band (servo error at which the servo torque equals the dry friction). Joints of Go1 and MEVIUS
+whose load is below the dry friction are held by any fraction of the friction."""
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
