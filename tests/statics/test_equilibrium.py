@@ -15,10 +15,9 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.statics.cone_program import Balance
 from pupper_analysis.statics.contacts import make_contacts
-from pupper_analysis.statics.equilibrium import friction_utilisation_of
+from pupper_analysis.statics.equilibrium import balance_load, friction_utilisation_of
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.engines import addresses, evaluate_mujoco, with_efforts
-from tests.support.repository import ROOT
 from tests.support.states import numbers
 from tests.support.variants import NAMES, load, stand_of
 
@@ -720,10 +719,10 @@ def test_friction_utilisation_without_normal_force_or_friction_is_infinite(
     assert friction_utilisation_of(force, (0.0, 0.0, 1.0), friction, 1e-9) == utilisation
 
 
-def test_without_gravity_all_torques_and_forces_are_zero() -> None:
-    """The base load is exactly zero, so that zero forces balance without any tolerance."""
-    text = (ROOT / "mjcf/pupper_skeleton.xml").read_text("utf-8")
-    robot = pa.load_robot(text.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"'))
-    held = pa.gravity_compensation(pa.Configuration(robot, robot.neutral()))
+def test_load_of_zero_needs_no_torques_and_forces() -> None:
+    """As without gravity: zero forces balance a load of exactly zero without any tolerance."""
+    config = v3_at_zero()
+    contacts = make_contacts(config.robot, None, None, None, None)
+    held = balance_load(config, np.zeros(config.robot.nv), contacts)
     assert not held.joint_torques.any()
     assert not np.array(list(held.contact_forces.values())).any()
