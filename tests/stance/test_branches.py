@@ -1,4 +1,6 @@
-"""The ways to bend the legs, against random starts of another method."""
+"""IK branches of legs, compared with SciPy's least squares from random initial guesses and with
+MuJoCo's kinematics.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ def goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndar
     return robot, qpos, pa.Configuration(robot, bent).foot_positions()
 
 
-def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
+def mujoco_foot_positions(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the contact point of each foot [m] in the world frame, by MuJoCo's kinematics."""
     data = evaluate_mujoco(robot, qpos)
     mujoco.mj_kinematics(robot.mj_model, data)
     return {
@@ -60,7 +63,7 @@ def test_ik_branches_reach_their_targets_and_are_complete(name: str, seed: int) 
         for way in branches:
             bent = qpos.copy()
             bent[7 + limb.joints] = way.positions
-            miss = np.linalg.norm(places_by_mujoco(robot, bent)[foot] - targets[foot])
+            miss = np.linalg.norm(mujoco_foot_positions(robot, bent)[foot] - targets[foot])
             assert miss == pytest.approx(way.foot_error, abs=1e-9)
         low, high = robot.lower_limits[limb.joints], robot.upper_limits[limb.joints]
         random = np.random.default_rng(100 + seed)
@@ -69,7 +72,7 @@ def test_ik_branches_reach_their_targets_and_are_complete(name: str, seed: int) 
             def off(joints: np.ndarray, limb: object = limb, foot: str = foot) -> np.ndarray:
                 bent = qpos.copy()
                 bent[7 + limb.joints] = joints  # type: ignore[attr-defined]
-                return np.asarray(places_by_mujoco(robot, bent)[foot] - targets[foot])
+                return np.asarray(mujoco_foot_positions(robot, bent)[foot] - targets[foot])
 
             other = optimize.least_squares(off, random.uniform(low, high), bounds=(low, high))
             if np.abs(other.fun).max() < 1e-8:

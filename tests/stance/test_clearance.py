@@ -1,4 +1,6 @@
-"""Distances between parts, and to the ground, on Pinocchio's links against MuJoCo's own."""
+"""Link and ground clearances of Pinocchio's shapes, compared with MuJoCo's distances between
+geoms.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""With an offset of the base the com is a result, and has the margin that is asked for."""
+"""CoM margin of stands whose base has an offset: MuJoCo's CoM and SciPy's convex hull are the
+references.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What a stand must fulfil: the derivatives of its constraints, and which of them would give."""
+"""Constraints of a stand: Jacobians against finite differences, and the demands that a refusal
+relaxes.
+"""
 
 from __future__ import annotations
 

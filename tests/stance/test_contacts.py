@@ -1,4 +1,6 @@
-"""Contacts that a task states: feet on planes, hands. MuJoCo and own programmes are the judges."""
+"""Contacts that a task specifies (feet on planes, hands, grips), against MuJoCo and cone programs
+of the tests.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Demands that give way: all of them at the nominal stand, and half way there."""
+"""Relaxation of demands: resets to the nominal stand, limits of refusals, and their
+descriptions.
+"""
 
 from __future__ import annotations
 
@@ -52,6 +54,9 @@ def test_demand_vector_and_task_convert_into_each_other() -> None:
 
 @pytest.mark.parametrize("demand", DEMANDS)
 def test_reset_of_one_demand_keeps_the_other_demands(demand: str) -> None:
+    """Reference: nominal values per demand, written by hand; all other fields equal those of the
+    task.
+    """
     robot = load("v3")
     without = reset_to_nominal(robot, TASK, [demand])
     for other in set(DEMANDS) - {demand}:

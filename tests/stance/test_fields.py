@@ -1,4 +1,4 @@
-"""The table of what can be asked of a stand: each field is in all that asks for it."""
+"""The table of task fields: each field is in the task's JSON, text, options and error messages."""
 
 from __future__ import annotations
 

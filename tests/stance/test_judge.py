@@ -1,4 +1,6 @@
-"""What a stand is judged by, read where Pinocchio writes it; and steps that nobody looks at."""
+"""Kinematics and constraint slack by which stands are judged, compared with a new
+`Configuration`.
+"""
 
 from __future__ import annotations
 

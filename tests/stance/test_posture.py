@@ -1,4 +1,6 @@
-"""Joints that carry no foot are where a task puts them, in stands, with payloads and on paths."""
+"""Postures of joints that carry no foot: kept in stands, with payloads and on paths; MuJoCo is the
+reference.
+"""
 
 from __future__ import annotations
 

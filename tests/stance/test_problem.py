@@ -1,4 +1,4 @@
-"""A task in numbers: where feet, base and com shall be."""
+"""Foot targets of a task, compared with the closed forms of plane and steps."""
 
 from __future__ import annotations
 

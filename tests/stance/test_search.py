@@ -1,4 +1,6 @@
-"""Stances: on slopes and steps, on three legs, with the com elsewhere; and why some are refused."""
+"""Stands on slopes, steps and three legs, against MuJoCo's kinematics; limits that refusals
+state.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Feet on slopes of their own: roofs, walls. MuJoCo and linear programmes are the judges."""
+"""Feet on separate planes (roofs, walls), compared with MuJoCo and with linear programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Stands on soft ground: what is commanded is what MuJoCo holds, to a part in a thousand."""
+"""Stands on soft ground: MuJoCo's simulation reaches the predicted torques and forces to 1 part in
+1,000.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""Solved stands: they are where they shall be in both engines, or truly out of reach."""
+"""Solved stands satisfy their tasks in both engines; refused stands are out of reach of SciPy's
+search as well.
+"""
 
 import math
 
@@ -62,10 +64,9 @@ tasks = st.builds(
 def nearest(
     robot: pa.Robot, task: pa.StandTask, targets: dict[str, np.ndarray], tries: int
 ) -> float:
-    """How near all feet come to their targets [m] with the base's pose and the com's place asked.
-
-    An independent search: bounded least squares on the joints and the base's place, from random
-    starts, on MuJoCo's kinematics.
+    """Return the smallest largest distance [m] between feet and targets that an independent search
+    finds, with the pose of the base and the horizontal CoM as requested: bounded least squares on
+    the joints and the base position, from random starts, on Pinocchio's kinematics.
     """
     random = np.random.default_rng(0)
     lower, upper = robot.lower_limits, robot.upper_limits
@@ -100,6 +101,9 @@ def nearest(
 @settings(max_examples=50)
 @given(name=st.sampled_from(NAMES), task=tasks)
 def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> None:
+    """References: kinematics of both engines for a solved stand; for a refused stand, six searches
+    by an independent method end more than 0.1 um from the targets.
+    """
     robot = load(name)
     try:
         stand = pa.solve_stand(robot, task, explain=False)

@@ -1,4 +1,4 @@
-"""Sequences of stands are those of single calls, refusals and all."""
+"""Sequences of stands, compared with single calls, refusals included."""
 
 from __future__ import annotations
 
@@ -68,6 +68,7 @@ def test_stand_sequence_equals_single_calls_for_flat_and_line_feet(
 
 
 def test_sequence_stops_at_an_unreachable_task_and_names_it() -> None:
+    """The fourth task, 500 mm high, is refused as `tasks[3]`, also after pickling."""
     robot = load("v3")
     tasks = [*wave(robot, 3), pa.StandTask(height=0.5), *wave(robot, 2)]
     with pytest.raises(pa.StanceUnreachableError) as caught:
@@ -77,6 +78,7 @@ def test_sequence_stops_at_an_unreachable_task_and_names_it() -> None:
 
 
 def test_a_wrong_task_is_refused_before_any_is_solved() -> None:
+    """An unknown foot in the second task is reported although the first task is out of reach."""
     robot = load("v3")
     wrong = pa.StandTask(swing={"XX": 0.02})
     with pytest.raises(pa.UnknownNameError, match=r"tasks\[1\].*'XX'"):

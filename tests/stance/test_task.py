@@ -1,4 +1,4 @@
-"""What may be asked of a stand."""
+"""Task and ground values: the plane's heights in closed form, and refusals of invalid requests."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ angles = st.floats(0.0, 1.2)
 
 @given(st.floats(0.01, 1.2), st.floats(-math.pi, math.pi))
 def test_plane_rises_in_the_uphill_direction(slope: float, uphill: float) -> None:
+    """Closed form: tan(slope) per metre uphill, and zero across."""
     ground = pa.Ground(slope, uphill)
     ahead = (math.cos(uphill), math.sin(uphill))
     aside = (-ahead[1], ahead[0])

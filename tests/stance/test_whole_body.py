@@ -34,6 +34,9 @@ def arm_angles(qpos: np.ndarray) -> np.ndarray:
 
 
 def test_arm_reaches_points_that_its_closed_form_confirms() -> None:
+    """Reference: closed-form tip position of the arm [m], at ten random points within the joint
+    ranges.
+    """
     robot, random = by_hand.arm(), np.random.default_rng(0)
     low, high = np.array([by_hand.RANGES[name] for name in ARM_ORDER]).T
     for _ in range(10):
@@ -85,6 +88,9 @@ def test_pose_of_the_base_and_feet_gives_the_joints_of_the_stand() -> None:
 
 
 def test_com_moves_above_kept_feet_and_statics_apply() -> None:
+    """The CoM is at its target and the feet keep their places within 1 nm; the contact forces sum
+    to the weight [N].
+    """
     robot, qpos = load("v3"), stand_of("v3").qpos
     before = pa.Configuration(robot, qpos)
     goal = before.center_of_mass() + np.array([0.015, -0.01, -0.01])
@@ -100,6 +106,9 @@ def test_com_moves_above_kept_feet_and_statics_apply() -> None:
 
 
 def test_axis_points_at_a_point_in_mujoco() -> None:
+    """Reference: MuJoCo's rotation matrix and position of the base; an axis aligned with a
+    direction is compared with the normalised direction.
+    """
     robot, qpos = load("v3"), stand_of("v3").qpos
     point = np.array([0.8, 0.15, 0.05])
     posture = pa.solve_posture(
@@ -117,6 +126,9 @@ def test_axis_points_at_a_point_in_mujoco() -> None:
 
 
 def test_relative_position_orientation_and_single_axes_hold_in_mujoco() -> None:
+    """Reference: MuJoCo's position [m] and rotation matrix of the base, and its position of the
+    foot in the base frame.
+    """
     robot, qpos = load("v3"), stand_of("v3").qpos
     frames = robot.contact_frames
     turn = Rotation.from_euler("xyz", [0.05, -0.04, 0.1]).as_matrix()
@@ -184,6 +196,7 @@ def test_self_clearance_keeps_links_apart_that_touch_without_the_task() -> None:
 
 @pytest.mark.slow
 def test_target_inside_the_robot_is_refused_with_a_self_clearance() -> None:
+    """The front foot shall be 30 mm from the hind foot; the error names the position task."""
     robot, start = load("v3"), stand_of("v3").qpos
     front, back = (robot.contact_frames[foot] for foot in ("FR", "RR"))
     goal = pa.Configuration(robot, start).frame_position(back) + np.array([0.03, 0.0, 0.0])
@@ -195,6 +208,9 @@ def test_target_inside_the_robot_is_refused_with_a_self_clearance() -> None:
 
 
 def test_joints_of_a_continuous_and_a_sliding_joint_are_reached(tiny: pa.Robot) -> None:
+    """A continuous and a sliding joint are at their targets within 1e-6 rad or m; a self-clearance
+    is refused for continuous joints.
+    """
     goal = dict(zip(tiny.joint_names, np.linspace(0.1, 0.3, tiny.nu), strict=True))
     posture = pa.solve_posture(tiny, [JointsTask(goal)], contacts=[])
     np.testing.assert_allclose(posture.qpos[-tiny.nu :], list(goal.values()), atol=1e-6)

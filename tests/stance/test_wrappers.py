@@ -1,4 +1,4 @@
-"""PlaCo's robots are used again for others of their structure: the same answers, no memory lost."""
+"""Pooled PlaCo robots: results equal those of new ones, and memory is freed."""
 
 from __future__ import annotations
 
@@ -51,6 +51,9 @@ def test_reused_wrapper_gives_the_results_of_a_new_one(monkeypatch: pytest.Monke
 
 
 def test_wrapper_is_loaded_once_per_structure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight variants of one kinematic structure load a single PlaCo robot, with empty pools
+    before.
+    """
     read: list[str] = []
     load_once = solver._load_wrapper
 
