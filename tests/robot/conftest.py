@@ -1,4 +1,4 @@
-"""Robots that every test of configurations is about."""
+"""Robots of the configuration tests."""
 
 from __future__ import annotations
 

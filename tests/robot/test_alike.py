@@ -1,4 +1,4 @@
-"""A limb without a foot, where those that are alike have one, is in the verdict."""
+"""A limb without foot is reported if equal limbs have feet, and the verdict fails."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def slipped(folder: Path, old: str, new: str) -> Path:
     return edited_by(write_standing_urdf(folder), lambda text: new.join(text.rsplit(old, 1)))
 
 
-def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
+def test_four_equal_legs_with_feet_give_no_report(tmp_path: Path) -> None:
     assert report_limbs_without_feet(pa.load_robot(write_standing_urdf(tmp_path))) == ()
 
 
@@ -40,7 +40,7 @@ def test_leg_with_a_misplaced_calf_is_reported_and_the_verdict_fails(tmp_path: P
     assert pa.convert_model(write_standing_urdf(tmp_path), tmp_path / "sound.xml").passed
 
 
-def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
+def test_leg_without_a_foot_shape_is_named(tmp_path: Path) -> None:
     robot = pa.load_robot(slipped(tmp_path, '<sphere radius="0.02"/>', ""))
     [message] = report_limbs_without_feet(robot)
     assert "RR_calf has none" in str(message)

@@ -1,4 +1,6 @@
-"""Builds robots: options and bodies that are odd are said, fixed or refused."""
+"""Building robots from files with unusual options, masses and joints: corrected with a note, or
+refused.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
         '<option><flag gravity="disable"/></option>',
     ],
 )
-def test_stand_is_refused_without_gravity(option: str, tmp_path: Path) -> None:
+def test_stand_is_refused_if_gravity_is_not_downwards(option: str, tmp_path: Path) -> None:
     robot = loaded(tmp_path, option)
     with pytest.raises(pa.ConfigurationError, match="gravity of the MJCF is"):
         pa.solve_stand(robot)
@@ -67,6 +69,7 @@ def tiny_with(tmp_path: Path, old: str, new: str) -> tuple[Path, Path]:
 def test_negative_masses_and_inertias_are_refused_for_a_stand(
     old: str, new: str, message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """The message names the link and the value; `crosscheck` still compares the files."""
     urdf, mjcf = tiny_with(tmp_path, old, new)
     with pytest.raises(pa.ModelError) as caught:
         pa.solve_stand(pa.load_robot(urdf=urdf, mjcf=mjcf, feet=["foot"]))

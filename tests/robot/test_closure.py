@@ -1,4 +1,6 @@
-"""Closed loops and couplings of joints: who follows, who carries what, and how soft they are."""
+"""Closed loops and couplings of joints: torques in closed form, compliance and sag against MuJoCo's
+simulation.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +30,15 @@ def load(pair: Pair) -> Robot:
     return pa.load_robot(*pair)
 
 
-def at(robot: Robot, values: np.ndarray, joint: str) -> float:
+def joint_value(robot: Robot, values: np.ndarray, joint: str) -> float:
+    """Return the entry of a joint in a vector whose last `nu` entries are the joints in order."""
     return float(values[len(values) - robot.nu + robot.joint_names.index(joint)])
 
 
-def holds(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
+def verify_held_stand(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
+    """Return the stand on soft ground, and assert that MuJoCo holds it with relative torque and
+    force errors below 1e-5.
+    """
     stand = pa.stance.solve_stand_on_soft_ground(robot, task)
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
@@ -94,21 +100,28 @@ def test_motor_of_a_belt_has_the_torque_of_the_closed_form(tmp_path: Path) -> No
     held = pa.stance.stand_statics(robot, stand)
     tree = without_loops(robot, stand.qpos, held.contact_forces)
     for leg in LEGS:
-        knee, motor = (at(robot, stand.qpos, f"{leg}_{name}") for name in ("knee", "motor"))
+        knee, motor = (
+            joint_value(robot, stand.qpos, f"{leg}_{name}") for name in ("knee", "motor")
+        )
         assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=1e-9)
-        own, its = (at(robot, tree, f"{leg}_{name}") for name in ("motor", "knee"))
+        own, its = (joint_value(robot, tree, f"{leg}_{name}") for name in ("motor", "knee"))
         assert abs(its) > 1
-        assert at(robot, held.joint_torques, f"{leg}_motor") == pytest.approx(own - 0.8 * its)
-        assert at(robot, held.joint_torques, f"{leg}_knee") == 0.0
-        assert at(robot, held.joint_torques, f"{leg}_pitch") == pytest.approx(
-            at(robot, tree, f"{leg}_pitch"), abs=1e-9
+        assert joint_value(robot, held.joint_torques, f"{leg}_motor") == pytest.approx(
+            own - 0.8 * its
+        )
+        assert joint_value(robot, held.joint_torques, f"{leg}_knee") == 0.0
+        assert joint_value(robot, held.joint_torques, f"{leg}_pitch") == pytest.approx(
+            joint_value(robot, tree, f"{leg}_pitch"), abs=1e-9
         )
 
 
 @pytest.mark.slow
 def test_stand_with_elastic_belts_is_as_predicted(tmp_path: Path) -> None:
+    """Reference: simulation. The belts yield by 1 to 50 mrad; the stand that ignores this has wrong
+    motor torques.
+    """
     robot = load(belts(tmp_path))
-    stand = holds(robot)
+    stand = verify_held_stand(robot)
     assert robot.closure is not None
     assert 1e-3 < robot.closure.largest_violation(stand.qpos) < 0.05
     rigid = pa.verify_stand(robot, pa.solve_stand(robot))
@@ -122,7 +135,7 @@ def test_soft_loop_stand_sags_as_predicted_by_steady_state(pair, tmp_path: Path)
     """Loops are 30 times as compliant when closed as when open. Reference: 20 s of MuJoCo."""
     words = 'solref="0.0173 1.936" solimp="0.814 0.986 0.00042 0.47 1"'
     robot = load(pair(tmp_path, words=words))
-    stand = holds(robot)
+    stand = verify_held_stand(robot)
     assert robot.closure is not None
     assert robot.closure.largest_violation(stand.qpos) > 2e-3
     sag = pa.steady_state(robot, stand, feet="sliding")
@@ -135,14 +148,19 @@ def test_soft_loop_stand_sags_as_predicted_by_steady_state(pair, tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("polynomial", [(0.0, -0.7, -0.08), (-0.1, -0.9, 0.05, 0.01, -0.002)])
-def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: Path) -> None:
+def test_stand_satisfies_a_nonlinear_coupling(
+    polynomial: tuple[float, ...], tmp_path: Path
+) -> None:
+    """Reference: the polynomial of the file, knee(motor) [rad], at the solved stand; and the
+    simulation.
+    """
     robot = load(belts(tmp_path, polynomial))
     stand = pa.solve_stand(robot)
     for leg in LEGS:
-        motor = at(robot, stand.qpos, f"{leg}_motor")
+        motor = joint_value(robot, stand.qpos, f"{leg}_motor")
         wanted = sum(factor * motor**power for power, factor in enumerate(polynomial))
-        assert at(robot, stand.qpos, f"{leg}_knee") == pytest.approx(wanted, abs=1e-9)
-    holds(robot)
+        assert joint_value(robot, stand.qpos, f"{leg}_knee") == pytest.approx(wanted, abs=1e-9)
+    verify_held_stand(robot)
 
 
 @pytest.mark.slow
@@ -153,11 +171,14 @@ def test_crank_of_a_parallelogram_has_the_torque_of_the_closed_form(tmp_path: Pa
     held = pa.stance.stand_statics(robot, stand)
     tree = without_loops(robot, stand.qpos, held.contact_forces)
     for leg in LEGS:
-        q = {n: at(robot, stand.qpos, f"{leg}_{n}") for n in ("pitch", "knee", "motor", "pin")}
+        q = {
+            n: joint_value(robot, stand.qpos, f"{leg}_{n}")
+            for n in ("pitch", "knee", "motor", "pin")
+        }
         assert q["knee"] == pytest.approx(q["motor"] - q["pitch"], abs=1e-8)
         assert q["pin"] == pytest.approx(-q["knee"], abs=1e-8)
-        tau = {n: at(robot, held.joint_torques, f"{leg}_{n}") for n in q}
-        was = {n: at(robot, tree, f"{leg}_{n}") for n in q}
+        tau = {n: joint_value(robot, held.joint_torques, f"{leg}_{n}") for n in q}
+        was = {n: joint_value(robot, tree, f"{leg}_{n}") for n in q}
         assert tau["motor"] == pytest.approx(was["motor"] + was["knee"] - was["pin"], abs=1e-8)
         assert tau["pitch"] == pytest.approx(was["pitch"] - was["knee"] + was["pin"], abs=1e-8)
         assert (tau["knee"], tau["pin"]) == (0.0, 0.0)
@@ -166,12 +187,13 @@ def test_crank_of_a_parallelogram_has_the_torque_of_the_closed_form(tmp_path: Pa
 @pytest.mark.slow
 @pytest.mark.parametrize("crank", [0.05, 0.04])
 def test_four_bars_stand_as_predicted(crank: float, tmp_path: Path) -> None:
+    """Reference: simulation of three stands. Four-bar loops open by 0.1 to 2 mm under load."""
     robot = load(four_bars(tmp_path, crank))
-    stand = holds(robot)
+    stand = verify_held_stand(robot)
     assert robot.closure is not None
     assert 1e-4 < robot.closure.largest_violation(stand.qpos) < 2e-3
-    holds(robot, pa.StandTask(height=0.95 * robot.stand_height))
-    holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
+    verify_held_stand(robot, pa.StandTask(height=0.95 * robot.stand_height))
+    verify_held_stand(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
 
 
 @pytest.mark.slow
@@ -212,6 +234,9 @@ def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_loop_jacobian_equals_the_finite_difference_of_the_residual(tmp_path: Path) -> None:
+    """Central differences of 1e-6 rad. The null space of eight loop rows is tangent to the loops,
+    and the torque Jacobian of the loop springs is symmetric: they have a potential.
+    """
     robot = load(four_bars(tmp_path, 0.04))
     closure, qpos = robot.closure, pa.solve_stand(robot).qpos
     assert closure is not None
@@ -291,15 +316,17 @@ def test_stand_on_soft_ground_is_refused_if_coupled_knees_yield(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_inactive_coupling_constrains_no_joint(tmp_path: Path) -> None:
+    """The knee then has a torque of its own [N m]."""
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None
     assert any(note.code == "mimics-taken-as-free" for note in robot.notes)
     held = pa.stance.stand_statics(robot, pa.solve_stand(robot))
-    assert at(robot, held.joint_torques, "FL_knee") != 0
+    assert joint_value(robot, held.joint_torques, "FL_knee") != 0
 
 
 @pytest.mark.slow
 def test_configuration_that_violates_its_loops_is_refused(tmp_path: Path) -> None:
+    """One knee is moved by 0.2 rad off its belt."""
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
@@ -324,11 +351,14 @@ def test_unsupported_computation_for_coupled_joints_is_refused_by_name(tmp_path:
 
 
 @pytest.mark.slow
-def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
+def test_mimic_of_the_urdf_alone_is_added_to_the_mjcf(tmp_path: Path) -> None:
+    """Closed form knee = -0.2 - 0.8 motor [rad]: exact for a rigid stand, within 0.05 rad if the
+    coupling yields.
+    """
     robot = load(belts(tmp_path, in_mjcf=False))
     assert any("are now coupled in the MJCF, too: FL_knee" in str(note) for note in robot.notes)
-    for stand, give in ((holds(robot), 0.05), (pa.solve_stand(robot), 1e-9)):
-        motor, knee = (at(robot, stand.qpos, f"FL_{name}") for name in ("motor", "knee"))
+    for stand, give in ((verify_held_stand(robot), 0.05), (pa.solve_stand(robot), 1e-9)):
+        motor, knee = (joint_value(robot, stand.qpos, f"FL_{name}") for name in ("motor", "knee"))
         assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=give)
 
 
@@ -363,11 +393,14 @@ def test_weld_in_a_plane_closes_a_loop_like_a_connect(tmp_path: Path) -> None:
         for each in (one, two)
     )
     for name in (f"{leg}_{joint}" for leg in LEGS for joint in ("roll", "pitch", "motor")):
-        assert at(two, torques, name) == pytest.approx(at(one, wanted, name), abs=1e-2)
+        assert joint_value(two, torques, name) == pytest.approx(
+            joint_value(one, wanted, name), abs=1e-2
+        )
 
 
 @pytest.mark.slow
-def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) -> None:
+def test_four_bar_pins_may_be_continuous_or_without_limits(tmp_path: Path) -> None:
+    """Reference: simulation of the stand."""
     pair = four_bars(tmp_path)
     limited = pair.mjcf.read_text()
     free = re.sub(r'(_pin" axis="0 1 0") range="-3 3"', r"\1", limited)
@@ -375,16 +408,17 @@ def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) 
     pair.mjcf.write_text(free)
     text = pair.urdf.read_text()
     pair.urdf.write_text(re.sub(r'("\w\w_pin" type=)"revolute"', r'\1"continuous"', text))
-    holds(load(pair))
+    verify_held_stand(load(pair))
     ending = r'("\w\w_pin".*?<limit )lower="-?[\d.]+" upper="[\d.]+" '
     silent, count = re.subn(ending, r"\1", text, flags=re.DOTALL)
     assert count == 4
     pair.urdf.write_text(silent)
-    holds(load(pair))
+    verify_held_stand(load(pair))
 
 
 @pytest.mark.slow
 def test_equality_of_tendon_lengths_couples_joints(tmp_path: Path) -> None:
+    """Closed form: knee + 0.8 motor = -0.2 rad, from two fixed tendons; and the simulation."""
     pair = belts(tmp_path)
     text = pair.mjcf.read_text()
     begin, end = text.index("<equality>"), text.index("</equality>")
@@ -398,13 +432,16 @@ def test_equality_of_tendon_lengths_couples_joints(tmp_path: Path) -> None:
     robot = load(pair)
     assert not any("<mimic>" in str(note) for note in robot.notes)
     qpos = pa.solve_stand(robot).qpos
-    motor = at(robot, qpos, "FL_motor")
-    assert at(robot, qpos, "FL_knee") == pytest.approx(-0.2 - 0.8 * motor, abs=1e-9)
-    holds(robot)
+    motor = joint_value(robot, qpos, "FL_motor")
+    assert joint_value(robot, qpos, "FL_knee") == pytest.approx(-0.2 - 0.8 * motor, abs=1e-9)
+    verify_held_stand(robot)
 
 
 @pytest.mark.slow
 def test_constraint_to_the_world_is_named_if_the_stand_fails(tmp_path: Path) -> None:
+    """The unmodified file ties the trunk to the world; the verdict fails and names the
+    constraint.
+    """
     pair = quadruped(tmp_path)
     tie = '<equality><connect name="tied" body1="trunk" anchor="0.1 0 0"/></equality><actuator>'
     rewritten(pair.mjcf, ("<actuator>", tie))

@@ -1,4 +1,6 @@
-"""MuJoCo's soft ground: the law against MuJoCo's own terms, and against a simulation."""
+"""Law of MuJoCo's soft ground (stiffness, impedance, viscosity), compared with MuJoCo's own
+constraint terms and with a simulation.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +14,8 @@ from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.variants import load, stand_of
 
 
-def cone(kind: mujoco.mjtCone) -> Callable[[mujoco.MjModel], None]:
+def set_cone(kind: mujoco.mjtCone) -> Callable[[mujoco.MjModel], None]:
+    """Return a function that sets the friction cone type of a model."""
     return lambda model: setattr(model.opt, "cone", kind.value)
 
 
@@ -27,10 +30,13 @@ def short(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("change", [None, negative, short, "pyramidal"])
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_law_is_mujocos(name: str, change: object) -> None:
+def test_ground_law_equals_the_contact_terms_of_mujoco(name: str, change: object) -> None:
+    """References: `efc_diagA`, `efc_KBIP`, `efc_R` and `efc_aref` of MuJoCo's contacts, for feet
+    lowered by 0.1 to 9 mm: impedance, stiffness, force [N] and viscosity [N s/m].
+    """
     robot = load(name)
     if change == "pyramidal":
-        robot = change_model(robot, cone(mujoco.mjtCone.mjCONE_PYRAMIDAL))
+        robot = change_model(robot, set_cone(mujoco.mjtCone.mjCONE_PYRAMIDAL))
     elif callable(change):
         robot = change_model(robot, change)
     ground = contact.ground_geom(robot.mj_model)

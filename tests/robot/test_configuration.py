@@ -33,6 +33,7 @@ def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
 @pytest.mark.slow
 @given(data=st.data())
 def test_frame_poses_equal_mujoco(any_robot: pa.Robot, data: st.DataObject) -> None:
+    """Positions [m] and rotation matrices of all bodies and sites in the world frame."""
     qpos = data.draw(positions(any_robot))
     config, mj = pa.Configuration(any_robot, qpos), evaluate_mujoco(any_robot, qpos)
     model = any_robot.mj_model
@@ -70,7 +71,12 @@ def test_joint_axes_and_anchors_equal_mujoco(any_robot: pa.Robot, data: st.DataO
 
 @pytest.mark.slow
 @given(data=st.data())
-def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> None:
+def test_jacobians_equal_the_derivatives_along_a_velocity(
+    any_robot: pa.Robot, data: st.DataObject
+) -> None:
+    """Reference: finite differences of foot positions, CoM [m] and frame rotation along a random
+    qvel.
+    """
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
     config = pa.Configuration(any_robot, qpos)
 
@@ -120,9 +126,10 @@ def test_contact_jacobian_follows_the_material_point(
 
 @pytest.mark.slow
 @given(data=st.data())
-def test_mass_matrix_is_mujocos_and_positive_definite(
+def test_mass_matrix_equals_mujoco_and_is_positive_definite(
     any_robot: pa.Robot, data: st.DataObject
 ) -> None:
+    """Reference: `mj_fullM`."""
     qpos = data.draw(positions(any_robot))
     model, mj = any_robot.mj_model, evaluate_mujoco(any_robot, qpos)
     theirs = np.zeros((model.nv, model.nv))
@@ -136,7 +143,8 @@ def test_mass_matrix_is_mujocos_and_positive_definite(
 
 @pytest.mark.slow
 @given(data=st.data())
-def test_bias_forces_are_mujocos(any_robot: pa.Robot, data: st.DataObject) -> None:
+def test_bias_and_gravity_forces_equal_mujoco(any_robot: pa.Robot, data: st.DataObject) -> None:
+    """Reference: `qfrc_bias`, with and without velocity."""
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
     _, v = addresses(any_robot)
     config = pa.Configuration(any_robot, qpos, qvel)
@@ -144,7 +152,10 @@ def test_bias_forces_are_mujocos(any_robot: pa.Robot, data: st.DataObject) -> No
     close(config.gravity(), evaluate_mujoco(any_robot, qpos).qfrc_bias[v], 1e-11)
 
 
-def test_forward_dynamics_is_mujocos(robot: pa.Robot) -> None:
+def test_forward_dynamics_equals_mujoco(robot: pa.Robot) -> None:
+    """Reference: `qacc` [m/s^2, rad/s^2] of the mechanism without contacts and motors, under random
+    forces.
+    """
     qpos, qvel = random_state(robot)
     force = np.random.default_rng(1).uniform(-1, 1, robot.nv)
     model = make_free_mechanism(robot)
@@ -160,6 +171,7 @@ def test_forward_dynamics_is_mujocos(robot: pa.Robot) -> None:
 
 @given(data=st.data())
 def test_imu_equals_the_sensors_of_mujoco(data: st.DataObject) -> None:
+    """References: gyro [rad/s] and accelerometer [m/s^2] of the MJCF."""
     robot = load(data.draw(st.sampled_from(NAMES)))
     qpos, qvel = data.draw(positions(robot)), data.draw(velocities(robot))
     mj = evaluate_mujoco(robot, qpos, qvel)
@@ -169,7 +181,8 @@ def test_imu_equals_the_sensors_of_mujoco(data: st.DataObject) -> None:
     close(acceleration, mj.sensor("body_acc").data, 1e-11)
 
 
-def test_imu_needs_a_frame(tiny: pa.Robot) -> None:
+def test_imu_of_a_robot_without_imu_requires_a_frame(tiny: pa.Robot) -> None:
+    """At rest the acceleration in a named frame is gravity, R^T (0, 0, g)."""
     assert tiny.imu is None
     config = pa.Configuration(tiny, tiny.neutral())
     with pytest.raises(pa.ConfigurationError, match="no IMU"):
@@ -197,7 +210,8 @@ def test_imu_needs_a_frame(tiny: pa.Robot) -> None:
         (np.ones(19), np.full(18, np.inf), "qvel"),
     ],
 )
-def test_bad_state_is_refused(qpos: object, qvel: object, field: str) -> None:
+def test_invalid_state_is_refused_by_field(qpos: object, qvel: object, field: str) -> None:
+    """Wrong shapes, NaN, infinite values and a zero quaternion."""
     with pytest.raises(pa.ConfigurationError, match=field) as caught:
         pa.Configuration(load("v3"), qpos, qvel)  # type: ignore[arg-type]
     assert caught.value.field == field

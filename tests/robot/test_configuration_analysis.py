@@ -105,6 +105,9 @@ def assert_equal(actual: np.ndarray, expected: np.ndarray, tolerance: float = 1e
 
 
 def test_frame_jacobians_equal_those_of_both_engines(odd_robot: pa.Robot) -> None:
+    """References: `getFrameJacobian` in three frames, `mj_jac` at an offset point, and
+    manipulability sqrt(det(J J^T)) of MuJoCo's joint columns.
+    """
     robot, shared = odd_robot, links(odd_robot)
     _, columns = addresses(robot)
     for config, _, offset in states(robot):
@@ -132,6 +135,7 @@ def test_frame_jacobians_equal_those_of_both_engines(odd_robot: pa.Robot) -> Non
 
 
 def test_jacobian_time_variations_equal_those_of_both_engines(odd_robot: pa.Robot) -> None:
+    """References: dJ T + J dT/dt of raw Pinocchio, and `mj_jacDot` at an offset point."""
     robot, shared = odd_robot, links(odd_robot)
     _, columns = addresses(robot)
     for config, _, offset in states(robot):

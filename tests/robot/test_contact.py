@@ -1,4 +1,4 @@
-"""What MuJoCo makes of two geoms in a contact: our combination against MuJoCo's own contacts."""
+"""Contact parameters combined from two geoms, compared with MuJoCo's own contacts."""
 
 import mujoco
 import numpy as np
@@ -52,7 +52,12 @@ def ball_on_plane(ball: dict[str, object], plane: dict[str, object]) -> mujoco.M
 @pytest.mark.slow
 @settings(max_examples=100)
 @given(ball=geoms, plane=geoms)
-def test_combination_is_mujocos(ball: dict[str, object], plane: dict[str, object]) -> None:
+def test_combined_contact_parameters_equal_mujoco(
+    ball: dict[str, object], plane: dict[str, object]
+) -> None:
+    """References: dim, friction, solref and solimp of `data.contact`; the order of the geoms has no
+    effect.
+    """
     model = ball_on_plane(ball, plane)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -65,7 +70,7 @@ def test_combination_is_mujocos(ball: dict[str, object], plane: dict[str, object
     np.testing.assert_allclose(swapped.solimp, ours.solimp, rtol=1e-12)
 
 
-def test_a_frictionless_contact_has_no_friction() -> None:
+def test_contact_of_condim_1_has_no_sliding_friction() -> None:
     values = {"condim": 1, "friction": (0.7, 0.1, 0.1)}
     model = ball_on_plane(values, values)
     assert contact.combine_geoms(model, 0, 1).sliding_friction == 0.0
@@ -73,7 +78,8 @@ def test_a_frictionless_contact_has_no_friction() -> None:
     assert contact.combine_geoms(ball_on_plane(values, values), 0, 1).sliding_friction == 0.7
 
 
-def test_feet_on_the_ground_are_mujocos_contacts(robot: pa.Robot, stand: pa.Stand) -> None:
+def test_foot_contacts_of_a_robot_equal_mujoco(robot: pa.Robot, stand: pa.Stand) -> None:
+    """Reference: the four contacts in MuJoCo's data with the feet 1 mm deeper."""
     mj = evaluate_mujoco(robot, stand.qpos - np.eye(robot.nq)[2] * 1e-3)
     assert mj.ncon == 4
     for index in range(4):

@@ -1,4 +1,6 @@
-"""The maps between the public coordinates and each engine's, against the engines' own calculus."""
+"""Maps between the public coordinates and those of each engine, compared with the engines' own
+integration.
+"""
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +33,8 @@ def test_joints_are_in_actuator_order_followed_by_joints_without_actuator(tiny: 
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 1, 2])
-def test_continuous_joint_forgets_whole_turns(tiny: pa.Robot, turns: int) -> None:
+def test_whole_turns_of_a_continuous_joint_have_no_effect(tiny: pa.Robot, turns: int) -> None:
+    """Pinocchio's q and the foot position [m] are equal; qpos returns to the range of one turn."""
     qpos = tiny.neutral()
     qpos[-1] = 0.7
     turned = qpos.copy()

@@ -184,7 +184,7 @@ def test_mass_matrix_agrees_by_velocity_map(robot: pa.Robot) -> None:
         close(velocity_map.T @ pin_mass @ velocity_map, mass[np.ix_(index, index)])
 
 
-def test_read_state_returns_what_set_state_wrote(robot: pa.Robot) -> None:
+def test_read_state_returns_the_state_of_set_state(robot: pa.Robot) -> None:
     data = mujoco.MjData(robot.mj_model)
     for qpos, qvel in states(robot):
         robot.mj_convention.set_state(data, qpos, qvel)
@@ -209,6 +209,7 @@ def test_read_state_returns_what_set_state_wrote(robot: pa.Robot) -> None:
 def test_conversion_refuses_arrays_of_wrong_shape_or_value(
     method: str, arguments: tuple[object, ...], argument: str
 ) -> None:
+    """The message begins with the name of the argument."""
     robot = load("v3")
     filled = [robot.home if value is None else value for value in arguments]
     with pytest.raises(pa.ConfigurationError) as error:
@@ -217,6 +218,9 @@ def test_conversion_refuses_arrays_of_wrong_shape_or_value(
 
 
 def test_spec_compiles_to_the_model_of_the_robot(robot: pa.Robot) -> None:
+    """Masses, ranges, sizes, gains, armature and MuJoCo's model signature are equal to the last
+    bit.
+    """
     spec = robot.mj_spec()
     model = spec.compile()
     for field in ("body_mass", "jnt_range", "geom_size", "actuator_gainprm", "dof_armature"):
@@ -270,7 +274,7 @@ def test_collision_pairs_are_those_that_mujoco_checks() -> None:
     assert found <= pairs
 
 
-def test_robot_with_collision_model_is_pickled() -> None:
+def test_collision_model_is_kept_by_pickling() -> None:
     robot = load("v3")
     assert robot.collision_model.ngeoms
     copy = pickle.loads(pickle.dumps(robot))
@@ -278,6 +282,7 @@ def test_robot_with_collision_model_is_pickled() -> None:
 
 
 def test_tiny_robot_has_continuous_joint_in_q(tiny: pa.Robot, tiny_files: Files) -> None:
+    """Closed form: Pinocchio's q holds (cos 0.3, sin 0.3) for the continuous joint."""
     del tiny_files
     qpos = tiny.neutral()
     qpos[-1] = 0.3
@@ -313,7 +318,7 @@ def test_commands_are_position_plus_torque_over_stiffness() -> None:
     np.testing.assert_array_equal(stand.q_pin, robot.to_pinocchio(stand.qpos))
 
 
-def test_stand_without_robot_refuses_commands() -> None:
+def test_pickled_stand_has_commands_only_with_its_robot() -> None:
     robot = load("v3")
     stand = pa.solve_stand(robot)
     copy = pickle.loads(pickle.dumps(stand))
@@ -326,6 +331,7 @@ def test_stand_without_robot_refuses_commands() -> None:
 
 
 def test_each_stand_of_a_sequence_has_commands() -> None:
+    """`q_pin` equals the conversion of `qpos`, and `ctrl` has an entry per actuator."""
     robot = load("v3")
     tasks = [pa.StandTask(height=height) for height in (0.12, 0.125)]
     for stand in pa.solve_stands(robot, tasks):

@@ -1,4 +1,6 @@
-"""Whether MuJoCo's solver solves a model, and what is done where it does not."""
+"""Residual of MuJoCo's constraint solver per model, and the reaction to a solver that is
+inexact.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +32,7 @@ def at_stand(iterations: int, kind: mujoco.mjtSolver) -> float:
 
 
 def test_residual_is_negligible_for_a_solver_with_enough_iterations() -> None:
+    """Newton and PGS with 100 iterations leave less than 1e-6 of the weight."""
     assert at_stand(100, mujoco.mjtSolver.mjSOL_NEWTON) < 1e-6
     assert at_stand(100, mujoco.mjtSolver.mjSOL_PGS) < 1e-6  # its accelerations follow its forces
 
@@ -64,6 +67,7 @@ def sparse_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("sparse_newton_fails")
 def test_dense_jacobian_is_used_if_the_sparse_one_loses_forces(tmp_path: Path) -> None:
+    """The sparse solver is replaced by one that loses 90 % of the weight."""
     pair = quadruped(tmp_path)
     rewritten(pair.mjcf, ("<worldbody>", '<option jacobian="sparse"/><worldbody>'))
     robot = pa.load_robot(*pair)
@@ -75,6 +79,9 @@ def test_dense_jacobian_is_used_if_the_sparse_one_loses_forces(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_inexact_solver_is_kept_with_a_note(tmp_path: Path) -> None:
+    """CG with one iteration is simulated as the file specifies; the note is absent with the default
+    solver.
+    """
     pair = quadruped(tmp_path)
     option = '<option solver="CG" iterations="1" ls_iterations="1"/>'
     rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"))

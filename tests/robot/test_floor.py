@@ -1,4 +1,6 @@
-"""Grounds as scenes have them: of a body, tilted, higher, a box, with stairs, by contact pairs."""
+"""Grounds of scenes: planes of bodies, tilted or higher, boxes, stairs, contact pairs. MuJoCo's
+contacts and the stands on a level plane are the references.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,10 @@ def loaded(pair: Pair) -> Robot:
     return pa.load_robot(*pair)
 
 
-def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
+def verify_stand_on_scene(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
+    """Return the verification of a stand on the ground of a scene; assert that MuJoCo holds the
+    stand.
+    """
     stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(**task))
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
@@ -64,7 +69,7 @@ def test_stands_on_a_floor_anywhere_are_those_on_a_level_floor_at_zero(
     assert all((said or "") in message for message in messages)
     assert not [note for note in robot.notes if note.code == OTHERS]
     for task in ({}, {"ground": pa.Ground(slope=0.05, uphill=0.7)}):
-        seen, known = (stands(one, **task) for one in (robot, plain))
+        seen, known = (verify_stand_on_scene(one, **task) for one in (robot, plain))
         assert seen.joint_torques == pytest.approx(known.joint_torques, abs=1e-6)
         assert robot.contacts == plain.contacts
 
@@ -87,11 +92,11 @@ def test_objects_of_the_scene_are_left_out_with_a_note(tmp_path: Path) -> None:
     robot = loaded(scene(tmp_path, PLANE + "/>" + stairs + table))
     assert any("(stair)" in str(note) for note in robot.notes if note.code == OTHERS)
     assert any("'table' is not part of the robot" in str(note) for note in robot.notes)
-    stands(robot)
+    verify_stand_on_scene(robot)
     box = '<geom name="floor" type="box" size="5 5 0.05" pos="0 0 -0.05"/>'
     robot = loaded(scene(tmp_path, box))
     assert any(note.code == "ground-added" for note in robot.notes)
-    stands(robot)
+    verify_stand_on_scene(robot)
 
 
 @pytest.mark.slow
@@ -105,7 +110,7 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
     files = scene(tmp_path, PLANE + "/>", pairs)
     robot = loaded(files)
     assert any(note.code == PAIRS for note in robot.notes)
-    stands(robot)
+    verify_stand_on_scene(robot)
     data = []
     for model in (mujoco.MjModel.from_xml_path(str(files.mjcf)), robot.mj_model):
         state = mujoco.MjData(model)

@@ -1,4 +1,4 @@
-"""The impedance of equality constraints is MuJoCo's, and so is what they open by at rest."""
+"""Impedance of equality constraints and their opening at rest, compared with MuJoCo."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ def random_words(seed: int) -> str:
     )
 
 
-def tied(kind: str, seed: int) -> mujoco.MjModel:
+def make_tied_bodies(kind: str, seed: int) -> mujoco.MjModel:
+    """Return a model of two bodies with springs, tied by an equality constraint with random
+    parameters.
+    """
     stiffness = 10 ** np.random.default_rng(seed).uniform(1, 3)
     bodies = "".join(
         BODY.format(name=name, low=name.lower(), x=x, k=stiffness, ref=ref)
@@ -51,7 +54,7 @@ def tied(kind: str, seed: int) -> mujoco.MjModel:
 @pytest.mark.parametrize("seed", range(8))
 def test_predicted_constraint_opening_equals_the_simulation_at_rest(kind: str, seed: int) -> None:
     """Reference: ``efc_pos`` of MuJoCo at rest, predicted from ``efc_force`` alone."""
-    model = tied(kind, seed)
+    model = make_tied_bodies(kind, seed)
     data = mujoco.MjData(model)
     for _ in range(20000):
         mujoco.mj_step(model, data)
@@ -68,7 +71,8 @@ def test_predicted_constraint_opening_equals_the_simulation_at_rest(kind: str, s
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_constraint_compliance_does_not_depend_on_the_configuration(kind: str) -> None:
-    model = tied(kind, 3)
+    """The opening [rad, m] under a constraint force of 2 is equal at four configurations."""
+    model = make_tied_bodies(kind, 3)
     data = mujoco.MjData(model)
     found = []
     for distance in (0.0, 1e-4, 1e-2, 0.1):
@@ -83,8 +87,9 @@ def test_constraint_compliance_does_not_depend_on_the_configuration(kind: str) -
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_impedance_is_mujocos(seed: int) -> None:
-    model = tied("joint", seed)
+def test_impedance_and_its_slope_equal_mujoco_and_a_finite_difference(seed: int) -> None:
+    """References: MuJoCo's `efc_KBIP`, and a central difference over the opening."""
+    model = make_tied_bodies("joint", seed)
     data, solimp = mujoco.MjData(model), clip_solimp(model.eq_solimp[0])
     for opened in np.random.default_rng(seed).uniform(0, 1.5 * solimp[2], 20):
         data.qpos[0] = opened

@@ -1,4 +1,6 @@
-"""Payloads: their weight, the stand that they change, and the softness of contacts."""
+"""Payloads: force, changed stand and contact softness, compared with finite differences, closed
+forms and MuJoCo.
+"""
 
 from __future__ import annotations
 
@@ -39,6 +41,9 @@ def test_payload_force_is_the_gradient_of_its_potential_energy(name: str) -> Non
 
 @pytest.mark.slow
 def test_a_loaded_stand_moves_the_base_and_sinks_the_feet() -> None:
+    """The CoM with payload is above the centre of the contacts, the contact forces sum to (M + 2
+    kg) g [N], and the front feet are deeper if the base keeps its place. MuJoCo holds the stand.
+    """
     robot, point, task = load("v3"), (0.08, 0.0, 0.05), pa.StandTask(pitch=0.1, roll=-0.05)
     loaded, sunk = solve_loaded_stand(robot, task, 2.0, point)
     feet = np.mean(list(sunk.contact_points.values()), axis=0)

@@ -1,4 +1,6 @@
-"""Loading pairs of files: what is taken from which, and what is refused with which words."""
+"""Loading pairs of files: values taken from each file, computed once, and refusals with their
+messages.
+"""
 
 import pickle
 from dataclasses import replace
@@ -37,7 +39,7 @@ def replaced(text: str, old: str, new: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["body", "geom"])
-def test_a_foot_may_be_a_body_or_a_geom(tmp_path: Path, kind: str) -> None:
+def test_contact_radius_of_a_foot_that_is_a_body_or_a_geom(tmp_path: Path, kind: str) -> None:
     site = '<site name="foot" pos="0 0 -0.1"/>'
     sphere = '<geom type="sphere" size="0.02" pos="0 0 -0.1"/>'
     mjcf = replaced(TINY_MJCF, site, "")
@@ -84,6 +86,7 @@ def test_unusable_files_are_refused(
 def test_foot_that_one_file_names_is_sufficient(
     tmp_path: Path, urdf_foot: str, mjcf_foot: str
 ) -> None:
+    """Reference: the foot position [m] of the pair in which both files name the foot."""
     whole = load_files(write(tmp_path, TINY_URDF, TINY_MJCF))
     urdf = TINY_URDF.replace('link name="foot"', f'link name="{urdf_foot}"')
     urdf = urdf.replace('child link="foot"', f'child link="{urdf_foot}"')
@@ -122,6 +125,7 @@ def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
 
 
 def test_derived_values_are_computed_once_per_robot() -> None:
+    """Reference: the number of calls. A changed copy and a pickled robot do not share the cache."""
     made = []
 
     def mass_and(robot: pa.Robot, more: float) -> float:

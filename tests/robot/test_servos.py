@@ -1,4 +1,6 @@
-"""Motors of kinds that others use: with several controls, or seen from the parent."""
+"""Actuators of several types (pid, dcmotor, filters, gears): commands and limits against MuJoCo's
+simulation.
+"""
 
 from __future__ import annotations
 
@@ -113,7 +115,10 @@ def loaded(pair: Pair) -> pa.Robot:
     return pa.load_robot(*pair)
 
 
-def holds(robot: pa.Robot) -> None:
+def verify_held_stand(robot: pa.Robot) -> None:
+    """Assert that MuJoCo holds the stand on soft ground, with a relative torque error below
+    1e-5.
+    """
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
@@ -136,7 +141,7 @@ def test_stand_holds_on_motors_with_filter_bias_or_velocity_feedback(
     robot = loaded(with_motors(quadruped(tmp_path), element))
     lagging = element is LAGGING
     assert any(note.code == "servos-added" for note in robot.notes) != lagging
-    holds(robot)
+    verify_held_stand(robot)
 
 
 @pytest.mark.slow
@@ -144,6 +149,9 @@ def test_stand_holds_on_motors_with_filter_bias_or_velocity_feedback(
 def test_motor_of_a_tendon_exerts_no_force_and_gives_a_note(
     kind: str, pulls: bool, tmp_path: Path
 ) -> None:
+    """The stand holds in simulation; commands of several postures at once equal those of single
+    postures, and vary only for a position servo.
+    """
     pair = quadruped(tmp_path)
     rope = (
         '<tendon><fixed name="rope"><joint joint="FL_knee" coef="1"/>'
@@ -154,7 +162,7 @@ def test_motor_of_a_tendon_exerts_no_force_and_gives_a_note(
     robot = pa.load_robot(*pair)
     (message,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
     assert message.values["motors"] == ("winch",)
-    holds(robot)
+    verify_held_stand(robot)
     drive, rows = model_with_servos(robot), robot.home[7:] + np.array([[0.0], [0.1], [-0.2]])
     one_by_one = [drive.command(robot, row, row) for row in rows]
     np.testing.assert_array_equal(drive.command(robot, rows, rows), one_by_one)
@@ -165,6 +173,7 @@ def test_motor_of_a_tendon_exerts_no_force_and_gives_a_note(
 
 
 def test_requested_contact_options_are_simulated_with_a_note() -> None:
+    """Cone and impratio are in the model and its description; the original robot is unchanged."""
     plain = load_variant("v3")
     robot = with_options(plain, cone="elliptic", impratio=50.0)
     assert robot.mj_model.opt.impratio == robot.description.mjcf.option.impratio == 50.0
@@ -196,7 +205,7 @@ def test_a_requested_time_step_is_simulated_with_a_note() -> None:
         ({"impratio": -1.0}, "must be positive"),
     ],
 )
-def test_contacts_that_mujoco_has_not_are_refused(asked: dict[str, Any], message: str) -> None:
+def test_invalid_simulation_options_are_refused(asked: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         with_options(load_variant("v3"), **asked)
 

@@ -1,4 +1,4 @@
-"""The spectrum of a step: closed forms of its eigenvalues, and nudged simulations beside it."""
+"""Eigenvalues of a simulation step, compared with closed forms and with nudged simulations."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def pendulum(kp: float, kd: float, integrator: str = "Euler", timestep: float = 
         <actuator><position joint="hinge" kp="{kp}" kv="{kd}"/></actuator></mujoco>"""
 
 
-def judged(xml: str, settle: float = 0.0, off: float = 0.0) -> pa.robot.Stability:
+def make_stability(xml: str, settle: float = 0.0, off: float = 0.0) -> pa.robot.Stability:
+    """Return the step stability of a model with the first coordinate displaced by `off`."""
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
     data.qpos[0] = off
@@ -62,7 +63,7 @@ def euler(kp: float, kd: float, step: float, implicit: bool) -> np.ndarray:
 def test_inverted_pendulum_diverges_at_the_rate_of_the_closed_form(integrator: str) -> None:
     """Kp below m g l: one real mode grows."""
     kp, kd, step = 5.0, 0.4, 0.002
-    found = judged(pendulum(kp, kd, integrator, step))
+    found = make_stability(pendulum(kp, kd, integrator, step))
     (mode,) = found.unstable
     if integrator == "RK4":
         z = max(exponents(kp, kd)) * step
@@ -78,8 +79,9 @@ def test_inverted_pendulum_diverges_at_the_rate_of_the_closed_form(integrator: s
 
 
 def test_damping_ratio_of_a_servo_equals_the_closed_form() -> None:
+    """Closed form: kd / (2 I w), w = sqrt((kp - m g l) / I), and the damped frequency [Hz]."""
     kp, kd, step = 80.0, 1.2, 1e-4
-    found = judged(pendulum(kp, kd, "implicitfast", step))
+    found = make_stability(pendulum(kp, kd, "implicitfast", step))
     inertia = INERTIA + (MOMENT / 9.81) ** 2
     natural = math.sqrt((kp - MOMENT) / inertia)
     ratio = kd / (2 * inertia * natural)
@@ -98,7 +100,7 @@ def test_servo_beyond_its_discrete_stability_limit_shakes(kd: float, integrator:
     sampling frequency."""
     step, kp = 0.02, 9000.0
     values = euler(kp, kd, step, integrator != "Euler")
-    found = judged(pendulum(kp, kd, integrator, step), settle=0.5, off=1e-9)
+    found = make_stability(pendulum(kp, kd, integrator, step), settle=0.5, off=1e-9)
     assert found.radius == pytest.approx(max(abs(values)), rel=1e-6)
     assert found.stable == (max(abs(values)) <= 1)
     if not found.stable:
@@ -138,14 +140,15 @@ def test_spectrum_of_a_robot_that_still_sinks_is_marked_as_not_at_rest() -> None
     assert rest.is_stable_for()
 
 
-def test_that_a_base_drifts_on_level_ground_is_no_growth(variant: str) -> None:
+def test_drift_of_a_base_on_level_ground_is_no_growth(variant: str) -> None:
+    """Creep of soft contacts has eigenvalues near 1, which count as stable."""
     found = pa.simulation.stand_stability(load(variant), stand_of(variant))
     assert found.stable
     assert found.is_stable_for()
     assert found.speed < 1e-3
 
 
-def test_a_wheel_that_rolls_freely_is_drift() -> None:
+def test_freely_rolling_wheels_count_as_stable() -> None:
     wheels = "".join(
         f'<body pos="{x} {y} 0"><joint axis="0 1 0"/><geom type="sphere" size=".1"/></body>'
         for x in (-0.2, 0.2) for y in (-0.2, 0.2)
@@ -154,15 +157,15 @@ def test_a_wheel_that_rolls_freely_is_drift() -> None:
         xml = f"""<mujoco><option integrator="{integrator}"/><worldbody>
           <geom type="plane" size="5 5 .1"/><body pos="0 0 .1"><freejoint/>
           <geom type="box" size=".2 .1 .05" pos="0 0 .05"/>{wheels}</body></worldbody></mujoco>"""
-        assert judged(xml, settle=1.0).stable
+        assert make_stability(xml, settle=1.0).stable
 
 
 def test_dry_friction_hides_an_unstable_servo_until_a_push_overcomes_it() -> None:
     """A servo far beyond Euler's limit rests on a joint that rubs, and is thrown off by a push."""
     step, kp, kd = 0.02, 80.0, 100.0
     rubbing = pendulum(kp, kd, "Euler", step).replace("armature", 'frictionloss="0.5" armature')
-    smooth = judged(pendulum(kp, kd, "Euler", step))
-    found = judged(rubbing)
+    smooth = make_stability(pendulum(kp, kd, "Euler", step))
+    found = make_stability(rubbing)
     (mode,) = found.unstable
     assert mode.without_dry_friction
     assert mode.shakes
@@ -335,4 +338,4 @@ def test_mode_grows_if_its_rate_exceeds_one_ten_thousandth_per_second(
     """Reference: I s^2 + kd s + kp - m g l = 0, whose root is (m g l - kp) / kd for small rates."""
     kp, kd = MOMENT - rate, 1.0
     assert exponents(kp, kd).max() == pytest.approx(rate, rel=1e-3)
-    assert bool(judged(pendulum(kp, kd, "implicitfast")).unstable) is grows
+    assert bool(make_stability(pendulum(kp, kd, "implicitfast")).unstable) is grows

@@ -1,4 +1,4 @@
-"""Many configurations of one robot at once: none changes another, in any order, from any thread."""
+"""Many configurations of one robot: none changes another, in any order and from any thread."""
 
 from __future__ import annotations
 
@@ -45,6 +45,9 @@ def same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
 
 
 def test_results_are_not_views_of_a_workspace(any_robot: pa.Robot) -> None:
+    """Results are equal to the last bit after another configuration is evaluated; changing a result
+    changes no other result.
+    """
     config = pa.Configuration(any_robot, *random_state(any_robot, 1))
     before = looked_at(config, np.arange(len(QUANTITIES)))
     kept = {name: quantity(config) for name, quantity in QUANTITIES.items()}
@@ -60,6 +63,9 @@ def test_results_are_not_views_of_a_workspace(any_robot: pa.Robot) -> None:
 
 @pytest.mark.slow
 def test_copied_configuration_keeps_its_values(any_robot: pa.Robot) -> None:
+    """The original is deleted and three other configurations are evaluated before the copy is
+    read.
+    """
     config = pa.Configuration(any_robot, *random_state(any_robot, 7))
     order = np.arange(len(QUANTITIES))
     before, twin = looked_at(config, order), copy.copy(config)

@@ -1,4 +1,4 @@
-"""Constraints of an MJCF that no stand keeps are said on loading."""
+"""Constraints of an MJCF that stands do not satisfy give notes on loading."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points of a robot that carry: of links, sites and bodies, in both models."""
+"""Points of links, sites and bodies that carry payloads, in both engines' models."""
 
 from __future__ import annotations
 
@@ -55,6 +55,9 @@ POINT = (0.05, -0.02, 0.08)
 
 @pytest.mark.parametrize("name", NAMES)
 def test_payload_is_equal_in_both_models(name: str) -> None:
+    """Reference: `cross_check`, and MuJoCo's bias forces [N, N m]; the total mass grows by 2.5
+    kg.
+    """
     loaded = with_payload(load(name), 2.5, POINT)
     check = pa.cross_check(loaded)
     assert check.passed, check.worst
@@ -67,6 +70,7 @@ def test_payload_is_equal_in_both_models(name: str) -> None:
 
 
 def test_a_payload_keeps_changed_effort_limits() -> None:
+    """Halved effort limits remain; two payloads of 1 kg equal one of 2 kg in the mass matrix."""
     robot = load("v3")
     model = robot.pin_model.copy()
     efforts = np.array(model.effortLimit)
@@ -86,7 +90,7 @@ def test_a_payload_keeps_changed_effort_limits() -> None:
     np.testing.assert_allclose(two, one, atol=1e-12)
 
 
-def test_payload_on_a_fixed_base_is_refused() -> None:
+def test_payload_on_a_fixed_base_or_at_an_invalid_point_is_refused() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         with_payload(load("v3", fixed_base=True), 1.0)
     with pytest.raises(pa.ConfigurationError, match="point"):

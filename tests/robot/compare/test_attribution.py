@@ -1,4 +1,6 @@
-"""What a difference does is what physics says; nothing is missing; and the words are right."""
+"""Effects of differences between two files, compared with closed forms of a pendulum and a
+quadruped; completeness of explanations, and the text of messages.
+"""
 
 from __future__ import annotations
 
@@ -62,6 +64,9 @@ def swing(folder: Path, **values: Any) -> tuple[Explanation, np.ndarray, np.ndar
 
 
 def test_gravity_effect_of_an_extra_mass_equals_its_weight(tmp_path: Path) -> None:
+    """Closed form: m g [N] of the extra 0.25 kg, absolute and relative to the weight of the
+    robot.
+    """
     effects = only(
         explained(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.25))
     ).effects
@@ -74,6 +79,9 @@ def test_gravity_effect_of_an_extra_mass_equals_its_weight(tmp_path: Path) -> No
 
 
 def test_shares_of_two_masses_exceed_one_if_their_effects_cancel(tmp_path: Path) -> None:
+    """Closed form: 0.3 kg and 0.1 kg have shares of 3/4 and 1/4 of the gravity deviation; with
+    opposite signs 3/2 and 1/2.
+    """
     for thigh, expected in ((1.1, (0.75, 0.25)), (0.9, (1.5, -0.5))):
         mjcf = changed(changed(quadruped(), "base", mass=6.3), "thigh0", mass=thigh)
         shares = {
@@ -84,7 +92,10 @@ def test_shares_of_two_masses_exceed_one_if_their_effects_cancel(tmp_path: Path)
         assert shares["hip0"] == pytest.approx(abs(expected[1]), rel=1e-9)
 
 
-def test_damping_of_a_pendulum(tmp_path: Path) -> None:
+def test_damping_effect_equals_the_closed_form_of_a_pendulum(tmp_path: Path) -> None:
+    """Closed form of the acceleration [rad/s^2]: 0.25 N m s/rad times the velocity, divided by the
+    moment of inertia.
+    """
     explanation, _, qvel = swing(tmp_path, damping=0.35)
     effect = only(explanation).effects
     assert set(effect) == {"forward dynamics"}
@@ -92,7 +103,10 @@ def test_damping_of_a_pendulum(tmp_path: Path) -> None:
     assert effect["forward dynamics"].deviation == pytest.approx(expected, rel=1e-9)
 
 
-def test_com_of_a_pendulum(tmp_path: Path) -> None:
+def test_com_effect_equals_the_closed_form_of_a_pendulum(tmp_path: Path) -> None:
+    """Closed forms: m g dz sin(q) [N m] for gravity, m (0.52^2 - 0.5^2) [kg m^2] for the mass
+    matrix.
+    """
     explanation, angles, _ = swing(tmp_path, com=(0.0, 0.0, -0.52))
     expected = np.abs(MASS * GRAVITY * 0.02 * np.sin(angles)).max()
     assert only(explanation).effects["gravity"].deviation == pytest.approx(expected, rel=1e-9)
@@ -102,14 +116,20 @@ def test_com_of_a_pendulum(tmp_path: Path) -> None:
     assert effect.relative == pytest.approx(heavier / ROD, rel=1e-9)
 
 
-def test_inertia_of_a_pendulum(tmp_path: Path) -> None:
+def test_inertia_effect_of_a_pendulum_is_in_the_mass_matrix_only(tmp_path: Path) -> None:
+    """The mass matrix changes by the difference of the moments about the hinge, 0.8e-3 kg m^2;
+    gravity does not.
+    """
     explanation, _, _ = swing(tmp_path, inertia=(1e-3, 1.8e-3, 1e-3, 0, 0, 0))
     effects = only(explanation).effects
     assert effects["mass matrix"].deviation == pytest.approx(0.8e-3, rel=1e-9)
     assert "gravity" not in effects
 
 
-def test_zero_angle_of_a_pendulum(tmp_path: Path) -> None:
+def test_zero_angle_effect_equals_the_closed_form_of_a_pendulum(tmp_path: Path) -> None:
+    """Closed form: m g l (sin(q + 0.1) - sin(q)) [N m]; the message gives 5.73 deg about the joint
+    axis.
+    """
     turned = turned_about(pendulum()["bob"], (0, 1, 0), 0.1)
     explanation, angles, _ = swing(tmp_path, quaternion=turned)
     difference = only(explanation)
@@ -124,6 +144,7 @@ def test_zero_angle_of_a_pendulum(tmp_path: Path) -> None:
 
 
 def test_armature_of_the_mjcf_is_given_to_both_models_with_a_note(tmp_path: Path) -> None:
+    """A URDF cannot state armature, so the armature of the MJCF alone is no difference."""
     explanation, _, _ = swing(tmp_path, armature=0.03)
     assert explanation.differences == ()
     (note,) = explanation.notes
@@ -131,6 +152,9 @@ def test_armature_of_the_mjcf_is_given_to_both_models_with_a_note(tmp_path: Path
 
 
 def test_damping_and_friction_that_the_mjcf_alone_states_have_their_units(tmp_path: Path) -> None:
+    """Reference: the values of `quadruped()` and the SI units of armature, damping and dry
+    friction.
+    """
     urdf = re.sub("<dynamics[^>]*/>", "", urdf_text(quadruped()))
     comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
     assert comparison.differences == ()
@@ -147,6 +171,7 @@ def test_damping_and_friction_that_the_mjcf_alone_states_have_their_units(tmp_pa
 
 
 def test_effect_of_a_shifted_joint_equals_the_shift_of_its_subtree(tmp_path: Path) -> None:
+    """Closed form: largest component of R shift [m] over the states, with the base rotation R."""
     shift = np.array([0.003, -0.001, 0.002])
     mjcf = changed(quadruped(), "thigh2", position=tuple(quadruped()["thigh2"].position + shift))
     robot = robot_of(tmp_path, quadruped(), mjcf)
@@ -196,6 +221,9 @@ def shaken(parts: Parts, seed: int) -> Parts:
 def test_models_agree_after_all_differences_are_removed(
     tmp_path_factory: pytest.TempPathFactory, seed: int, fixed: bool
 ) -> None:
+    """After replacing all differing values, both files have equal kinematics and dynamics within
+    1e-12; without replacement they deviate.
+    """
     folder = tmp_path_factory.getbasetemp()
     parts = arm() if fixed else quadruped()
     explanation = explained(folder, parts, shaken(parts, seed), free=not fixed)
@@ -256,6 +284,7 @@ BY_TOLERANCE: dict[str, tuple[str, float, Any]] = {
 def test_each_tolerance_passes_just_below_and_fails_just_above(
     tmp_path: Path, kind: str, strict: bool
 ) -> None:
+    """A difference of 98 % of the tolerance is none; 102 % is reported, for both signs."""
     link, size, change = BY_TOLERANCE[kind]
     tolerances = Tolerances.strict() if strict else Tolerances()
     size = 1e-9 if strict else size
@@ -310,6 +339,9 @@ HINTS: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("hint", HINTS)
 def test_the_message_gives_both_values_and_the_likely_slip(tmp_path: Path, hint: str) -> None:
+    """Slips such as grams for kilograms or degrees for radians; no other difference is reported,
+    and the explanation is complete.
+    """
     urdf, mjcf, kind, words = HINTS[hint]
     explanation = explained(
         tmp_path, changed(quadruped(), "shank0", **urdf), changed(quadruped(), "shank0", **mjcf)
@@ -321,6 +353,7 @@ def test_the_message_gives_both_values_and_the_likely_slip(tmp_path: Path, hint:
 
 
 def test_no_slip_is_suggested_without_reason(tmp_path: Path) -> None:
+    """Values that differ by no typical factor: no message contains a suggestion."""
     mjcf = changed(quadruped(), "shank0", mass=0.31, com=(0.01, 0.002, -0.1), lower=-2.0)
     mjcf = changed(mjcf, "shank0", quaternion=turned_about(SHANK, (0, 1, 1), 0.1))
     differences = explained(tmp_path, quadruped(), mjcf).differences

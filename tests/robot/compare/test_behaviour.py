@@ -1,6 +1,5 @@
-"""Large robots: what is compared of them, that it is right, and how the work grows.
-
-Time and memory are measured by `benchmarks/size.py`; here operations are counted.
+"""Comparison of large robots: quantities evaluated in MuJoCo, compared with Pinocchio, and growth
+of the work. Time and memory are measured by `benchmarks/size.py`; here operations are counted.
 """
 
 from __future__ import annotations
@@ -112,6 +111,9 @@ def test_behaviour_of_a_tree_in_mujoco_equals_pinocchio(name: str, fixed: bool) 
 
 
 def test_mujoco_tree_keeps_limits_efforts_and_damping() -> None:
+    """Reference: joints of v3's URDF tree; ranges [rad], efforts [N m] and damping [N m s/rad] of
+    MuJoCo's model.
+    """
     tree = kinematic_trees(load("v3"))[0]
     model = MujocoTree(tree).model
     assert len(tree.joints) == 12
@@ -127,6 +129,9 @@ def test_mujoco_tree_keeps_limits_efforts_and_damping() -> None:
 def test_a_large_robot_is_compared_without_pinocchios_data(
     written: Written, workspaces: list[int]
 ) -> None:
+    """246 degrees of freedom, three links heavier in the MJCF: all three are found with both masses
+    [kg], and no Pinocchio data is created.
+    """
     result = pa.compare_models(*written(60, 4, heavier=3))
     assert workspaces == []
     masses = [d for d in result.differences if d.kind == "mass"]
@@ -142,7 +147,8 @@ def test_a_large_robot_is_compared_without_pinocchios_data(
 
 
 @pytest.mark.slow
-def test_a_large_robot_that_agrees(written: Written) -> None:
+def test_a_large_robot_agrees_until_one_com_is_moved(written: Written) -> None:
+    """A CoM displaced by 1 mm in the URDF is then the only difference."""
     urdf, mjcf = written(60, 4)
     result = pa.compare_models(urdf, mjcf)
     assert result.agree
@@ -156,6 +162,7 @@ def test_a_large_robot_that_agrees(written: Written) -> None:
 
 
 def test_fewer_states_are_compared_for_a_very_large_robot_with_a_note() -> None:
+    """2,006 degrees of freedom: 2 of 20 states; v3 keeps all requested states."""
     robot = load("v3")
 
     class Large:
@@ -188,6 +195,7 @@ def _calls(work: Callable[[], object]) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("heavier", [5, 0])
 def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> None:
+    """Count of Python calls: at most 2.2 times for twice as many legs (linear growth plus 10 %)."""
     one, two = written(52, 4, heavier), written(104, 4, heavier)
     pa.compare_models(*written(3, 4, heavier))  # imports
     small, large = (_calls(lambda files=files: pa.compare_models(*files)) for files in (one, two))

@@ -1,4 +1,4 @@
-"""What a robot stands on, in a URDF and an MJCF: where both can state it, it is compared."""
+"""Collision shapes of feet in URDF and MJCF are compared if both files specify them."""
 
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ def edited(folder: Path, file: str, old: str, new: str) -> tuple[Path, Path]:
 def test_another_radius_is_a_difference_of_each_foot(
     tmp_path: Path, file: str, old: str, new: str, lower: float
 ) -> None:
+    """Closed form: a foot with 10 mm more radius reaches 10 mm lower; one with 0.09 m in the URDF
+    70.05 mm lower there. Values in m, and both files' lines.
+    """
     files = edited(tmp_path, file, old, new)
     found = pa.compare_models(*files)
     assert not found.agree

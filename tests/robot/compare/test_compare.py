@@ -1,4 +1,6 @@
-"""The comparison: where a number stands, whose a deviation is, and what is told to a program."""
+"""Comparison results: line numbers of differences, the file or engine that deviates, and the
+notes.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize("what", PLACES)
-def test_the_place_of(what: str, tmp_path: Path) -> None:
+def test_differences_point_at_the_lines_of_both_files(what: str, tmp_path: Path) -> None:
     kind, urdf, mjcf, *expected = PLACES[what]
     files = write(tmp_path, urdf, mjcf)
     shown = lines_of(first_of(compared(files), kind), files)
@@ -109,6 +111,9 @@ def test_engine_disagreement_is_distinguished_from_model_difference(
 def test_files_without_base_mass_disagree_for_legs_and_agree_for_a_hand(
     names: tuple[str, str], agree: bool, tmp_path: Path
 ) -> None:
+    """The MJCF has no base body: the missing mass matters for a legged robot, not for a fixed
+    hand.
+    """
     parts = {"base": Part("base", mass=16.0)}
     for name, x in zip(names, (0.1, -0.1), strict=True):
         parts[f"{name}_link"] = Part(f"{name}_link", "base", name, position=(x, 0.0, 0.0))

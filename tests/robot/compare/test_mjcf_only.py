@@ -1,4 +1,6 @@
-"""What a URDF cannot state is found, does what physics says, and never hides behind AGREE."""
+"""MJCF elements that a URDF cannot express: found, with effects as in closed forms of a pendulum,
+and never reported as AGREE.
+"""
 
 from __future__ import annotations
 
@@ -120,6 +122,9 @@ TORQUES: dict[str, tuple[dict[str, str], Callable[[np.ndarray, np.ndarray], np.n
 def test_passive_forces_change_pendulum_acceleration_as_in_closed_form(
     kind: str, tmp_path: Path
 ) -> None:
+    """Closed form: torque(q, qdot) / moment of inertia [rad/s^2], with the polynomials of MuJoCo's
+    documentation.
+    """
     edits, torque = TORQUES[kind]
     effects, angle, speed = swing(tmp_path, **edits)
     assert set(effects) == {"forward dynamics"}
@@ -127,7 +132,8 @@ def test_passive_forces_change_pendulum_acceleration_as_in_closed_form(
     assert (effect.deviation, effect.share) == pytest.approx((expected, 1), rel=1e-9)
 
 
-def test_the_armature_of_a_motor_on_a_tendon(tmp_path: Path) -> None:
+def test_armature_of_a_motor_on_a_tendon_counts_with_coef_and_gear_squared(tmp_path: Path) -> None:
+    """Closed form: coef^2 gear^2 armature [kg m^2]."""
     edits = tendon('name="t"')
     edits["</actuator>"] = '<motor tendon="t" gear="5" armature="0.02"/></actuator>'
     effects, _, _ = swing(tmp_path, **edits)
@@ -301,9 +307,12 @@ def accelerations(text: str, seed: int) -> np.ndarray:
 @example(chosen={"connect": 1e-9, "weld": 1e-9}, silent=set(), seed=0)
 @example(chosen={}, silent=set(SILENT), seed=0)
 @example(chosen={}, silent=set(), seed=0)
-def test_never_agree_while_mujoco_accelerates_otherwise(
+def test_files_do_not_agree_if_mujoco_accelerates_differently(
     tmp_path_factory: pytest.TempPathFactory, chosen: dict[str, float], silent: set[str], seed: int
 ) -> None:
+    """Reference: MuJoCo's qacc of both texts at random states, with the tolerance of the
+    dynamics.
+    """
     text = MJCF
     for kind, size in chosen.items():
         text = acting(kind, repr(size), text)
@@ -324,6 +333,7 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
 
 @pytest.mark.parametrize("kind", PASSIVE)
 def test_passive_force_is_the_first_difference_and_engines_agree(kind: str, tmp_path: Path) -> None:
+    """Both engines agree on each file within 1e-12, so the file is the cause."""
     comparison = pair(tmp_path, acting(kind, "0.5", MJCF))
     assert comparison.engines == ()
     assert not comparison.agree
@@ -340,6 +350,7 @@ def test_passive_force_is_the_first_difference_and_engines_agree(kind: str, tmp_
 def test_attribute_without_effect_on_acceleration_is_still_a_difference(
     kind: str, tmp_path: Path
 ) -> None:
+    """Dry friction and ranges of tendons, and disable flags: reported with no effects."""
     for old, new in UNFELT[kind]:
         comparison = pair(tmp_path, with_(MJCF, **{old: new}))
         assert [one for one, _ in found(comparison)] == [kind], new
@@ -384,6 +395,7 @@ MIMIC = {KNEE: f'{KNEE}<mimic joint="hip0" multiplier="2" offset="0.1"/>'}
 def test_mimic_without_equal_equality_is_a_difference(
     tmp_path: Path,
 ) -> None:
+    """An equality with the same polynomial agrees; five different ones do not."""
     urdf = with_(URDF, **MIMIC)
     assert found(pair(tmp_path, MJCF, urdf)) == [("mimic", "knee0")]
     for name, equality in {"": SAME, **OTHER}.items():
@@ -474,6 +486,10 @@ def test_equality_between_robot_and_object_is_a_difference(
 
 @pytest.mark.slow
 def test_disable_flags_remove_the_forces_that_the_file_states(tmp_path: Path) -> None:
+    """A disabled spring, damper or gravity counts as absent: the files agree if the URDF has none
+    either, and a tendon keeps its other force.
+    """
+
     def flagged(word: str, text: str = MJCF) -> Comparison:
         option = f'<option><flag {word}="disable"/></option><worldbody>'
         return pair(tmp_path, with_(text, **{"<worldbody>": option}))

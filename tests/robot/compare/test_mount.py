@@ -1,4 +1,4 @@
-"""A fixed base that is tilted in one file: said, and a difference if that is asked for."""
+"""Tilt of a fixed base in one file: reported, and a difference if requested."""
 
 from __future__ import annotations
 
@@ -71,7 +71,8 @@ def test_mount_tilt_is_the_angle_between_the_gravity_of_both_files(
     assert comparison.mount.values["tilt"].value == pytest.approx(tilt, abs=1e-9)
 
 
-def test_a_root_that_is_turned_alike_is_no_tilt(tmp_path: Path) -> None:
+def test_equal_rotation_of_root_link_and_base_is_no_tilt(tmp_path: Path) -> None:
+    """The URDF turns its base on a massless root as the MJCF does in the world."""
     turn = Rotation.from_euler("xyz", [0.4, -0.3, 1.0])
     urdf = on_a_root(urdf_text(arm(), ()), turn)
     files = write(tmp_path, urdf, mounted(mjcf_text(arm(), (), free=False), turn))

@@ -426,6 +426,7 @@ def is_named_first(comparison: Comparison, expected: Expected) -> bool:
 
 
 def test_the_unchanged_pairs_agree(tmp_path: Path) -> None:
+    """Control of the mutation test: without a change there is nothing to find."""
     for name in ("v3", "original"):
         comparison = compared(tmp_path, *sources(name))
         assert comparison.agree
@@ -435,6 +436,9 @@ def test_the_unchanged_pairs_agree(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", MUTATIONS)
 def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) -> None:
+    """Three robots, three random places each: the files disagree, the changed number is the first
+    difference, with its line in both files, and the explanation is complete.
+    """
     tried = 0
     for name in ("v3", "v3-long-leg", "original"):
         for seed in range(PLACES):
@@ -461,6 +465,7 @@ def test_renamed_joint_is_matched_by_structure(tmp_path: Path) -> None:
 
 
 def test_joint_that_is_fixed_in_one_file_is_reported(tmp_path: Path) -> None:
+    """With the knee fixed in both, all else agrees; the verdict does not."""
     urdf, mjcf = sources("original")
     root = ElementTree.fromstring(urdf.encode())
     joint = next(joint for joint in root.iter("joint") if joint.get("name") == "RL_KFE")

@@ -1,6 +1,5 @@
-"""Samples of the two sweeps: one plausible slip in files that stand, and attributes at their ends.
-
-All of them: `benchmarks/one_slip.py` and `benchmarks/attributes.py`; what came of them is in
+"""Samples of two sweeps: one plausible slip in a valid file, and attributes at extreme values.
+Complete sweeps: `benchmarks/one_slip.py` and `benchmarks/attributes.py`; results in
 docs/data/slips.csv and attributes.csv.
 """
 
@@ -26,6 +25,9 @@ OWN = [name for name in one_slip.BASES if name not in ("go1", "anymal", "hyq")]
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OWN)
 def test_findings_of_one_plausible_slip_are_true(name: str, tmp_path: Path) -> None:
+    """Reference: `one_slip.is_wrong`, the criterion of the sweep: MuJoCo's behaviour against the
+    findings. Five random slips per robot.
+    """
     for number in range(5):  # none of those in docs/data/slips.csv, whose seed is 0
         result = one_slip.run_case((name, 1, number, str(tmp_path)))
         assert not one_slip.is_wrong(result), result
@@ -33,6 +35,7 @@ def test_findings_of_one_plausible_slip_are_true(name: str, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_findings_of_extreme_attribute_values_are_true(tmp_path: Path) -> None:
+    """Forty random cases of more than 5,000, judged by the criterion of the sweep."""
     cases = attributes.list_cases(str(tmp_path), ())
     assert len(cases) > 5000
     for index in np.random.default_rng(0).choice(len(cases), 40, replace=False):

@@ -1,4 +1,4 @@
-"""Two files of one robot are brought together, however they name and arrange it; or refused."""
+"""Matching of joints and links of two files with different names and structure, or refusal."""
 
 from __future__ import annotations
 
@@ -76,7 +76,10 @@ def test_a_root_link_with_mass_is_part_of_the_robot(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_a_joint_of_several_degrees_of_freedom_in_the_urdf(tmp_path: Path, kind: str) -> None:
+def test_floating_or_planar_joint_of_the_urdf_is_fixed_at_rest_with_a_note(
+    tmp_path: Path, kind: str
+) -> None:
+    """All else is compared; the files do not agree."""
     text = URDF.replace('<joint name="hip1" type="revolute">', f'<joint name="hip1" type="{kind}">')
     comparison = compare_texts(tmp_path, text, MJCF)
     assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
@@ -100,6 +103,9 @@ DOOR = '<body name="door"><joint name="hinge" axis="0 0 1"/><geom size="1"/></bo
 
 
 def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> None:
+    """A ball and a door, to which sensors, exclusions and a keyframe refer: the files agree, with a
+    note per object.
+    """
     scene = f'<geom type="plane" size="1 1 1"/>{BALL}{DOOR}'
     references = (
         '<sensor><framepos objtype="body" objname="ball"/></sensor>'
@@ -118,6 +124,9 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("where", ["urdf", "mjcf"])
 def test_joint_of_one_file_alone_is_fixed_at_zero_and_reported(tmp_path: Path, where: str) -> None:
+    """The other file has the tail on a fixed joint: no difference is left, but the verdict is not
+    AGREE.
+    """
     tail = {"tail": light("tail", "base")}
     still = {"tail": replace(tail["tail"], kind="fixed")}
     urdf = quadruped() | (tail if where == "urdf" else still)
@@ -146,6 +155,9 @@ def test_joint_of_one_file_alone_is_fixed_at_zero_and_reported(tmp_path: Path, w
 def test_references_to_a_joint_of_the_mjcf_alone_are_removed_with_the_joint(
     tmp_path: Path, extra: str
 ) -> None:
+    """Equalities, sensors, tendons, motors and keyframes that refer to the removed tail; the part
+    is reported with its mass [kg].
+    """
     mjcf = mjcf_text(quadruped() | {"tail": light("tail", "base")}, extra=extra)
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.only_mjcf == ("to_tail",)
@@ -175,6 +187,7 @@ def other_links(parts: Parts) -> Parts:
 
 
 def test_joints_are_matched_by_structure_if_all_names_differ(tmp_path: Path) -> None:
+    """Reference: the mapping by which the joints were renamed."""
     names = {name: f"joint_{number}" for number, name in enumerate(sorted(JOINTS, reverse=True))}
     files = write_parts(tmp_path, renamed(quadruped(), **names), other_links(quadruped()))
     comparison = compared(files)
@@ -214,7 +227,8 @@ def test_joints_far_apart_are_not_matched(tmp_path: Path) -> None:
     assert (comparison.only_urdf, comparison.only_mjcf) == (("to_tail",), ("to_neck",))
 
 
-def test_prefixes_and_suffixes_are_tried(tmp_path: Path) -> None:
+def test_joints_are_matched_without_common_prefix_and_suffix(tmp_path: Path) -> None:
+    """Two joints at one position are matched as well, so structure alone is not sufficient."""
     urdf = {
         name: replace(part, joint=f"rh_{part.joint}_joint" if part.joint else "")
         for name, part in quadruped().items()
@@ -230,6 +244,9 @@ def test_prefixes_and_suffixes_are_tried(tmp_path: Path) -> None:
 
 
 def test_ambiguous_match_prints_mapping_lines_to_paste(tmp_path: Path) -> None:
+    """Two joints, 2 mm above and below the place of two others: no guess, one line with --map per
+    joint.
+    """
     twins = twins_at_one_place()
     middle = {
         "left": replace(twins["left"], position=(0.3, 0.0, 0.002)),
