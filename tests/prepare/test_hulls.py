@@ -1,4 +1,6 @@
-"""Shapes beside soft feet: the contact points are those that touch in the published model."""
+"""Shapes beside soft feet: the contact points are the points that touch in MuJoCo with the
+published model.
+"""
 
 from __future__ import annotations
 

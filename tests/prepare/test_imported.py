@@ -1,4 +1,6 @@
-"""What MuJoCo's own import of a URDF does, beside what was made of it: a line of every verdict."""
+"""MuJoCo's own import of a URDF, simulated beside the converted model; each verdict has a line on
+it.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,10 @@ def test_mujoco_import_of_a_correct_urdf_agrees_with_the_prediction(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_imported_model_is_mujocos_with_free_joint_ground_and_no_motors(tmp_path: Path) -> None:
+def test_imported_model_has_a_free_joint_a_ground_and_servos(tmp_path: Path) -> None:
+    """MuJoCo's import of the URDF has none of them. Its total mass [kg] equals that of the robot,
+    and a pickled robot has the same run.
+    """
     robot = pa.load_robot(four_legs(tmp_path))
     model = get_published_model(robot)
     assert model is not None

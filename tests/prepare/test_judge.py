@@ -1,4 +1,4 @@
-"""What an audit calls an error stops a robot on loading, or stands in every verdict of it."""
+"""Each error of `audit` stops a robot on loading, or appears in each verdict of the robot."""
 
 from __future__ import annotations
 
@@ -65,6 +65,9 @@ def slipped(folder: Path, slip: Slip) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", SLIPS)
 def test_audit_errors_appear_in_the_verdict(tmp_path: Path, rule: str) -> None:
+    """One defect per case, which is the only error of `audit`; limits that exclude each other are
+    refused on loading.
+    """
     slip, message = SLIPS[rule]
     urdf = slipped(tmp_path, slip)
     errors = {found.rule for found in pa.audit_model(urdf).findings if found.severity == "error"}
@@ -118,7 +121,7 @@ def test_verdict_states_a_gravity_other_than_the_earths(
 
 
 @pytest.mark.slow
-def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
+def test_negative_dry_friction_appears_in_the_verdict(tmp_path: Path) -> None:
     _, mjcf = features.write_files(tmp_path, features.FEATURES["frictionloss -1"])
     said = format_verdict(verdict_of(pa.load_robot(mjcf)))
     assert "dry friction is negative, and counts as none, at FL_knee, FR_knee, RL_knee" in said
@@ -135,7 +138,8 @@ def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
         (_shape('<sphere radius="0"/>'), "spheres of radius 0, points that touch"),
     ],
 )
-def test_impossible_values_stand_in_the_verdict(tmp_path: Path, slip: Slip, message: str) -> None:
+def test_impossible_values_appear_in_the_verdict(tmp_path: Path, slip: Slip, message: str) -> None:
+    """A negative effort limit, and a sphere of radius 0."""
     urdf = slipped(tmp_path, slip)
     (found,) = (one for one in pa.audit_model(urdf).findings if one.severity == "error")
     assert found.rule in ("value-impossible", "effort-negative")

@@ -1,4 +1,4 @@
-"""Robots as they are published stand without preparation by hand: MuJoCo is the proof."""
+"""Published robots stand without manual preparation: MuJoCo's simulation is the reference."""
 
 from __future__ import annotations
 
@@ -24,13 +24,15 @@ def load(pair: Pair, **values: object) -> Robot:
     return pa.load_robot(*pair, **values)  # type: ignore[arg-type]
 
 
-def said(robot: Robot, text: str) -> str:
+def find_note(robot: Robot, text: str) -> str:
+    """Return the text of the first note that contains a text; fail if there is none."""
     found = [note for note in robot.notes if text in str(note)]
     assert found, robot.notes
     return str(found[0])
 
 
-def stands(robot: Robot) -> pa.simulation.StandVerification:
+def verify_held_stand(robot: Robot) -> pa.simulation.StandVerification:
+    """Return the verification of a stand; assert relative torque and force errors below 1e-5."""
     found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
     assert found.passed, found.failures
     assert found.torque_error < 1e-5
@@ -52,6 +54,9 @@ def test_limbs_attached_to_the_world_are_not_a_fixed_base(tmp_path: Path) -> Non
     [("own", "own"), ("a geom", "toe"), ("a link and a body", ("FL_calf", "FL_calf"))],
 )
 def test_feet_named_in_one_file_are_used_for_both(name: str, frame: object, tmp_path: Path) -> None:
+    """Reference: foot position (0.2, 0.15, -0.4) m at zero angles, by hand, and the radius of the
+    sphere.
+    """
     foot = '<geom name="{}" type="sphere" size="0.02" pos="0 0 -0.2"/>'
     pair = quadruped(tmp_path, foot="@")
     text = pair.mjcf.read_text()
@@ -106,6 +111,7 @@ def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_sag_on_flat_feet_equals_the_settled_simulation(tmp_path: Path) -> None:
+    """Reference: height loss [m] after 8 s without feed-forward, within 1e-4 of its value."""
     robot = load(biped(tmp_path))
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     sag = pa.steady_state(robot, stand)
@@ -135,6 +141,9 @@ def test_biped_tips_if_the_com_is_beyond_the_edge_of_its_soles(
 
 @pytest.mark.slow
 def test_flat_feet_stand_on_steps_of_a_slope_and_one_is_lifted(tmp_path: Path) -> None:
+    """Reference: all points of each sole are on their step within 1 nm, and MuJoCo holds the stand
+    on one foot.
+    """
     robot = load(biped(tmp_path))
     heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
     ground = pa.Ground(slope=0.08, uphill=0.5, heights=heights)
@@ -169,19 +178,20 @@ def test_base_frame_on_the_ground_is_raised_to_the_com_of_the_base(
         pair.mjcf.write_text(text)
     robot = load(pair)
     raised = f"raised by {1000 * (below + 0.1):.0f} mm, to the base's com"
-    assert raised in said(robot, "below all limbs")
+    assert raised in find_note(robot, "below all limbs")
     # The pelvis' com is 0.1 m above the frame that it has otherwise.
     height = plain.stand_height
     one = pa.solve_stand(plain, pa.StandTask(height=height))
     two = pa.solve_stand(robot, pa.StandTask(height=height + 0.1))
     np.testing.assert_allclose(two.qpos[7:], one.qpos[7:], atol=1e-8)
     assert two.qpos[2] - one.qpos[2] == pytest.approx(0.1, abs=1e-9)
-    stands(robot)
+    verify_held_stand(robot)
     assert not [note for note in plain.notes if note.code == "base-frame-lifted"]
 
 
 @pytest.mark.slow
 def test_tilted_base_frame_gives_a_note(tmp_path: Path) -> None:
+    """The base body is turned by 90 deg about y."""
     pair = quadruped(tmp_path)
     text = re.sub(r"<keyframe>.*</keyframe>", "", pair.mjcf.read_text(), flags=re.DOTALL)
     turned = text.replace('<body name="trunk"', '<body name="trunk" quat="0.7 0 0.7 0"', 1)
@@ -197,6 +207,9 @@ def test_tilted_base_frame_gives_a_note(tmp_path: Path) -> None:
 def test_urdf_with_a_lying_base_is_refused_with_a_remedy(
     turn: str, axis: str, back: tuple[int, int], tmp_path: Path
 ) -> None:
+    """The base is turned by 90 or 180 deg; the message gives the axis along which the limbs end and
+    the inverse rotation as rpy [rad].
+    """
     path = write_standing_urdf(tmp_path)
     rpy = " ".join(str(0.5 * math.pi * turn.count(letter)) for letter in "xyz")
     lying = (
@@ -226,12 +239,12 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="ball" pos="0 0 -0.2"/>')
     rewritten(pair.mjcf, ("<worldbody>", MESH.format("ball", text)))
     robot = load(pair)
-    said(robot, "fitted to what is round there")
+    find_note(robot, "fitted to what is round there")
     for radius in robot.contact_radius.values():
         assert radius == pytest.approx(0.025, abs=3e-4)  # facets are a little inside
     place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL_calf"]
     np.testing.assert_allclose(place, [0.2, 0.15, -0.4], atol=3e-4)
-    stands(robot)
+    verify_held_stand(robot)
 
 
 def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_path: Path) -> None:
@@ -239,18 +252,19 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     foot = '<geom type="sphere" size="0.02" pos="0 0 -0.2" contype="2" conaffinity="4"/>'
     robot = load(quadruped(tmp_path, foot=foot))
     assert len(robot.contact_points) == 4
-    stands(robot)
+    verify_held_stand(robot)
 
 
 @pytest.mark.slow
 def test_foot_mesh_that_is_not_round_gives_a_note(tmp_path: Path) -> None:
+    """Feet that are boxes become spheres, on which MuJoCo holds the stand."""
     corners = itertools.product((-0.03, 0.03), (-0.02, 0.02), (-0.02, 0.02))
     vertices = " ".join(str(value) for corner in corners for value in corner)
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
     rewritten(pair.mjcf, ("<worldbody>", MESH.format("block", vertices)))
     robot = load(pair)
-    said(robot, "replaced by spheres where they are lowest")
-    stands(robot)
+    find_note(robot, "replaced by spheres where they are lowest")
+    verify_held_stand(robot)
     assert not any(note.code == "balls-for-feet" for note in load(quadruped(tmp_path)).notes)
 
 
@@ -270,7 +284,7 @@ def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) 
     floor = robot.mj_model.geom("floor")
     for word in ("type", "condim", "friction", "solref", "solimp", "margin", "gap", "priority"):
         assert getattr(floor, word).tolist() == getattr(plain.geom(0), word).tolist(), word
-    stands(robot)
+    verify_held_stand(robot)
 
 
 @pytest.mark.slow
@@ -286,11 +300,11 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     turned = turned.replace('lower="-2.6" upper="-0.4"', 'lower="-2.3" upper="-0.1"')
     rewritten(pair.urdf, (origin, turned))
     robot = load(pair)
-    assert "FL_knee by +17.19 deg" in said(robot, "another zero angle")
+    assert "FL_knee by +17.19 deg" in find_note(robot, "another zero angle")
     np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
     one, two = (pa.stance.solve_stand_on_soft_ground(each).qpos for each in (robot, plain))
     np.testing.assert_allclose(one, two, atol=1e-9)
-    stands(robot)
+    verify_held_stand(robot)
 
 
 @pytest.mark.parametrize(
@@ -318,11 +332,11 @@ def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, keyframe="")
     rewritten(pair.mjcf, ('range="-1.5 2.5"', 'range="-1.5 0.6"'))
     robot = load(pair)
-    assert "_pitch -1.5 to 0.6" in said(robot, "narrower limits of the MJCF")
+    assert "_pitch -1.5 to 0.6" in find_note(robot, "narrower limits of the MJCF")
     names = [name for name in robot.joint_names if name.endswith("_pitch")]
     found = dict(zip(robot.joint_names, robot.home[7:].tolist(), strict=True))
     assert max(found[name] for name in names) <= 0.6
-    stands(robot)
+    verify_held_stand(robot)
     assert not [note for note in load(quadruped(tmp_path)).notes if "limits" in str(note)]
     # And where the URDF's joints turn round and round, without a <limit>, as NimbRo-OP2X's.
     text = re.sub(r'<limit lower="-1.5" [^>]*>', "", pair.urdf.read_text())
@@ -331,7 +345,7 @@ def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
     pitches = [robot.joint_names.index(name) for name in names]
     np.testing.assert_array_equal(robot.upper_limits[pitches], 2.5)
     np.testing.assert_array_equal(robot.effort_limits[pitches], 30.0)  # the MJCF's
-    stands(robot)
+    verify_held_stand(robot)
 
 
 def test_feet_behind_a_prismatic_joint_are_at_their_true_position(tmp_path: Path) -> None:
@@ -360,7 +374,7 @@ def test_feet_behind_a_prismatic_joint_are_at_their_true_position(tmp_path: Path
     pair.mjcf.write_text(mjcf)
     assert pa.compare_models(pair.urdf, pair.mjcf).differences[0].kind == "effort"  # the motors'
     robot = load(pair)
-    stands(robot)
+    verify_held_stand(robot)
 
 
 @pytest.mark.slow
@@ -372,11 +386,11 @@ def test_base_with_three_slides_and_a_ball_joint_is_free(tmp_path: Path) -> None
     free = ("<freejoint/>", f'{parts}<joint type="ball"/>')
     rewritten(pair.mjcf, free, ('qpos="0 0 0.35', 'qpos="0 0 0'))
     robot = load(pair)
-    said(robot, "free by three slides and a ball joint")
+    find_note(robot, "free by three slides and a ball joint")
     assert robot.floating
     np.testing.assert_allclose(robot.home, whole.home, atol=1e-12)
     assert robot.stand_height == pytest.approx(whole.stand_height, abs=1e-12)
-    stands(robot)
+    verify_held_stand(robot)
 
 
 def test_servos_that_need_feed_forward_are_used_if_no_others_hold(

@@ -1,4 +1,6 @@
-"""What a file does by itself: nothing that is asked of its robot is answered better than that."""
+"""Simulation of the unmodified file from its keyframe: no verdict is better than this
+simulation.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The passes that make two files a robot: in which order, each alone, and what they tell."""
+"""Preparation passes of a pair of files: order, notes and effects of single passes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def prepared(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
     return prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest(**asked))  # type: ignore[arg-type]
 
 
-def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
+def test_pass_names_are_distinct_and_files_are_unchanged(tmp_path: Path) -> None:
+    """The spec in memory and both files are equal to the last byte after preparation."""
     assert len({each.name for each in PREPARATION_PASSES}) == len(PREPARATION_PASSES)
     pair = quadruped(tmp_path)
     before = (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
@@ -32,6 +33,7 @@ def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
 
 
 def test_each_note_is_reported_by_one_preparation_step(tmp_path: Path) -> None:
+    """Notes of the robot begin with the notes of all passes, in order."""
     robot, runs = prepared(quadruped(tmp_path))
     done = {run.name: [note.code for note in run.done] for run in runs}
     assert done["level-ground"] == ["ground-added"]
@@ -44,6 +46,7 @@ def test_each_note_is_reported_by_one_preparation_step(tmp_path: Path) -> None:
 
 
 def test_base_without_feet_is_held_as_in_the_file(tmp_path: Path) -> None:
+    """The robot is built with a fixed base, and the note gives the missing feet as the reason."""
     robot, runs = prepared(quadruped(tmp_path, foot="", free=False, keyframe=""))
     assert not robot.floating
     assert runs[-1].name == "fix-base"
@@ -60,6 +63,7 @@ def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
 
 
 def test_nothing_is_added_with_as_is(tmp_path: Path) -> None:
+    """The actuators of MuJoCo's model remain torque motors."""
     robot, runs = prepared(quadruped(tmp_path), as_is=True)
     names = {run.name for run in runs}
     assert not names & {

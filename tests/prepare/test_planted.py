@@ -1,4 +1,6 @@
-"""One oddity is planted in a quadruped that stands: what is told first is that, or nothing."""
+"""One fault is planted in the file of a quadruped that stands: the first reported cause is this
+fault, or none.
+"""
 
 from __future__ import annotations
 
@@ -255,6 +257,7 @@ def planted(folder: Path, plant: str) -> tuple[Path, Path]:
 
 @pytest.mark.slow
 def test_correct_files_have_no_cause_of_failure(tmp_path: Path) -> None:
+    """Control of the planted faults."""
     verdict = judged(*standing(tmp_path))
     assert verdict.passed, format_verdict(verdict)
     assert causes(verdict) == []
@@ -291,6 +294,7 @@ def test_planted_fault_is_named_as_the_cause(tmp_path: Path, plant: str) -> None
 
 @pytest.mark.slow
 def test_horizontal_gravity_is_named_as_a_cause(tmp_path: Path) -> None:
+    """Gravity of (4, 0, -9) m/s^2."""
     shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
     shared = tmp_path / "mjcf/pupper_v3_shared.xml"
     shared.write_text(make_replacement("0 0 -9.81", "4 0 -9")(shared.read_text()))

@@ -1,4 +1,4 @@
-"""Gains, time steps and integrators: what the caller requests, and what the file leaves open."""
+"""Gains, time steps and integrators that the caller requests, or that the file does not specify."""
 
 from __future__ import annotations
 

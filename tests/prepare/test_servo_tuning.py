@@ -1,4 +1,6 @@
-"""Gains of servos: by what a joint gives way, by what it feels, by what a time step can follow."""
+"""Gains of added servos: required sag, critical damping, and the stiffness that a time step can
+follow.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,10 @@ ROD = """<mujoco><option timestep="{step}"/><worldbody><body>
   <inertial pos="0 0 -.5" mass="2" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""
 
 
-def test_the_joint_that_holds_most_gives_way_by_the_sag() -> None:
+def test_most_loaded_joint_deflects_by_the_requested_sag() -> None:
+    """Closed form: |torque| / kp [rad], at most 0.02 rad; suggested gains are within 10 % below
+    this stiffness.
+    """
     robot = load("v3")
     stand = pa.solve_stand(robot)
     torques = pa.stance.stand_statics(robot, stand).joint_torques

@@ -1,4 +1,6 @@
-"""Numbers with which nothing can be simulated are refused with their place; hands stay hands."""
+"""Values with which no simulation is possible are refused with file and line; objects beside a
+robot stay objects.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,7 @@ def test_model_that_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path,
 
 
 @pytest.mark.parametrize("upper", ["-2.6", "-0.5"])
-def test_limits_the_wrong_way_round_are_refused(tmp_path: Path, upper: str) -> None:
+def test_lower_limit_above_the_upper_limit_is_refused(tmp_path: Path, upper: str) -> None:
     pair = standing(tmp_path)
     stated = ('lower="-2.6" upper="-0.4"', f'lower="-0.4" upper="{upper}"')
     rewritten(pair.urdf, stated, count=1)
@@ -82,6 +84,7 @@ def test_keyframe_of_the_robot_alone_is_used_if_the_scene_has_a_free_ball(
 
 
 def test_legs_that_a_file_holds_in_the_world_are_freed(tmp_path: Path) -> None:
+    """The published model keeps its fixed base, which is the cause of the difference."""
     pair = legged.quadruped(tmp_path, free=False, keyframe="", actuators="position")
     robot = pa.load_robot(*pair)
     assert robot.floating

@@ -1,4 +1,6 @@
-"""Soles that are meshes, and soles on legs of few joints: what is laid flat, and what touches."""
+"""Soles that are meshes, and soles on legs with few joints: contact points and stands, compared
+with MuJoCo and closed forms.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,10 @@ def with_vertices(pair: Pair, vertices: str) -> Pair:
     return pair
 
 
-def holds(robot: Robot, task: pa.StandTask | None = None, *, within: float) -> pa.Stand:
+def verify_held_stand(robot: Robot, task: pa.StandTask | None = None, *, within: float) -> pa.Stand:
+    """Return the stand on soft ground; assert that MuJoCo holds it with relative torque and force
+    errors below `within`.
+    """
     stand = pa.stance.solve_stand_on_soft_ground(robot, task)
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
@@ -61,9 +66,9 @@ def test_mesh_sole_gets_spheres_at_its_corners(tmp_path: Path) -> None:
     tilt = pa.Configuration(robot, robot.neutral()).joint_position("left_tilt")
     np.testing.assert_allclose(soles[:, 2] - tilt[2], -0.06 + 2e-3, atol=1e-9)
     assert 0.17 < np.ptp(soles[:, 0]) < 0.18  # the corners are inside of what is round
-    holds(robot, within=1e-5)
+    verify_held_stand(robot, within=1e-5)
     # Uneven loads: the depths that a plane leaves are those of a law that is no line.
-    holds(robot, pa.StandTask(offset=(0.02, 0.015)), within=1e-3)
+    verify_held_stand(robot, pa.StandTask(offset=(0.02, 0.015)), within=1e-3)
 
 
 @pytest.mark.slow
@@ -82,7 +87,7 @@ def test_spheres_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
         places = np.array([robot.contact_places[point][1] for point in points])
         assert len(places) == 8
         assert np.linalg.svd(places - places.mean(axis=0))[1][2] < 1e-9
-    holds(robot, within=1e-8)  # 3e-5 with balls where the mesh has its corners
+    verify_held_stand(robot, within=1e-8)  # 3e-5 with balls where the mesh has its corners
 
 
 @pytest.mark.slow
@@ -94,10 +99,13 @@ def test_mesh_sole_with_four_corners_has_four_contact_points(tmp_path: Path) -> 
     robot = load(with_vertices(sole_mesh(biped(tmp_path), BIPED_FEET["box"]), box))
     assert not any("small balls" in str(note) for note in robot.notes)
     assert {len(points) for points in robot.feet.values()} == {4}
-    holds(robot, within=1e-5)
+    verify_held_stand(robot, within=1e-5)
 
 
 def test_sole_corners_are_the_lowest_corners_of_the_hull() -> None:
+    """Reference by hand: 8 of 60 points of an ellipse, the corners of a square, and none of a
+    line.
+    """
     angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ring = np.column_stack([0.1 * np.cos(angles), 0.05 * np.sin(angles), np.zeros(60)])
     above = ring + np.array([0, 0, 0.01])
@@ -119,9 +127,9 @@ def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     assert robot.nu == 8
     assert len(robot.contact_points) == 8
     assert any(note.code == "com-anywhere-inside" for note in robot.notes)
-    stand = holds(robot, within=1e-2)
+    stand = verify_held_stand(robot, within=1e-2)
     assert stand.foot_error < 1e-9
-    holds(robot, pa.StandTask(height=0.95 * robot.stand_height), within=1e-2)
+    verify_held_stand(robot, pa.StandTask(height=0.95 * robot.stand_height), within=1e-2)
 
 
 @pytest.mark.slow
@@ -129,7 +137,7 @@ def test_nearly_level_sole_keeps_the_tilt_of_its_leg(tmp_path: Path) -> None:
     """By a mesh's last digits: no roll of the foot can mend it."""
     foot = BIPED_FEET["box"].replace("/>", ' euler="3e-6 0 0"/>')
     pair = held(biped(tmp_path, foot), "_yaw", "_tilt")
-    holds(load(pair), within=1e-2)
+    verify_held_stand(load(pair), within=1e-2)
 
 
 @pytest.mark.slow
@@ -139,7 +147,7 @@ def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
     pair = held(biped(tmp_path), "_tilt")
     robot = load(aside(pair, 3e-5))
     assert robot.nu == 10
-    stand = holds(robot, within=1e-4)  # 1e-2 with the com in the middle
+    stand = verify_held_stand(robot, within=1e-4)  # 1e-2 with the com in the middle
     config = pa.Configuration(robot, stand.qpos)
     for points in robot.feet.values():
         heights = [config.foot_positions()[point][2] for point in points]
@@ -148,6 +156,9 @@ def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_unreachable_stance_of_four_joint_legs_is_refused(tmp_path: Path) -> None:
+    """Legs without yaw and tilt joints: a foot cannot be moved sideways or lifted with a level
+    sole.
+    """
     robot = load(held(biped(tmp_path), "_yaw", "_tilt"))
     task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})
     with pytest.raises(pa.StanceUnreachableError, match="foot_offsets"):
@@ -302,13 +313,14 @@ def test_sole_sinks_as_a_plane_that_carries_force_and_moment(tmp_path: Path) -> 
     """By unequal loads of the soles it tilts, and a corner lifts: 8e-4 off, and "not >= 0 m"."""
     pair = biped(tmp_path)
     robot = pa.load_robot(*pair)
-    tilted = holds(robot, pa.StandTask(com=(0.06, 0.04)), within=1e-6)
+    tilted = verify_held_stand(robot, pa.StandTask(com=(0.06, 0.04)), within=1e-6)
     assert min(tilted.depths.values()) > 1e-4
-    lifted = holds(robot, pa.StandTask(com=(0.08, 0.06)), within=1e-6)
+    lifted = verify_held_stand(robot, pa.StandTask(com=(0.08, 0.06)), within=1e-6)
     assert min(lifted.depths.values()) < -1e-4
 
 
-def test_a_sphere_far_from_the_origin_is_found() -> None:
+def test_fitted_sphere_has_the_centre_and_radius_of_its_points() -> None:
+    """Reference: 4,000 random points on a sphere at (0.4, -0.3, 0.2) m."""
     centre, radius, down = np.array([0.4, -0.3, 0.2]), 0.021, np.array([0.0, 0.0, -1.0])
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     points = centre + radius * directions / np.linalg.norm(directions, axis=1)[:, None]

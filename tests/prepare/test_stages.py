@@ -1,4 +1,6 @@
-"""Servos and visual meshes are made when they are first needed, and equal those made at once."""
+"""Servos and visual meshes are created when they are first needed, and equal those created on
+loading.
+"""
 
 from __future__ import annotations
 
@@ -41,6 +43,9 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_servos_are_not_made_for_pinocchio_model_and_joints(
     tmp_path: Path, runs: list[str]
 ) -> None:
+    """Reference: the names of the deferred passes that were applied, before and after MuJoCo's
+    model is read.
+    """
     robot = pa.load_robot(*quadruped(tmp_path))
     assert robot.pin_model.nv == robot.nv == 18
     assert robot.total_mass > 0
@@ -109,6 +114,7 @@ def test_changes_of_pinocchio_model_do_not_affect_deferred_stages(tmp_path: Path
 
 @pytest.mark.slow
 def test_pickled_and_copied_robots_are_complete(tmp_path: Path) -> None:
+    """Notes and both models equal those of the original robot."""
     pair = quadruped(tmp_path)
     whole = pa.load_robot(*pair)
     for robot in (

@@ -1,4 +1,4 @@
-"""Where searches for a start begin."""
+"""Initial configurations of the search for a start pose."""
 
 from __future__ import annotations
 

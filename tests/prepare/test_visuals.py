@@ -1,4 +1,4 @@
-"""What is only seen is left out while a robot is made, and is there in the end."""
+"""Visual geoms are left out while a robot is prepared, and are present in the loaded robot."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ SPEC = """<mujoco><worldbody><body name="a"><freejoint/>
 
 
 def test_mass_and_inertia_do_not_change_without_visuals() -> None:
+    """Reference: MuJoCo's compiled masses [kg] and inertias [kg m^2]; the visual geom has a mass of
+    2 kg.
+    """
     spec = mujoco.MjSpec.from_string(SPEC)
     whole = spec.copy().compile()
     discard_visuals(spec)
@@ -32,6 +35,7 @@ def test_mass_and_inertia_do_not_change_without_visuals() -> None:
 
 
 def test_visuals_are_kept_in_a_fluid() -> None:
+    """Drag depends on the shapes of all geoms."""
     spec = mujoco.MjSpec.from_string(SPEC)
     spec.option.viscosity = 1e-3
     discard_visuals(spec)
@@ -39,6 +43,7 @@ def test_visuals_are_kept_in_a_fluid() -> None:
 
 
 def test_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
+    """A visual box before the other geoms; the foot geoms are still the spheres."""
     pair = quadruped(tmp_path)
     seen = '<geom name="hat" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
     rewritten(pair.mjcf, ("<freejoint/>", f"<freejoint/>{seen}"))

@@ -1,4 +1,4 @@
-"""Why a simulation does not come to rest: jolts of the ground."""
+"""Causes for which a simulation does not come to rest: pulses of the ground force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Bounds of the distance to the ground: against MuJoCo's collision detection in falls."""
+"""Lower bounds of the distance to the ground, compared with MuJoCo's collision detection in
+falls.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Growing modes, in nudged simulations of models whose growth is known."""
+"""Growing modes in nudged simulations of models whose growth rates have closed forms."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ def rod(kp: float, kd: float, joint: str = "", more: str = "", step: float = 0.0
         <actuator><position joint="hinge" kp="{kp}" kv="{kd}"/></actuator></mujoco>"""
 
 
-def judged(xml: str) -> tuple[object, object]:
+def judge_model(xml: str) -> tuple[object, object]:
+    """Return the step stability of a model and the verdict on its modes."""
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -41,7 +42,7 @@ def test_the_doubling_time_of_a_confirmed_mode_is_that_of_the_pendulum(kp: float
     kd = 0.4
     inertia = INERTIA + (MOMENT / 9.81) ** 2
     rate = max(np.roots([inertia, kd, kp - MOMENT]).real)
-    _, found = judged(rod(kp, kd))
+    _, found = judge_model(rod(kp, kd))
     (mode,) = found.modes_growing_within()
     assert mode.doubling_time == pytest.approx(math.log(2) / rate, rel=0.05)
     assert mode.nudge == pytest.approx(1e-4)
@@ -55,7 +56,7 @@ def test_growing_mode_is_refuted_if_a_stop_ends_it() -> None:
     )
     xml = rod(5.0, 0.4, more='<geom type="box" size=".01 .05 .05" pos="0 0 .5"/>')
     xml = xml.replace("<worldbody>", f"<worldbody>{stops}")
-    spectrum, found = judged(xml)
+    spectrum, found = judge_model(xml)
     assert spectrum.modes_growing_within()
     assert not found.modes_growing_within()
     assert [mode.growth for mode in found.refuted_modes] == [
@@ -68,7 +69,7 @@ def test_dry_friction_hides_a_mode_from_the_nudge_that_it_holds(
     friction: float, holds: bool
 ) -> None:
     """At 10 mrad the rod's moment, (m g l - kp) x 0.01, is 0.01 N m: between both frictions."""
-    spectrum, found = judged(rod(5.0, 0.4, joint=f'frictionloss="{friction}"'))
+    spectrum, found = judge_model(rod(5.0, 0.4, joint=f'frictionloss="{friction}"'))
     assert all(mode.without_dry_friction for mode in spectrum.modes_growing_within())
     assert bool(spectrum.modes_growing_within())
     assert bool(found.modes_growing_within()) is not holds

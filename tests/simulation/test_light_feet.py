@@ -1,4 +1,6 @@
-"""Stands in which a foot carries next to nothing, and stands that only a linearisation refutes."""
+"""Stands with a nearly unloaded foot, and stands that only the linearisation calls unstable,
+against MuJoCo without changes.
+"""
 
 from __future__ import annotations
 

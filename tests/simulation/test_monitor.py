@@ -1,4 +1,6 @@
-"""What states say: fallen, touching, at rest; on states of which it is known."""
+"""Classification of simulated states (fallen, in contact, at rest), on states that are set by
+hand.
+"""
 
 from __future__ import annotations
 

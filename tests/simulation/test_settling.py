@@ -1,4 +1,4 @@
-"""Whether a robot comes to rest: quicker than the verification of a stand, and of the same mind."""
+"""Settling of a robot: the short simulation agrees with the complete verification of a stand."""
 
 from __future__ import annotations
 

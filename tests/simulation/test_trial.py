@@ -1,4 +1,4 @@
-"""What a nudge may do to a stand, and what is no harm."""
+"""Nudge trials of a stand: motions that count as failures, and motions that do not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict of a stance: never better than what was simulated, and it says what it rests on."""
+"""The verdict of a stance is never better than its simulations, and states the evidence."""
 
 from __future__ import annotations
 

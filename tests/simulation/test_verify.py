@@ -1,4 +1,4 @@
-"""Stands in simulation: against a plain simulation of our own, and against mechanics."""
+"""Verified stands, compared with a plain MuJoCo loop of the test and with mechanics."""
 
 from __future__ import annotations
 

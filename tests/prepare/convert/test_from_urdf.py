@@ -1,4 +1,4 @@
-"""An MJCF of a URDF: couplings that state less than they may."""
+"""Conversion of a URDF to an MJCF: defaults of mimic joints, and names of meshes."""
 
 from __future__ import annotations
 

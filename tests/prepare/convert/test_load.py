@@ -1,4 +1,6 @@
-"""A robot of one file: the other model is made of it, and says the same."""
+"""A robot of one file: the second model is converted from the first and equals the model of the
+pair.
+"""
 
 from __future__ import annotations
 
@@ -122,13 +124,14 @@ def test_one_of_two_different_files_can_be_loaded(tmp_path: Path) -> None:
         ({"models": (Path("no/such.urdf"),)}, "no/such.urdf: there is no such file"),
     ],
 )
-def test_file_without_a_robot_is_refused(given: dict[str, object], message: str) -> None:
+def test_invalid_combination_of_files_is_refused(given: dict[str, object], message: str) -> None:
     models = given.pop("models", ())
     with pytest.raises(pa.PupperAnalysisError, match=message):
         pa.load_robot(*models, **given)  # type: ignore[misc, arg-type]
 
 
 def test_file_of_the_wrong_format_is_refused_by_its_format(tmp_path: Path) -> None:
+    """A file that MuJoCo refuses is refused with MuJoCo's reason, alone and beside a URDF."""
     with pytest.raises(pa.ModelError, match="it is an MJCF"):
         pa.load_robot(urdf=MJCF)
     with pytest.raises(pa.ModelError, match="it is a URDF"):
@@ -148,7 +151,10 @@ RODS = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
 <geom size="0.03" mass="0.5" pos="0.1 0 0"/></body></body></body></worldbody></mujoco>"""
 
 
-def test_a_ball_joint_is_fixed_as_beside_a_urdf_that_has_none(tmp_path: Path) -> None:
+def test_ball_joint_of_a_lone_mjcf_is_fixed_with_a_note(tmp_path: Path) -> None:
+    """Closed form of the gravity torque about the hip [N m], with the rod at rest; and the
+    cross-check of both engines.
+    """
     file = tmp_path / "rods.xml"
     file.write_text(RODS)
     robot = pa.load_robot(file, feet=[])

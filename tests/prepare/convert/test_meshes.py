@@ -1,4 +1,6 @@
-"""Mesh files that convert takes, and those that it leaves: archives, what is too large."""
+"""Mesh files of conversions: instances, archives, size limits, folders. Volumes, face counts and
+MuJoCo's compiled models are the references.
+"""
 
 from __future__ import annotations
 
@@ -123,7 +125,12 @@ def test_archives_and_oversized_meshes_are_left_out(tmp_path: Path) -> None:
     assert compile_file(tmp_path / "arm.xml").nmesh == 1  # box.obj
 
 
-def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_instance_of_a_mesh_is_converted_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten instances of a box have ten times its faces, and exceed a limit of nine times its
+    vertices.
+    """
     scene = trimesh.Scene()
     for number in range(10):
         scene.add_geometry(
@@ -193,6 +200,9 @@ def test_conversion_fails_if_a_collision_mesh_is_left_out(tmp_path: Path) -> Non
 
 
 def test_flat_visual_mesh_is_converted_as_a_shell(tmp_path: Path) -> None:
+    """MuJoCo cannot compute a volume inertia of a plate without thickness; the compiled MJCF
+    contains the mesh.
+    """
     plate = trimesh.Trimesh(
         [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]]
     )
@@ -216,6 +226,7 @@ def published(folder: Path) -> Path:
 
 
 def test_mesh_is_found_after_the_common_folder_is_moved(tmp_path: Path) -> None:
+    """MuJoCo compiles the moved MJCF: paths to meshes are relative."""
     urdf = published(tmp_path)
     (tmp_path / "robot/mjcf").mkdir()
     pa.convert_model(urdf, tmp_path / "robot/mjcf/arm.xml")
@@ -235,6 +246,7 @@ def test_linked_mesh_is_found_after_its_folder_is_moved(tmp_path: Path) -> None:
 
 
 def test_copied_mesh_is_found_after_the_new_folder_is_moved(tmp_path: Path) -> None:
+    """With `copy_meshes` MuJoCo compiles the MJCF without the folder of the URDF."""
     urdf = published(tmp_path)
     (tmp_path / "new").mkdir()
     found = pa.convert_model(urdf, tmp_path / "new/arm.xml", copy_meshes=True)

@@ -1,4 +1,6 @@
-"""Robots in memory, against the same robot loaded from its file."""
+"""Robots of objects in memory (MjSpec, MjModel, URDF text, pin.Model), compared with the robot of
+the file.
+"""
 
 from __future__ import annotations
 
@@ -100,6 +102,9 @@ def compiled_spec() -> mujoco.MjSpec:
 def test_robot_of_mujoco_object_equals_robot_of_file(
     make: Callable[[], object], from_mjcf: pa.Robot
 ) -> None:
+    """Joints, masses [kg], limits, mass matrices and gravity torques of both engines, and the
+    nominal stand within 1e-6.
+    """
     robot = pa.load_robot(make())
     assert_equal_robots(robot, from_mjcf)
     assert tuple(robot.feet) == tuple(from_mjcf.feet)
@@ -121,6 +126,7 @@ def test_robot_of_mujoco_object_equals_robot_of_file(
 def test_robot_of_urdf_in_memory_equals_robot_of_file(
     make: Callable[[], object], from_urdf: pa.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Joints, masses [kg], limits, mass matrices and gravity torques of both engines."""
     monkeypatch.chdir(ROOT / "urdf")
     robot = pa.load_robot(make())
     assert_equal_robots(robot, from_urdf)
@@ -192,6 +198,9 @@ def make_box_shapes(model: pin.Model) -> pin.GeometryModel:
 
 
 def test_each_kind_of_pinocchio_shape_is_loaded() -> None:
+    """Geom types of MuJoCo's model: sphere, box, capsule, cylinder, and meshes for the remaining
+    three.
+    """
     model = pin.buildSampleModelManipulator()
     robot = pa.load_robot(model, make_box_shapes(model))
     kinds = [int(robot.mj_model.geom_type[shape.geom]) for shape in robot.shapes]
@@ -202,6 +211,9 @@ def test_each_kind_of_pinocchio_shape_is_loaded() -> None:
 
 
 def test_objects_are_not_modified() -> None:
+    """XML of the spec, masses of the model and Pinocchio's model are equal before and after
+    loading.
+    """
     spec, model = read_spec(), mujoco.MjModel.from_xml_path(str(V3_MJCF))
     pin_model = pin.buildSampleModelManipulator()
     text, masses, before = to_xml(spec), model.body_mass.copy(), pin_model.copy()

@@ -1,4 +1,6 @@
-"""Conversion of files that are odd: names in use, meshes of one name, couplings, what is around."""
+"""Conversion of unusual files: reserved names, meshes with equal names, couplings, elements around
+the robot.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,7 @@ def test_refusal_of_a_conversion_names_the_source_file(
     assert "draft" not in str(caught.value)
 
 
-def test_a_root_link_world_cannot_be_free(tmp_path: Path) -> None:
+def test_free_base_is_refused_if_its_root_link_is_named_world(tmp_path: Path) -> None:
     urdf = _changed(tmp_path, ('"trunk"', '"world"'))
     with pytest.raises(pa.ModelError, match="the name of the fixed world"):
         pa.convert_model(urdf, tmp_path / "new.xml", fixed_base=False)
@@ -121,6 +123,9 @@ def test_keyframe_of_a_robot_with_a_mimic_joint_holds_in_mujoco(
 @pytest.mark.slow
 @pytest.mark.parametrize("leader", ["nowhere", "arm2"])
 def test_mimic_of_an_unknown_joint_is_left_out_with_a_note(leader: str, tmp_path: Path) -> None:
+    """The joint keeps a motor of its own, and the keyframe drifts by less than 1e-4 in 3 s of
+    MuJoCo.
+    """
     mjcf, found = convert_file(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
     assert any(f"joint 'arm2' mimics '{leader}'" in text for text in map(str, found.not_converted))
     assert not found.agree
@@ -147,6 +152,9 @@ def _mjcf(
 
 
 def test_elements_around_the_robot_are_reported(tmp_path: Path) -> None:
+    """A floor, a table, a mocap body, a camera, a site motor and gravity: none of them exists in a
+    URDF.
+    """
     world = (
         '<geom type="plane" size="1 1 1"/><camera name="eye"/><body name="table"><geom size="0.1"/>'
         '</body><body name="goal" mocap="true"/>'
@@ -169,6 +177,9 @@ def test_elements_around_the_robot_are_reported(tmp_path: Path) -> None:
 
 
 def test_active_joint_coupling_becomes_a_mimic(tmp_path: Path) -> None:
+    """An inactive coupling, and the second of two couplings of one joint, are reported as not
+    converted.
+    """
     line = '<joint joint1="j2" joint2="j1" polycoef="0.3 2 0 0 0" {}/>'
     inactive = 'active="false"'
     off = _mjcf(tmp_path, after=f"<equality>{line.format(inactive)}</equality>")
@@ -183,6 +194,9 @@ def test_active_joint_coupling_becomes_a_mimic(tmp_path: Path) -> None:
 
 
 def test_scaled_mesh_keeps_its_position(tmp_path: Path) -> None:
+    """Reference: vertices [m] of MuJoCo's model of the source; Pinocchio reads the URDF with its
+    mirrored scale. A `refpos` is reported.
+    """
     trimesh.creation.box((0.1, 0.06, 0.04)).apply_translation((0.01, 0.02, 0.03)).export(
         tmp_path / "part.stl"
     )
@@ -213,6 +227,7 @@ def test_scaled_mesh_keeps_its_position(tmp_path: Path) -> None:
 
 
 def test_unconverted_mesh_of_an_attached_model_is_named(tmp_path: Path) -> None:
+    """The attached model has a mesh folder of its own."""
     (tmp_path / "sub" / "parts").mkdir(parents=True)
     trimesh.creation.box((0.1, 0.06, 0.04)).export(tmp_path / "sub" / "parts" / "hand.stl")
     (tmp_path / "sub" / "hand.xml").write_text(

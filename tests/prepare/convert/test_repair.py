@@ -1,4 +1,4 @@
-"""Inertials that no body can have: moved within what is fixed together, repaired if asked for."""
+"""Inertias that no body can have: combined across fixed links, or repaired on request."""
 
 from __future__ import annotations
 
@@ -105,6 +105,7 @@ def test_repaired_moments_are_possible_and_nearest(seed: int) -> None:
 
 
 def test_nearest_inertia_of_a_mass_without_inertia_is_valid() -> None:
+    """Moments of 1e-4 m^2 times the mass [kg m^2], valid by the triangle inequality."""
     import pinocchio as pin
 
     new = find_nearest_moments(np.zeros(3), 0.5)

@@ -1,4 +1,6 @@
-"""A URDF of an MJCF: which couplings it can say, and what is said of the others."""
+"""Conversion of an MJCF to a URDF: couplings that a URDF can express, and extraction of one robot
+from a scene.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,8 @@ def converted(folder: Path, equality: str) -> tuple[list[ElementTree.Element], l
         '<weld body1="one" body2="two" active="true"/>',
     ],
 )
-def test_nonlinear_equality_is_left_out_with_a_note(tmp_path: Path, equality: str) -> None:
+def test_equality_that_is_no_mimic_is_left_out_with_a_note(tmp_path: Path, equality: str) -> None:
+    """A fourth-order polynomial, a fixed joint, an inactive coupling and a weld."""
     mimics, left = converted(tmp_path, equality)
     assert mimics == []
     assert left == ["equality-not-in-urdf"]
@@ -78,6 +81,9 @@ LEFT, RIGHT = ARM.format(name="left", y=0), ARM.format(name="right", y=1)
 
 
 def test_extracted_robot_keeps_all_its_elements(tmp_path: Path) -> None:
+    """Of two arms, a cube and a table: joints, actuators in their order, keyframe positions and
+    commands, one sensor, and no equality with the other arm. The file itself is unchanged.
+    """
     key = 'qpos="2 0 0.6 1 0 0 0 0.1 0.2 0.3 0.4" ctrl="0.2 0.4 0.1"'
     file = read_mjcf(scene(tmp_path, CUBE, TABLE, LEFT, RIGHT, rest=REST, key=key))
     for body in ("left", "left_end"):
@@ -112,6 +118,7 @@ def test_objects_beside_an_arm_do_not_change_its_torques(tmp_path: Path) -> None
 
 
 def test_floating_robot_takes_precedence_over_hinged_objects(tmp_path: Path) -> None:
+    """A walker beside a door on a hinge."""
     box = '<body name="door"><joint name="hinge"/><geom size="0.4"/></body>'
     walker = LEFT.replace('<joint name="left_1"', '<freejoint name="root"/><joint name="left_1"', 1)
     walker = walker.replace('<joint name="left_1" axis="0 1 0"/>', "")
@@ -130,7 +137,7 @@ def test_floating_robot_takes_precedence_over_hinged_objects(tmp_path: Path) -> 
         ((CUBE, CUBE.replace("cube", "ball")), None, "several free bodies"),
     ],
 )
-def test_file_without_a_robot_is_refused(
+def test_scene_without_a_single_robot_is_refused(
     tmp_path: Path, bodies: tuple[str, ...], body: str | None, message: str
 ) -> None:
     with pytest.raises(pa.PupperAnalysisError, match=message):
