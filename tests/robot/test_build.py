@@ -82,11 +82,18 @@ def test_negative_masses_and_inertias_are_refused_for_a_stand(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "floating"])
-def test_joints_of_more_coordinates_are_refused_or_fixed(
+def test_planar_or_floating_joint_of_a_urdf_is_fixed_with_a_note(
     kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """The joint is no coordinate of the robot; `stand` refuses the robot for its single foot, as it
+    does with a prismatic joint.
+    """
     urdf, mjcf = tiny_with(tmp_path, 'name="push" type="prismatic"', f'name="push" type="{kind}"')
+    robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=["foot"])
+    assert robot.joint_names == ("bend", "turn")
+    note = f"joint 'push' of the URDF is {kind} and was fixed at rest"
+    assert any(str(message).startswith(note) for message in robot.notes)
     arguments = ("stand", "--urdf", str(urdf), "--mjcf", str(mjcf), "--foot", "foot")
     status, _, err = run_command(capfd, *arguments)
-    assert status in (0, 1, 2)
-    assert "unexpected" not in err
+    assert status == 2
+    assert "touches the ground at only 1 points (foot)" in err
