@@ -1,4 +1,6 @@
-"""A joint's numbers: what one file states is what both engines, and the other file, get."""
+"""Joint attributes (limits, damping, armature): both engines and the other format have the values
+that a file specifies.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,8 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return there
 
 
-def test_engines_read_what_the_files_state(files: tuple[Path, Path]) -> None:
+def test_engines_have_the_joint_attributes_of_the_files(files: tuple[Path, Path]) -> None:
+    """Reference: `VALUES`, in which no two values are equal, so that a swapped column is found."""
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "a", ["j"], {})
     for one in TREE_ATTRIBUTES:
@@ -76,7 +79,10 @@ def test_engines_read_what_the_files_state(files: tuple[Path, Path]) -> None:
             assert getattr(compiled, one.mujoco)[6] == VALUES[one.kind], one.kind
 
 
-def test_a_tree_becomes_models_of_both_engines_and_back(files: tuple[Path, Path]) -> None:
+def test_joint_attributes_are_kept_in_models_of_both_engines(files: tuple[Path, Path]) -> None:
+    """Reference: `VALUES`, after a round trip through Pinocchio's model and in MuJoCo's compiled
+    model.
+    """
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "a", ["j"], {})
     numbers = {one.field: VALUES[one.kind] for one in TREE_ATTRIBUTES}
@@ -96,6 +102,9 @@ SPRUNG = MJCF.replace('damping="0.125"', "").replace(
 
 
 def test_springdamper_equals_its_stiffness_and_damping(tmp_path: Path) -> None:
+    """MuJoCo's documentation: d = 2 M / T and k = M / (T z)^2 for time constant T and damping ratio
+    z. Scaling the damping keeps the stiffness, and `diff_models` reports both.
+    """
     one, two = tmp_path / "one.xml", tmp_path / "two.xml"
     one.write_text(SPRUNG)
     two.write_text(SPRUNG.replace("0.2 0.5", "0.4 0.5"))

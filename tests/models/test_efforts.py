@@ -1,4 +1,6 @@
-"""A motor's torque limit has four homes in two files; the least counts, wherever it stands."""
+"""Torque limits of motors: four attributes of two files may specify them, and the smallest counts.
+MuJoCo's actuator forces and simulations are the references.
+"""
 
 from __future__ import annotations
 
@@ -130,6 +132,9 @@ def test_effort_limit_is_the_smallest_stated_limit(
     expected: tuple[float, float] | None,
     attribute: str | None,
 ) -> None:
+    """Reference by hand: limits times gear [N m] per case, and the attribute that specifies the
+    smallest.
+    """
     limit = resolve_effort_limit(arm(motor, joint), 0, effort)
     assert (limit.lower, limit.upper) == (expected or (-math.inf, math.inf))
     assert (None if limit.origin is None else limit.origin.attribute) == attribute
@@ -143,11 +148,11 @@ def test_smaller_limit_counts_if_directions_differ() -> None:
     robot, stand = rebuild_robot(load("v3"), mjcf=spec), stand_of("v3")
     np.testing.assert_allclose(robot.effort_limits, 0.5)
     np.testing.assert_allclose(robot.effort_ranges, [(-0.9, 0.5)] * 12)
-    drive = model_with_servos(robot, kp=100.0, kd=0.0)
-    data = mujoco.MjData(drive.model)
+    classify_drive = model_with_servos(robot, kp=100.0, kd=0.0)
+    data = mujoco.MjData(classify_drive.model)
     robot.mj_convention.set_state(data, stand.qpos)
-    data.ctrl[:] = drive.command(robot, stand.qpos[7:] + np.tile([1.0, -1.0], 6))
-    mujoco.mj_forward(drive.model, data)
+    data.ctrl[:] = classify_drive.command(robot, stand.qpos[7:] + np.tile([1.0, -1.0], 6))
+    mujoco.mj_forward(classify_drive.model, data)
     torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
     np.testing.assert_allclose(torques, np.tile([0.5, -0.9], 6), rtol=1e-12)
     assert any(note.code == "motors-uneven" for note in report_efforts(robot.efforts))
@@ -196,6 +201,7 @@ KNEE = 'lower="-2.6" upper="-0.4" effort="80"'
 def test_hinge_has_no_range_if_its_limit_states_none(
     limit: str, free: bool, tmp_path: Path
 ) -> None:
+    """All knees; `audit` still reports the range of the file as empty."""
     urdf = rewritten(quadruped(tmp_path).urdf, (KNEE, limit))
     notes = [note for note in read_urdf(urdf).notes if note.code == "range-unstated"]
     assert bool(notes) is free
@@ -208,6 +214,9 @@ def test_hinge_has_no_range_if_its_limit_states_none(
 
 @pytest.mark.slow
 def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
+    """Reference: -2.6 to -0.4 rad of the MJCF. The comparison reports the limits unless the MJCF
+    has none either.
+    """
     pair = quadruped(tmp_path)
     rewritten(pair.urdf, (KNEE, 'effort="80"'))
     robot = pa.load_robot(*pair)
@@ -225,6 +234,7 @@ def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_converted_hinge_has_no_limits_without_a_range(tmp_path: Path) -> None:
+    """Reference: `jnt_limited` of MuJoCo's compiled model."""
     urdf = rewritten(write_standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
@@ -291,6 +301,9 @@ def test_smaller_of_two_limits_counts_with_its_file(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_effort_is_read_from_the_mjcf_if_the_urdf_has_none(tmp_path: Path) -> None:
+    """Reference: ctrlrange of the motors, 30 N m, and |torque| / 30 as motor utilisation; without
+    ctrlrange the utilisation is unknown.
+    """
     pair = _without_effort(quadruped(tmp_path))
     robot = pa.load_robot(*pair)
     np.testing.assert_array_equal(robot.effort_limits, 30.0)  # its motors' ctrlrange
@@ -313,12 +326,12 @@ def test_urdf_effort_of_zero_fails_and_names_the_mjcf_limit(tmp_path: Path) -> N
     robot = pa.load_robot(*pair)
     assert {limit.code for limit in robot.efforts} == {"zero"}
     stand = pa.solve_stand(robot)
-    drive = model_with_servos(robot)
-    data = mujoco.MjData(drive.model)
+    classify_drive = model_with_servos(robot)
+    data = mujoco.MjData(classify_drive.model)
     robot.mj_convention.set_state(data, stand.qpos)
-    data.ctrl[:] = drive.command(robot, stand.qpos[7:])
+    data.ctrl[:] = classify_drive.command(robot, stand.qpos[7:])
     while data.time < 1.0:
-        mujoco.mj_step(drive.model, data)
+        mujoco.mj_step(classify_drive.model, data)
     assert data.qpos[2] < 0.6 * stand.qpos[2]
     verdict = judge_stand(robot, stand)
     assert not verdict.passed
@@ -331,6 +344,7 @@ def test_urdf_effort_of_zero_fails_and_names_the_mjcf_limit(tmp_path: Path) -> N
 
 
 def test_effort_of_zero_is_reported_with_the_effort_of_a_sibling_limb(tmp_path: Path) -> None:
+    """One hip of four has no effort; the others have 80 N m."""
     pair = quadruped(tmp_path)
     rewritten(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
     robot = pa.load_robot(pair.urdf)
@@ -382,7 +396,8 @@ def test_stand_fails_if_the_urdf_effort_is_too_small(tmp_path: Path) -> None:
     assert not result.overloaded_motors
 
 
-def drive(actuators: str) -> Drive:
+def classify_drive(actuators: str) -> Drive:
+    """Return the drive type of a hinge with the given actuator elements."""
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
         f"<actuator>{actuators}</actuator></mujoco>"
@@ -397,15 +412,16 @@ def position(kp: float, gear: float = 1.0) -> str:
 @pytest.mark.parametrize("gear", [1.0, 3.0, -3.0, 0.1])
 def test_drive_type_is_independent_of_the_gear(gear: float) -> None:
     """Both the force and the length of an actuator are taken times the gear."""
-    assert drive(position(10, gear)) is Drive.SERVO
-    assert drive(position(-10, gear)) is Drive.WRONG_SIGN
-    assert drive(position(0, gear)) is Drive.NO_STIFFNESS
-    assert drive(f'<motor joint="hinge" gear="{gear}"/>') is Drive.MOTOR
+    assert classify_drive(position(10, gear)) is Drive.SERVO
+    assert classify_drive(position(-10, gear)) is Drive.WRONG_SIGN
+    assert classify_drive(position(0, gear)) is Drive.NO_STIFFNESS
+    assert classify_drive(f'<motor joint="hinge" gear="{gear}"/>') is Drive.MOTOR
 
 
 def test_stiffer_of_two_servos_determines_the_drive_type() -> None:
-    assert drive(position(10) + position(-10, 2)) is Drive.WRONG_SIGN  # 10 - 40 N m/rad
-    assert drive(position(10, 2) + position(-10)) is Drive.SERVO
+    """Closed form: stiffness is kp times gear squared."""
+    assert classify_drive(position(10) + position(-10, 2)) is Drive.WRONG_SIGN  # 10 - 40 N m/rad
+    assert classify_drive(position(10, 2) + position(-10)) is Drive.SERVO
 
 
 @pytest.mark.parametrize(("coefficient", "expected"), [(1.0, Drive.TENDON), (0.0, Drive.NONE)])

@@ -1,4 +1,6 @@
-"""A base that is free by slides and hinges, or a ball, is one free base: in every command."""
+"""A base on slides and hinges, or slides and a ball joint, counts as one free base in every
+command.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +40,9 @@ def in_parts(pair: Pair, turning: str, place: str) -> Pair:
 def test_crosscheck_and_convert_read_six_joints_as_a_free_base(
     turning: str, place: str, tmp_path: Path
 ) -> None:
+    """The URDF has a free base; neither files differ nor does the converted URDF contain the
+    slides.
+    """
     pair = in_parts(quadruped(tmp_path), turning, place)
     compared = pa.compare_models(pair.urdf, pair.mjcf)
     assert compared.only_mjcf == ()
@@ -49,6 +54,7 @@ def test_crosscheck_and_convert_read_six_joints_as_a_free_base(
 
 @pytest.mark.slow
 def test_stand_with_six_joints_equals_the_stand_with_a_free_joint(tmp_path: Path) -> None:
+    """Reference: qpos of the same robot with a free joint, within 1e-9."""
     (tmp_path / "whole").mkdir()
     whole = quadruped(tmp_path / "whole")
     pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
@@ -69,6 +75,7 @@ def test_stand_with_six_joints_equals_the_stand_with_a_free_joint(tmp_path: Path
 def test_base_joints_are_not_joined_if_held_or_driven(
     change: tuple[str, str], tmp_path: Path
 ) -> None:
+    """A spring, three slides in one plane, or a motor at the base: the spec keeps its joints."""
     pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
     spec = mujoco.MjSpec.from_file(str(rewritten(pair.mjcf, change)))
     count = len(spec.joints)

@@ -1,4 +1,4 @@
-"""Reading anybody's URDF and MJCF."""
+"""Reading URDF and MJCF files of any source: line numbers, includes, meshes, and refusals."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def write(folder: Path, **files: str) -> Path:
     return folder / f"{next(iter(files))}.xml"
 
 
-def refused(read: Callable[[], object]) -> str:
+def get_refusal(read: Callable[[], object]) -> str:
+    """Return the message of the ModelError that a call raises; it must be one line."""
     with pytest.raises(ModelError) as caught:
         read()
     message = str(caught.value)
@@ -50,7 +51,7 @@ def test_malformed_model_is_refused_at_its_line(case: str, tmp_path: Path) -> No
     content, line, says = corpus.MALFORMED[case]
     path = tmp_path / "model.xml"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    message = refused(lambda: read_model(path))
+    message = get_refusal(lambda: read_model(path))
     assert says in message
     where = re.match(rf"{re.escape(str(path))}(?::(\d+))?: ", message)
     assert where
@@ -80,6 +81,9 @@ def test_urdf_elements_have_line_numbers(tmp_path: Path) -> None:
 
 
 def test_pinocchio_reads_numbers_with_line_breaks(tmp_path: Path) -> None:
+    """Line breaks and tabs in attributes; reference: placement [m] and effort of Pinocchio's
+    model.
+    """
     path = tmp_path / "r.urdf"
     content = '<origin xyz="1\n\t2 3"/><limit effort=" 5 " velocity="1"/>'
     path.write_text(
@@ -92,7 +96,7 @@ def test_pinocchio_reads_numbers_with_line_breaks(tmp_path: Path) -> None:
     assert robot.place("joint", "j", "limit").line == 5
 
 
-def test_harmless_oddities_are_read(tmp_path: Path) -> None:
+def test_byte_order_mark_namespaces_and_gazebo_elements_are_accepted(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(
         '\ufeff<?xml version="1.0" encoding="iso-8859-1"?><!-- <!DOCTYPE x> -->\n'
@@ -121,12 +125,15 @@ def test_shapes_unknown_to_pinocchio_are_handled(
     assert capfd.readouterr() == ("", "")  # it complains of each on standard error
     # Shapes are not as harmless: which of two is meant cannot be told.
     path.write_text(format_urdf(format_link("a", f"<visual>{shape}{shape}</visual>")))
-    assert "<geometry> more than once" in refused(lambda: read_urdf(path))
+    assert "<geometry> more than once" in get_refusal(lambda: read_urdf(path))
 
 
 def test_meshes_are_found_in_the_searched_folders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Relative, package://, model:// and file:// names; ROS_PACKAGE_PATH, parent folders and passed
+    packages.
+    """
     for name in ("ws/robot/meshes/a.stl", "ws/named/x/b.stl", "ros/other/c.stl", "else/d.stl"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
@@ -162,6 +169,7 @@ def test_git_lfs_pointer_as_a_model_is_reported(name: str, tmp_path: Path) -> No
 
 
 def test_pipe_in_place_of_a_mesh_does_not_block(tmp_path: Path) -> None:
+    """Opening a named pipe for reading waits for a writer; the test would not end."""
     os.mkfifo(tmp_path / "k.stl")
     shape = '<visual><geometry><mesh filename="k.stl"/></geometry></visual>'
     (tmp_path / "r.urdf").write_text(format_urdf(format_link("a", shape)))
@@ -175,6 +183,7 @@ def test_pipe_in_place_of_a_mesh_does_not_block(tmp_path: Path) -> None:
 
 
 def test_mjcf_elements_have_line_numbers(tmp_path: Path) -> None:
+    """Elements in the file, in an include and in an include of the include."""
     path = write(
         tmp_path,
         m=format_mjcf(
@@ -208,7 +217,7 @@ def test_mjcf_elements_have_line_numbers(tmp_path: Path) -> None:
     assert model.model.nv == 8
 
 
-def test_cyclic_includes_are_refused(tmp_path: Path) -> None:
+def test_cyclic_deep_and_too_many_includes_are_refused(tmp_path: Path) -> None:
     part = '<mujocoinclude><include file="{}.xml"/></mujocoinclude>'
     twice = part.format("d{0}").replace("><include", '><include file="d{0}.xml"/><include')
     cases: dict[str, dict[str, str]] = {
@@ -222,10 +231,13 @@ def test_cyclic_includes_are_refused(tmp_path: Path) -> None:
     }
     for said, files in cases.items():
         path = write(tmp_path, m=format_mjcf(f'<include file="{next(iter(files))}.xml"/>'), **files)
-        assert said in refused(partial(read_mjcf, path))
+        assert said in get_refusal(partial(read_mjcf, path))
 
 
 def test_attached_models_are_loaded(tmp_path: Path) -> None:
+    """Geom counts of MuJoCo's model with and without the mesh of the attached file; 2^20 attached
+    bodies or files are refused.
+    """
     child = format_mjcf(
         '<compiler meshdir="meshes"/>',
         MESH,
@@ -252,14 +264,14 @@ def test_attached_models_are_loaded(tmp_path: Path) -> None:
     )
     files = {f"a{i}": double.format(i + 1) for i in range(20)}
     path = write(tmp_path, **files, a20=format_mjcf('<worldbody><body name="b"/></worldbody>'))
-    assert "more than 10000 elements" in refused(lambda: read_mjcf(path))
+    assert "more than 10000 elements" in get_refusal(lambda: read_mjcf(path))
     # Each names the next twice: 2^20 files to read.
     double = format_mjcf(
         '<asset><model name="c" file="d{0}.xml"/><model name="d" file="d{0}.xml"/></asset>'
     )
     files = {f"d{i}": double.format(i + 1) for i in range(20)}
     path = write(tmp_path, **files, d20=format_mjcf())
-    assert "more than 1000 includes" in refused(lambda: read_mjcf(path))
+    assert "more than 1000 includes" in get_refusal(lambda: read_mjcf(path))
 
 
 @pytest.mark.parametrize(
@@ -275,6 +287,7 @@ def test_attached_models_are_loaded(tmp_path: Path) -> None:
 def test_mesh_folders_equal_those_of_mujoco(
     compiler: str, file: str, there: str, tmp_path: Path
 ) -> None:
+    """Reference: MuJoCo compiles the mesh if it is in this folder."""
     asset = f'<asset><mesh name="k" file="{file.format(tmp_path)}"/></asset>'
     path = write(tmp_path, m=format_mjcf(f"<compiler {compiler}/>", asset, WITH_MESH))
     missing = read_mjcf(path)
@@ -329,6 +342,9 @@ def test_flat_meshes_become_shells_if_massless(tmp_path: Path) -> None:
 def test_missing_mesh_is_refused_if_it_defines_mass(
     compiler: str, inertial: str, geom: str, needed: bool, tmp_path: Path
 ) -> None:
+    """Without the mesh the mass of the body would be wrong; it defines no mass if the body has an
+    inertial or the geom a mass of zero, for example.
+    """
     path = write(
         tmp_path,
         m=format_mjcf(
@@ -339,7 +355,7 @@ def test_missing_mesh_is_refused_if_it_defines_mass(
         ),
     )
     if needed:
-        message = refused(lambda: read_mjcf(path))
+        message = get_refusal(lambda: read_mjcf(path))
         assert message.startswith(f"{path}:4: body 'trunk' takes its mass from geom 'g'")
         assert "'k.obj'" in message
     else:
@@ -347,6 +363,9 @@ def test_missing_mesh_is_refused_if_it_defines_mass(
 
 
 def test_elements_with_missing_files_are_omitted(tmp_path: Path) -> None:
+    """Counts of geoms, meshes, textures, materials, sensors and tuples in MuJoCo's model; a contact
+    pair that refers to an omitted geom is refused.
+    """
     lines = [
         '<asset><mesh name="k" file="k.obj"/>',
         '<texture name="t" type="2d" file="t.png"/><material name="m" texture="t"/>',
@@ -368,7 +387,7 @@ def test_elements_with_missing_files_are_omitted(tmp_path: Path) -> None:
     said = " ".join(map(str, model.notes))
     assert all(file in said for file in ("(k.obj)", "(t.png, up.png)"))
     path = write(tmp_path, m=format_mjcf(*lines, '<contact><pair geom1="g" geom2="s"/></contact>'))
-    assert "m.xml:10: MuJoCo cannot compile it: " in refused(lambda: read_mjcf(path))
+    assert "m.xml:10: MuJoCo cannot compile it: " in get_refusal(lambda: read_mjcf(path))
 
 
 DANGLING = {
@@ -401,12 +420,12 @@ def test_reference_to_a_missing_element_is_refused_at_its_line(
         MESH if missing_mesh else "", f"{BODY}{drawn}</body></worldbody>", DANGLING[kind]
     )
     path = write(tmp_path, m=text)
-    message = refused(lambda: read_mjcf(path))
+    message = get_refusal(lambda: read_mjcf(path))
     assert message.startswith(f"{path}:4: MuJoCo cannot compile it: ")
     assert "'nix'" in message or kind == "camera target"  # of which MuJoCo does not tell the name
     file = read_model(path)
     assert isinstance(file, MjcfFile)
     assert file.refusal is not None
-    assert refused(lambda: file.model) == message
+    assert get_refusal(lambda: file.model) == message
     if not missing_mesh and kind != "camera target":
         assert mujoco.MjSpec.from_string(text).copy().compile().nbody == 2

@@ -51,6 +51,7 @@ def test_robot_of_a_clone_above_is_found_by_name_without_the_package(
 
 
 def test_robot_is_read_from_the_cache_of_the_package(here: Path) -> None:
+    """Reference: the folder of the package's own cache; nothing is downloaded."""
     menagerie = pytest.importorskip("mujoco_menagerie")
     with pytest.raises(ModelError, match="python -m mujoco_menagerie prefetch unitree_go2"):
         find_file("unitree_go2/go2.xml")

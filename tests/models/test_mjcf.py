@@ -1,4 +1,6 @@
-"""Specs are written without loss, and numbers that nobody can reckon with are refused by name."""
+"""MJCF specs are written without loss, and numbers that no computation can use are refused by
+name.
+"""
 
 from __future__ import annotations
 
@@ -64,6 +66,9 @@ WORLD, TOO_MUCH = "<worldbody>", ("0 0 1e300", "1e300 0 -9.81", "0 nan -9.81")
     ],
 )
 def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    """NaN, infinite and huge numbers in reading, comparing and compiling; `audit` reports the same
+    text.
+    """
     text = mjcf_text(quadruped())
     assert old in text
     files = write(tmp_path, urdf_text(quadruped()), text.replace(old, new, 1))
@@ -81,6 +86,7 @@ def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, said: s
 
 @pytest.mark.parametrize("word", ["%s%n", "a%20s", "%-5.3ls"])
 def test_names_that_are_formats_are_refused(tmp_path: Path, word: str) -> None:
+    """MuJoCo uses the name of a class as a format string, and crashes on `%s`."""
     file = tmp_path / "robot.xml"
     file.write_text(
         mjcf_text(quadruped()).replace('<site name="foot0"', f'<geom class="{word}"/><site name=""')

@@ -1,4 +1,6 @@
-"""The parameters of a model: nothing is lost on the way, and turned frames are no difference."""
+"""Parameters of multibody models: conversions keep all values, and rotated frames are no
+difference.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +20,9 @@ from tests.support.variants import load
 
 
 def test_damping_and_armature_of_a_free_joint_are_kept(tmp_path: Path) -> None:
+    """Reference: the values of the MJCF, and of all hinges, after the conversion to Pinocchio and
+    back.
+    """
     free = '<joint type="free" damping="0.5" armature="0.3"/>'
     text = mjcf_text(quadruped()).replace("<freejoint/>", free)
     robot = matched(write(tmp_path, urdf_text(quadruped()), text)).robot

@@ -1,4 +1,6 @@
-"""Files as they are found in the wild: other endings, pointers for meshes, blocks of MuJoCo's."""
+"""Unusual files of public robots: MuJoCo blocks in URDFs, Git LFS pointers in place of meshes, long
+chains.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ POINTER = (
 )
 
 
-def test_a_urdf_with_a_block_for_mujoco_keeps_its_column(tmp_path: Path) -> None:
+def test_urdf_with_a_mujoco_block_is_compared_in_mujoco(tmp_path: Path) -> None:
     block = '<mujoco><compiler meshdir="meshes" balanceinertia="true"/></mujoco></robot>'
     comparison = compared(write(tmp_path, URDF.replace("</robot>", block), MJCF))
     assert comparison.agree

@@ -1,4 +1,4 @@
-"""Models by a description's name, and as xacro: both packages are stand-ins here."""
+"""Models of robot_descriptions and of xacro files; stubs replace both packages."""
 
 from __future__ import annotations
 
@@ -60,6 +60,9 @@ def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_description_is_read_only_from_its_cache(descriptions: Path) -> None:
+    """The package's own function would download; it is called neither for an empty cache nor for a
+    full one.
+    """
     with pytest.raises(ModelError, match="python -m robot_descriptions pull rex_description"):
         find_file("robot_descriptions:rex_description")
     file = descriptions / "zoo" / "rex" / "rex.urdf"
@@ -132,7 +135,7 @@ def test_missing_ros_package_names_the_option(tmp_path: Path) -> None:
         ("bare_description", "has neither a URDF nor an MJCF"),
     ],
 )
-def test_other_names_are_refused(name: str, message: str) -> None:
+def test_unknown_descriptions_are_refused(name: str, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         find_file(f"robot_descriptions:{name}")
 
@@ -152,6 +155,9 @@ class _Expanded:
 def test_xacro_is_expanded_if_it_is_installed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The stub returns the expansion: its included file counts as read, elements have no line, and
+    errors of xacro are reported in one sentence.
+    """
     file = tmp_path / "rex.urdf.xacro"
     file.write_text('<robot name="rex" xmlns:xacro="http://ros.org/wiki/xacro"/>')
     package = types.ModuleType("xacro")

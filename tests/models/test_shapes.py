@@ -1,4 +1,6 @@
-"""Shapes by what they are the sum of, against MuJoCo's distances, masses and hulls."""
+"""Collision shapes as sums of simple parts (support functions), compared with MuJoCo's distances,
+masses and hulls.
+"""
 
 from __future__ import annotations
 
@@ -68,6 +70,9 @@ def quaternion_from_z(normal: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", SIZES)
 def test_no_point_of_a_shape_is_beyond_its_support(kind: str) -> None:
+    """Reference: the projection of the shape's points on 200 random directions [m]; the points
+    reach 90 % of the extent.
+    """
     shape, directions = read_shape(model_of(kind), 1), directions_of(5)
     reach, points = shape.support(directions), shape.points
     assert reach is not None
@@ -107,6 +112,7 @@ def test_mesh_shape_is_its_convex_hull() -> None:
 
 
 def test_a_placed_shape_is_moved_with_its_body() -> None:
+    """Closed form: h(d) = d . p + h0(R^T d)."""
     pose = Pose(np.array([1.0, 2.0, 3.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
     shape, directions = read_shape(model_of("cylinder"), 1), directions_of(1)
     there, here = (

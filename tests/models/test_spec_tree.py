@@ -1,4 +1,4 @@
-"""Edits of an MJCF's bodies: what MuJoCo then compiles."""
+"""Edits of an MJCF's bodies, compared with the model that MuJoCo compiles."""
 
 from __future__ import annotations
 

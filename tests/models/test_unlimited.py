@@ -40,6 +40,7 @@ KNEE = 'lower="-2.6" upper="-0.4" effort="80"'
 def test_a_hinge_is_unlimited_if_its_limit_element_states_no_range(
     limit: str, free: bool, tmp_path: Path
 ) -> None:
+    """All knees; `audit` still reports the range of the file as empty."""
     urdf = edited(quadruped(tmp_path).urdf, (KNEE, limit))
     notes = [note for note in read_urdf(urdf).notes if note.code == "range-unstated"]
     assert bool(notes) is free
@@ -61,6 +62,9 @@ def test_a_slide_without_a_range_stays_locked(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_range_of_the_mjcf_counts_if_the_urdf_states_none(tmp_path: Path) -> None:
+    """Reference: -2.6 to -0.4 rad of the MJCF. The comparison reports the limits unless the MJCF
+    has none either.
+    """
     pair = quadruped(tmp_path)
     edited(pair.urdf, (KNEE, 'effort="80"'))
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
@@ -78,6 +82,7 @@ def test_the_range_of_the_mjcf_counts_if_the_urdf_states_none(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_converted_hinge_is_unlimited_if_the_urdf_states_no_range(tmp_path: Path) -> None:
+    """Reference: `jnt_limited` of MuJoCo's compiled model."""
     urdf = edited(write_standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures

@@ -116,6 +116,7 @@ def test_blank_lines_before_the_xml_declaration_are_accepted(files: Any, mark: s
 
 
 def test_white_space_before_other_content_does_not_hide_a_doctype(tmp_path: Path) -> None:
+    """A DOCTYPE may define entities, so it is refused on any line."""
     path = tmp_path / "r.urdf"
     path.write_text('\n<?xml version="1.0"?>\n<!DOCTYPE r [<!ENTITY x "y">]><robot name="&x;"/>')
     with pytest.raises(ModelError, match=r"r\.urdf:3: .*DOCTYPE"):

@@ -1,4 +1,4 @@
-"""Which body of an MJCF is the robot's base: not what lies about in its scene."""
+"""The body of an MJCF that is the robot's base, in scenes with other bodies."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ def base_of(folder: Path, *bodies: str) -> str:
     return read_mjcf_model(read_mjcf(file)).base
 
 
-def test_the_base_is_the_heaviest_that_is_free_and_moves_by_itself(tmp_path: Path) -> None:
+def test_base_is_the_heaviest_free_body_with_joints(tmp_path: Path) -> None:
+    """A crate of 100 kg has no joints, and a held robot of 50 kg is not free; each is the base only
+    if no other body qualifies.
+    """
     light = ROBOT.format(name="light", mass=1, free="<freejoint/>")
     heavy = ROBOT.format(name="heavy", mass=2, free="<freejoint/>")
     held = ROBOT.format(name="held", mass=50, free="")
