@@ -35,6 +35,11 @@ _CHUNK_BYTES: Final = 1 << 20
 _MAX_KEY_LENGTH: Final = 500
 """Maximum number of characters of a TOML key. Error messages contain the key."""
 
+_MAX_VALUE_LENGTH: Final = 4096
+"""Maximum number of characters of a text in a TOML file, the longest path of Linux. Error messages
+contain the text.
+"""
+
 
 def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
     """Raise an error unless the path is a regular file (links followed) of limited size.
@@ -141,7 +146,8 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
 
     Raises:
         InputError: If the file cannot be read, is no UTF-8 text, is no valid TOML (with the line,
-            if known), or has a key longer than `_MAX_KEY_LENGTH`.
+            if known), or has a key longer than `_MAX_KEY_LENGTH` or a text longer than
+            `_MAX_VALUE_LENGTH`.
         OutputError: If the run will write this file.
     """
     text = decode_input(path, read_input(path, MAX_TEXT_BYTES))
@@ -152,12 +158,15 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         problem = diagnose("not-toml", problem=" ".join(str(error).split()))
         raise InputError(path, problem, int(match[1]) if match else None) from error
     tables: list[Any] = [values]
-    for table in tables:  # the loop body appends nested tables; error messages contain the key
+    for table in tables:  # the loop body appends nested values; error messages contain the key
         if isinstance(table, dict):
             for key in table:
                 if len(key) > _MAX_KEY_LENGTH:
                     message = diagnose("toml-key-too-long", begins=key[:40], most=_MAX_KEY_LENGTH)
                     raise InputError(path, message)
+        elif isinstance(table, str) and len(table) > _MAX_VALUE_LENGTH:
+            message = diagnose("toml-text-too-long", begins=table[:40], most=_MAX_VALUE_LENGTH)
+            raise InputError(path, message)
         if isinstance(table, dict | list):
             tables += table.values() if isinstance(table, dict) else table
     return text, values
