@@ -381,9 +381,12 @@ _TOUCH_CODE = "body-touches-ground"
 
 
 def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Replace two or more failures of bodies that touch the ground by one, with the first time."""
+    """Replace two or more failures of bodies that touch the ground by one, with the first time.
+
+    Failures of bodies that touch the step, plane or bar of a foot or hand stay as they are.
+    """
     failures = tuple(failures)
-    touches = [failure for failure in failures if failure.code == _TOUCH_CODE]
+    touches = [one for one in failures if one.code == _TOUCH_CODE and not one.values.get("surface")]
     names = [failure.subject.name for failure in touches if failure.subject is not None]
     if len(names) < 2:
         return failures
@@ -394,7 +397,7 @@ def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...
         time=min(times, key=lambda time: time.value, default=None),
     )
     place = failures.index(touches[0])
-    others = [failure for failure in failures if failure.code != _TOUCH_CODE]
+    others = [failure for failure in failures if failure not in touches]
     return (*others[:place], joined, *others[place:])
 
 

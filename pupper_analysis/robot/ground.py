@@ -23,11 +23,11 @@ from pupper_analysis.base.arguments import (
     check_length,
 )
 from pupper_analysis.base.arrays import quaternion_from_rotation
-from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.units import find_untyped_degrees
-from pupper_analysis.robot.plane import Plane, slope_normal
+from pupper_analysis.robot.plane import Plane, describe_surface, slope_normal
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
@@ -116,6 +116,21 @@ class Ground:
         ground = replace(self)
         object.__setattr__(ground, "_planes", FrozenDict(planes))
         return ground
+
+    def describe_surface(self, foot: str) -> Diagnostic | None:
+        """Describe the step, plane or bar under a foot or hand, for messages: "wall of left_palm".
+
+        Args:
+            foot: Foot or hand; empty for the floor.
+
+        Returns:
+            Kind of the surface, with the foot; None for the floor.
+        """
+        if foot in self._planes:
+            plane = self._planes[foot]
+            kind = "bar" if getattr(plane, "bar", None) is not None else plane.kind
+            return describe_surface(kind, foot)
+        return describe_surface("step", foot) if foot in self.heights else None
 
     def normal(self, foot: str | None = None) -> Array:
         """Return the unit normal of the ground under a foot, shape (3,), in the world frame.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
-from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.units import READ_IN, UNIT_FACTORS, find_untyped_degrees
 
@@ -444,6 +444,16 @@ KINDS: dict[str, Point] = {
     "ceiling": (0.0, 0.0, -1.0),
 }
 """{kind of plane: unit normal towards the robot, in the world frame}."""
+
+
+def describe_surface(kind: str, foot: str) -> Diagnostic:
+    """Describe the surface that a foot or hand touches instead of the floor: "wall of left_palm".
+
+    Args:
+        kind: Key of ``KINDS``, ``"bar"`` or ``"step"``; empty for a plane with another normal.
+        foot: Foot or hand.
+    """
+    return diagnose("surface-of-contact", kind=Term(kind or "plane"), contact=foot)
 
 
 def slope_normal(angle: float, uphill: float) -> Point:

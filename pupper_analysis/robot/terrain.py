@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import quaternion_from_rotation
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.contact import ContactParameters
+from pupper_analysis.robot.contact import ContactParameters, ground_geom
 from pupper_analysis.robot.floor import find_floor, is_fixed, rotate_floor
 from pupper_analysis.robot.ground import Ground
+from pupper_analysis.robot.plane import KINDS, describe_surface
 from pupper_analysis.robot.robot import Robot, Touching
 
 Array = NDArray[np.float64]
@@ -137,6 +138,63 @@ def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dic
     return {name: data.efc_force[_find_rows(data, weld_id)[:3]] for name, weld_id in welds.items()}
 
 
+def find_touched_surface(
+    model: mujoco.MjModel, data: mujoco.MjData, body: str
+) -> Diagnostic | None:
+    """Describe the step, plane or bar of a task that a body touches, for messages.
+
+    Args:
+        model: Model with the ground of a task (`build_on_ground`).
+        data: Data after ``mj_collision``.
+        body: Name of the body.
+
+    Returns:
+        Kind of the surface, with its foot or hand, such as "wall of left_palm". None if the body
+        touches the floor, or none of these surfaces.
+    """
+    body_id, surface = model.body(body).id, None
+    for pair in data.contact.geom.tolist():
+        bodies = [int(model.geom_bodyid[geom]) for geom in pair]
+        if sorted(bodies) != [0, body_id]:
+            continue
+        geom = pair[bodies.index(0)]
+        prefix, _, foot = model.geom(geom).name.partition("_")
+        if prefix not in (_STEP_PREFIX, _TOP_PREFIX):
+            return None
+        surface = describe_surface(_find_surface_kind(model, geom), foot)
+    return surface
+
+
+def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
+    """Return the kind of a step, plane or bar in the model: a key of ``KINDS``, "bar" or "step".
+
+    A step, and a plane parallel to the ground, is "step". The result is empty for another plane.
+
+    Args:
+        model: Model with the ground of a task.
+        geom: Id of the geom.
+    """
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER.value:
+        return "bar"
+    normals = np.zeros((2, 3))
+    ground = ground_geom(model)
+    for normal, of in zip(normals, (geom, geom if ground is None else ground), strict=True):
+        mujoco.mju_rotVecQuat(normal, np.array([0.0, 0.0, 1.0]), model.geom_quat[of])
+    if np.allclose(normals[0], normals[1], atol=_NORMAL_ATOL):
+        return "step"
+    kinds = (kind for kind, out in KINDS.items() if np.allclose(normals[0], out, atol=_NORMAL_ATOL))
+    return next(kinds, "")
+
+
+_NORMAL_ATOL = 1e-6
+"""Tolerance of the components of unit normals that count as equal, above the rounding of
+quaternions. Chosen, not tuned."""
+
+_STEP_PREFIX, _TOP_PREFIX = "step", "top"
+"""Start of the names of geoms for a step, plane or bar, and for the plane on top of a box. The name
+of the foot follows after an underscore."""
+
+
 def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
     """Return the constraint rows of an equality; translations before rotations."""
     is_equality = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
@@ -195,7 +253,7 @@ def _add_ground(
     max_priority = max(int(geom.priority) for geom in spec.geoms)
     for foot, step in steps.items():
         box = spec.worldbody.add_geom(
-            name=f"step_{foot}",
+            name=f"{_STEP_PREFIX}_{foot}",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER if step.round else mujoco.mjtGeom.mjGEOM_BOX,
             size=np.take(step.half, (0, 2, 2)) if step.round else step.half,
             pos=step.centre,
@@ -210,7 +268,7 @@ def _add_ground(
         if foot in soles:
             box.contype, box.conaffinity = 0, floor.conaffinity
             top = spec.worldbody.add_geom(
-                name=f"top_{foot}",
+                name=f"{_TOP_PREFIX}_{foot}",
                 type=mujoco.mjtGeom.mjGEOM_PLANE,
                 size=(*step.half[:2], 0.01),
                 pos=step.top,

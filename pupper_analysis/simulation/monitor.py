@@ -29,7 +29,7 @@ from pupper_analysis.robot.fall import (
     tilt_between,
 )
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.terrain import weld_forces
+from pupper_analysis.robot.terrain import find_touched_surface, weld_forces
 from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.stance.stand import Stand
 
@@ -258,6 +258,16 @@ class ContactSampler:
         mujoco.mj_collision(self._model, self.data)
         return contact.bodies_on_ground(self._model, self.data, self._robot.foot_geoms)
 
+    def find_surface(self, body: str) -> Diagnostic | None:
+        """Describe the step, plane or bar that a body touches in the state evaluated last.
+
+        None if the body touches the floor, or none of these surfaces.
+
+        Args:
+            body: Name of the body.
+        """
+        return find_touched_surface(self._model, self.data, body)
+
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
     """Return the centres of the contact points in MuJoCo's data.
@@ -455,6 +465,7 @@ def record_contacts(
     sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
     touched: dict[str, float] = {}
+    surfaces: dict[str, Diagnostic | None] = {}
     unloaded: dict[str, float] = {}
     torques = np.zeros(robot.nu)
     total = {name: np.zeros(3) for name in (*robot.feet, *robot.welds)}
@@ -472,6 +483,7 @@ def record_contacts(
             pressed |= find_pushing_bodies(model, sampler.data, min_force)
         else:
             touched |= dict.fromkeys(sample.bodies, sample.time)
+            surfaces |= {body: sampler.find_surface(body) for body in sample.bodies}
             touched |= {foot: sample.time for foot in sample.forces if foot not in carrying}
         unloaded |= dict.fromkeys(sample.unloaded_feet(carrying), sample.time)
         if index in last_second:
@@ -484,7 +496,12 @@ def record_contacts(
             for foot, centre in foot_centres(robot, sampler.data).items():
                 feet[foot] += centre
     failures = [
-        diagnose("body-touches-ground", subject=("body", body), time=Quantity(moment, "s"))
+        diagnose(
+            "body-touches-ground",
+            subject=("body", body),
+            surface=surfaces.get(body),
+            time=Quantity(moment, "s"),
+        )
         for body, moment in sorted(touched.items())
     ]
     failures += [

@@ -41,10 +41,13 @@ class Clearance(Result):
     Attributes:
         distance: Distance (m); negative for a penetration depth.
         links: The two links, or the link nearest to the ground.
+        surface: Foot or hand whose step, plane or bar is nearest to the link; empty for the floor,
+            and for two links.
     """
 
     distance: float = field(metadata={"unit": "m"})
     links: tuple[str, ...]
+    surface: str = ""
 
 
 class OffGround(NamedTuple):
@@ -59,6 +62,23 @@ class OffGround(NamedTuple):
     number: int
     shape: CarriedShape
     sunk: str | None
+
+
+class SurfaceDistance(NamedTuple):
+    """Distance of a shape from the nearest surface of the ground.
+
+    Attributes:
+        surface: Foot or hand whose step, plane or bar is the surface; empty for the floor.
+        near: Result of coal.
+    """
+
+    surface: str
+    near: coal.DistanceResult
+
+    @property
+    def distance(self) -> float:
+        """Distance of the shape from the surface [m]; minus the penetration depth in it."""
+        return float(self.near.min_distance)
 
 
 class SolidPair(NamedTuple):
@@ -266,7 +286,10 @@ class ClearanceShapes:
         if not heights:
             return None
         lowest = min(heights)
-        return Clearance(lowest, (self.parts[heights.index(lowest)].shape.link,))
+        index = heights.index(lowest)
+        surfaces = () if _is_plane(ground) else [*self._measure_above_steps(at, ground, targets)]
+        surface = surfaces[index].surface if surfaces else ""
+        return Clearance(lowest, (self.parts[index].shape.link,), surface)
 
     def measure_part_heights(
         self,
@@ -299,9 +322,7 @@ class ClearanceShapes:
             normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _LEVEL_NORMAL
             heights = [height(at.links[link], normal) for height, link in self._heights]
         else:
-            heights = [
-                float(near.min_distance) for near in self._measure_above_steps(at, ground, targets)
-            ]
+            heights = [one.distance for one in self._measure_above_steps(at, ground, targets)]
         return [
             height if part.sunk is None else height + depths.get(part.sunk, 0.0)
             for height, part in zip(heights, self.parts, strict=True)
@@ -324,7 +345,7 @@ class ClearanceShapes:
             ends = [(s.form.find_lowest_point(there.links[s.link], normal), normal) for s in shapes]
         else:
             steps = self._measure_above_steps(there, ground, targets)
-            ends = [(near.getNearestPoint1(), -near.normal) for near in steps]
+            ends = [(one.near.getNearestPoint1(), -one.near.normal) for one in steps]
         rates = [
             out @ at.point_jacobian(part.shape.link, point)
             for part, (point, out) in zip(self.parts, ends, strict=True)
@@ -337,7 +358,7 @@ class ClearanceShapes:
 
     def _measure_above_steps(
         self, at: Kinematics, ground: Ground, targets: Mapping[str, Array]
-    ) -> Iterator[coal.DistanceResult]:
+    ) -> Iterator[SurfaceDistance]:
         """Yield the smallest distance [m] of each of ``parts`` to the slope and all steps.
 
         The surface that a hand touches does not count for parts on the link of this hand.
@@ -353,9 +374,12 @@ class ClearanceShapes:
             obstacles.append((foot, box, coal.Transform3s(step.rotation, step.centre)))
         for part in self.parts:
             own = part.shape.form.collision, where[part.number]
-            others = [o for foot, *o in obstacles if self._hands.get(foot) != part.shape.joint]
-            near = [measure_distance(*own, *obstacle) for obstacle in others]
-            yield min(near, key=lambda result: float(result.min_distance))
+            distances = [
+                SurfaceDistance(foot, measure_distance(*own, *obstacle))
+                for foot, *obstacle in obstacles
+                if self._hands.get(foot) != part.shape.joint
+            ]
+            yield min(distances, key=lambda result: result.distance)
 
     def _list_parts(self) -> Iterator[OffGround]:
         """Yield each shape of the robot that is no foot and must stay above the ground.

@@ -222,7 +222,7 @@ class Stand(Pictured, Tabular):
             )
         for near, least in self._clearances():
             if near.distance < least - CLEARANCE_TOLERANCE:
-                violations.append(_describe_clearance(near))
+                violations.append(_describe_clearance(near, self.task.ground))
         return tuple(violations)
 
     def _clearances(self) -> Iterator[tuple[Clearance, float]]:
@@ -332,13 +332,16 @@ def attach_robot(stand: Stand, robot: Robot | None) -> Stand:
     return stand
 
 
-def _describe_clearance(near: Clearance) -> Diagnostic:
-    """Describe a violated clearance."""
+def _describe_clearance(near: Clearance, ground: Ground) -> Diagnostic:
+    """Describe a violated clearance; ``ground`` is the ground of the task."""
     overlaps, link = near.distance < 0, ("link", near.links[0])
     distance = Quantity(abs(near.distance), "m")
     if len(near.links) == 1:
         return diagnose(
-            "part-in-ground" if overlaps else "part-above-ground", subject=link, distance=distance
+            "part-in-ground" if overlaps else "part-above-ground",
+            subject=link,
+            distance=distance,
+            surface=ground.describe_surface(near.surface),
         )
     return diagnose(
         "links-overlap" if overlaps else "links-too-near",

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.diagnostics import Quantity, Term, diagnose
 from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.present.verdict import (
     format_verdict,
@@ -272,10 +272,15 @@ def test_bodies_that_touch_the_ground_are_one_failure_with_the_first_time() -> N
     """Reference: the two failures of which the joined failure consists."""
     fall = diagnose("base-sags", height=Quantity(0.1, "m"))
     touches = [
-        diagnose("body-touches-ground", subject=("body", name), time=Quantity(time, "s"))
+        diagnose(
+            "body-touches-ground", subject=("body", name), surface=None, time=Quantity(time, "s")
+        )
         for name, time in (("shank", 2.5), ("thigh", 1.25))
     ]
-    joined = join_ground_touches((*touches, fall))
+    wall = diagnose("surface-of-contact", kind=Term("wall"), contact="hand")
+    on_wall = diagnose("body-touches-ground", subject=("body", "arm"), surface=wall, time=None)
+    joined = join_ground_touches((*touches, on_wall, fall))
     assert str(joined[0]) == "shank, thigh touch the ground, the first at 1.25 s"
-    assert joined[1:] == (fall,)
+    assert str(on_wall) == "arm touches the wall of hand"
+    assert joined[1:] == (on_wall, fall)
     assert join_ground_touches((touches[0], fall)) == (touches[0], fall)

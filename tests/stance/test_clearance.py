@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.terrain import build_on_ground
+from pupper_analysis.robot.terrain import build_on_ground, find_touched_surface
 from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.engines import evaluate_mujoco
 from tests.support.states import random_state
@@ -174,3 +174,65 @@ def test_height_jacobian_equals_central_differences(name: str, ground: pa.Ground
                 )
             rates_found = (ends[0] - ends[1]) / 2e-4
             np.testing.assert_allclose(rates[:, column], rates_found, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "normal"),
+    [("ceiling", (0.0, 0.0, -1.0)), ("plane", (1.0, 0.0, 0.0)), ("step", (0.0, 0.0, 1.0))],
+)
+def test_messages_name_the_surface_that_a_part_touches(
+    kind: str, normal: tuple[float, float, float]
+) -> None:
+    """A part inside the box of a foot is not said to be in the ground, in PlaCo as in MuJoCo.
+
+    Reference: names of the geoms in MuJoCo's contacts.
+    """
+    robot = load("v3")
+    place = np.array(pa.solve_stand(robot).contact_points["FR"])
+    place[2] = 0.2
+    plane = pa.Plane(tuple(place.tolist()), normal)
+    centres = {**pa.solve_stand(robot).foot_targets, "FR": place}
+    ground = pa.Ground(heights={"FR": 0.2} if kind == "step" else {})
+    ground = ground if kind == "step" else ground.with_planes({"FR": plane})
+    there, shapes = build_on_ground(robot, ground, centres), ClearanceShapes(robot)
+    qpos = np.array(robot.home)
+    geom = shapes_of(robot, robot.mj_model.body("leg_front_r_2").id)[0]
+    inside = place - 0.015 * np.array(normal)  # m
+    qpos[:3] += inside - evaluate_mujoco(robot, qpos).geom_xpos[geom]
+    found = shapes.find_lowest_part(shapes.move_to(qpos), ground, centres, {})
+    assert found is not None
+    assert (found.surface, found.distance < 0) == ("FR", True)
+    assert str(ground.describe_surface(found.surface)) == f"{kind} of FR"
+    data = evaluate_mujoco(there, qpos)
+    touched = find_touched_surface(there.mj_model, data, "leg_front_r_2")
+    assert str(touched) == f"{kind} of FR"
+
+
+def test_part_in_the_floor_beside_a_step_touches_no_step() -> None:
+    """Reference: the floor is the only geom in MuJoCo's contacts of the part."""
+    robot = load("v3")
+    centres = pa.solve_stand(robot).foot_targets
+    ground = pa.Ground(heights={"FR": 0.02})
+    there, shapes = build_on_ground(robot, ground, centres), ClearanceShapes(robot)
+    qpos = np.array(robot.home)
+    qpos[2] -= 0.1
+    qpos[0] += 1.0
+    found = shapes.find_lowest_part(shapes.move_to(qpos), ground, centres, {})
+    assert found is not None
+    assert (found.surface, ground.describe_surface(found.surface)) == ("", None)
+    data = evaluate_mujoco(there, qpos)
+    assert find_touched_surface(there.mj_model, data, found.links[0]) is None
+
+
+def test_refused_clearance_names_the_wall_of_the_contact() -> None:
+    """In both languages; without a plane nearby the message names the ground, as before."""
+    robot = load("v3")
+    x, y, _ = (float(value) for value in pa.solve_stand(robot).contact_points["FR"])
+    place = (x, y, 0.02)
+    ceiling = pa.Contact(pa.Plane(place, (0.0, 0.0, -1.0)), place)
+    task = pa.StandTask(contacts={"FR": ceiling}, ground_clearance=0.02)
+    with pytest.raises(pa.StanceUnreachableError) as refusal:
+        pa.solve_stand(robot, task)
+    (blocked,) = refusal.value.blocked
+    assert blocked.text("en").endswith("mm from the ceiling of FR")
+    assert "FR 的顶面" in blocked.text("zh")

@@ -34,7 +34,7 @@ from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import compute_command_lead
 from pupper_analysis.robot.stability import HOLD_DURATION
-from pupper_analysis.robot.terrain import build_on_ground
+from pupper_analysis.robot.terrain import build_on_ground, find_touched_surface
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.posture import LIMIT_TOLERANCE
 from pupper_analysis.stance.sag.equilibrium import (
@@ -814,8 +814,11 @@ def _find_failures(
         mujoco.mj_comPos(robot.mj_model, data)
         mujoco.mj_collision(robot.mj_model, data)
         others = contact.bodies_on_ground(robot.mj_model, data, robot.foot_geoms)
+        surfaces = {
+            body: find_touched_surface(robot.mj_model, data, body) for body in sorted(others)
+        }
     failures += [
-        diagnose("body-touches-ground", subject=("body", body), time=None)
-        for body in sorted(others)
+        diagnose("body-touches-ground", subject=("body", body), surface=surface, time=None)
+        for body, surface in surfaces.items()
     ]
     return tuple(failures)

@@ -533,7 +533,12 @@ def _check_states(
     for index in evaluations:
         sight = watcher.sample(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
         found = [
-            diagnose("body-touches-ground", subject=("body", body), time=None)
+            diagnose(
+                "body-touches-ground",
+                subject=("body", body),
+                surface=watcher.find_surface(body),
+                time=None,
+            )
             for body in sorted(sight.bodies)
         ]
         goal = plan.qpos[index]

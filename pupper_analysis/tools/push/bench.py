@@ -336,7 +336,11 @@ class PushBench:
                 next_bound = index + _NUM_SAMPLES_NEAR_GROUND
             if touching := sorted(self.watcher.find_ground_bodies(samples[index])):
                 moment = Quantity(self.watcher.data.time, "s")
-                return diagnose("body-touches-ground", subject=("body", touching[0]), time=moment)
+                body = touching[0]
+                surface = self.watcher.find_surface(body)
+                return diagnose(
+                    "body-touches-ground", subject=("body", body), surface=surface, time=moment
+                )
             index += 1
         return None
 
