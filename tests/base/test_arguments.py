@@ -1,4 +1,4 @@
-"""Wrong arguments of every public function are refused by name, and by nothing else."""
+"""Wrong arguments of each public function raise an error of the package that names the argument."""
 
 from __future__ import annotations
 
@@ -84,6 +84,9 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
 def test_wrong_arguments_raise_errors_of_the_package(
     name: str, usual: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Each argument gets values of wrong type and range; the message has one line, and there is at
+    least one refusal per argument.
+    """
     monkeypatch.chdir(tmp_path)
     function = OFFERED[name]
     parameters = inspect.signature(function).parameters
@@ -125,14 +128,14 @@ def _fits(junk: object, hint: str) -> bool:
 
 @pytest.mark.parametrize("field", [*pa.StandTask.__dataclass_fields__])
 @pytest.mark.parametrize("junk", [object(), b"x", 1e308, float("nan"), [None], {"x": None}, {5: 1}])
-def test_wrong_task_raises(field: str, junk: Any) -> None:
+def test_invalid_field_of_a_task_raises_by_name(field: str, junk: Any) -> None:
     with pytest.raises(pa.ConfigurationError, match=field.split("_")[0]):
         pa.solve_stand(load("v3"), pa.StandTask(**{field: junk}))
 
 
 @pytest.mark.parametrize("kind", [pa.Ground, pa.matching.Tolerances, pa.pupper.VariantSpec])
 @pytest.mark.parametrize("junk", [object(), b"x", [None], {5: 1}])
-def test_wrong_values_raise(kind: type, junk: Any) -> None:
+def test_invalid_field_of_a_dataclass_raises(kind: type, junk: Any) -> None:
     names = [one.name for one in fields(kind) if one.init]
     assert names
     for field in names:
@@ -179,6 +182,7 @@ def test_check_type_accepts_only_the_annotated_type() -> None:
 
 @pytest.mark.parametrize("junk", [object(), 1.0, b"x", [None]])
 def test_studies_and_reports_raise_for_wrong_arguments(junk: Any, tmp_path: Path) -> None:
+    """No file is written."""
     calls: dict[str, Callable[[], object]] = {
         "table": lambda: pa.study.pareto_front(junk, {"mass": "min"}),
         "study": lambda: pa.study.study_outcome(junk, tmp_path / "x"),

@@ -1,4 +1,4 @@
-"""Arrays: turns and cross products against NumPy's and SciPy's."""
+"""Cross products and rotations, compared with NumPy and SciPy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables as CSV: what spreadsheets would execute is text in them, and is read back as it was."""
+"""CSV tables: texts that spreadsheets would execute are escaped, and are read back unchanged."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def test_stand_writes_a_joint_whose_name_is_a_formula_as_text(tmp_path: Path) ->
     assert not [name for name in names if name.startswith("=")]
 
 
-def test_all_tables_are_written_by_this_function() -> None:
+def test_csv_writer_is_used_in_one_module() -> None:
+    """Reference: the source files of the package."""
     users = [path for path in PACKAGE.rglob("*.py") if "csv.writer" in path.read_text("utf-8")]
     assert users == [PACKAGE / "base/csv_text.py"]

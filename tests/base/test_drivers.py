@@ -1,4 +1,4 @@
-"""OpenGL that is asked for and missing stops nothing but what draws with it."""
+"""A missing OpenGL library affects only commands that draw with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from tests.support.commands import answer
 from tests.support.repository import ROOT
 
 
-def run(*arguments: str, folder: Path, gl: str) -> subprocess.CompletedProcess[str]:
+def run_python(*arguments: str, folder: Path, gl: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder with a value of MUJOCO_GL, and return the completed process."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "MUJOCO_GL": gl}
     return subprocess.run(
         [sys.executable, *arguments],
@@ -46,7 +47,8 @@ main()
 @pytest.mark.slow
 @pytest.mark.parametrize("gl", ["osmesa", "egl", "bogus"])
 def test_commands_run_without_opengl(gl: str, tmp_path: Path) -> None:
-    result = run(
+    """The import of OpenGL fails as PyOpenGL does without its libraries."""
+    result = run_python(
         "-c", BROKEN, "audit", str(ROOT / "mjcf" / "pupper_v3.xml"), folder=tmp_path, gl=gl
     )
     assert (result.returncode, result.stderr) == (0, "")
@@ -55,8 +57,9 @@ def test_commands_run_without_opengl(gl: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_pictures_are_drawn_without_opengl(tmp_path: Path) -> None:
+    """The picture is written, and one line names the missing library."""
     command = ("analyze", "original", "--output", "out")
-    result = run("-c", BROKEN, *command, folder=tmp_path, gl="osmesa")
+    result = run_python("-c", BROKEN, *command, folder=tmp_path, gl="osmesa")
     assert result.returncode == 0
     assert result.stderr.startswith("note: no OpenGL (osmesa: ")
     assert result.stderr.count("\n") == 1
@@ -68,7 +71,7 @@ def test_study_process_runs_without_opengl(tmp_path: Path) -> None:
     command line."""
     broken = BROKEN.partition("sys.argv")[0]
     code = "import os, pupper_analysis.robot.robot, mujoco; print(os.environ['MUJOCO_GL'])"
-    result = run("-c", broken + code, folder=tmp_path, gl="osmesa")
+    result = run_python("-c", broken + code, folder=tmp_path, gl="osmesa")
     assert (result.stdout, result.stderr) == ("osmesa\n", "")
 
 
@@ -83,7 +86,7 @@ from pupper_analysis.__main__ import main
 main()
 """
     command = ("stand", "--explain", str(ROOT / "mjcf" / "pupper_v3.xml"))
-    result = run("-c", code, *command, folder=tmp_path, gl="")
+    result = run_python("-c", code, *command, folder=tmp_path, gl="")
     assert result.stderr == ""
     assert result.stdout.splitlines()[-1] == "['mujoco'] ''"
 
@@ -129,7 +132,8 @@ diverge()
     ids=["MuJoCo", "command", "worker of a study"],
 )
 def test_commands_write_no_mujoco_log(code: str, log: bool, tmp_path: Path) -> None:
-    result = run("-c", code, folder=tmp_path, gl="")
+    """Reference: MuJoCo alone writes a log of the same divergence; each run counts the warning."""
+    result = run_python("-c", code, folder=tmp_path, gl="")
     assert "warnings: 1\n" in result.stdout
     assert "restored: False" not in result.stdout
     assert [path.name for path in tmp_path.iterdir()] == (["MUJOCO_LOG.TXT"] if log else [])

@@ -1,4 +1,4 @@
-"""Errors: one family, each with what is wrong and what would be valid."""
+"""Errors of the package: one base class, messages with the defect and the valid alternatives."""
 
 import pytest
 
@@ -29,6 +29,7 @@ def test_a_refusal_names_feet_with_an_error_above_a_thousandth_of_the_largest() 
 
 
 def test_unknown_name_of_many_lists_the_five_most_similar_names() -> None:
+    """Reference: 43 names; five are listed, 38 are counted."""
     known = [f"link_{index:02d}" for index in range(40)] + ["panda_hand", "tool0", "left_finger"]
     error = pa.UnknownNameError("as if", "frame", "Panda_hnad", known)
     assert error.known == tuple(known)

@@ -1,4 +1,6 @@
-"""Output: whole or not at all, through links, and into what is there."""
+"""Output files are written completely or not at all, through links and pipes, and replace only
+files of their kind.
+"""
 
 from __future__ import annotations
 
@@ -79,6 +81,7 @@ def test_pipe_is_written_to_and_not_replaced(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])
 def test_target_file_of_a_stream_is_not_replaced(stream: str, tmp_path: Path) -> None:
+    """The result is in the file between the texts printed before and after."""
     code = (
         "import sys; from pathlib import Path\n"
         "from pupper_analysis.base.files import write_atomically\n"
@@ -121,6 +124,7 @@ def test_file_mode_follows_the_umask_or_is_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", ["", ".png", "." + "y" * 150])
 def test_file_name_of_the_maximum_length_is_written(suffix: str, tmp_path: Path) -> None:
+    """255 bytes, the limit of common file systems; the temporary file has a shorter name."""
     write(tmp_path / f"{'x' * (255 - len(suffix))}{suffix}")
 
 
@@ -168,6 +172,7 @@ def test_output_error_is_raised_if_a_folder_cannot_be_searched(
 def test_dash_writes_to_standard_output(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """JSON is on standard output, the printed table on standard error, and no file is written."""
     monkeypatch.chdir(tmp_path)
     status, out, err = run_command(capfd, "workspace", "v3", "--json", "-")
     assert status == 0
@@ -232,6 +237,9 @@ def test_terminated_write_leaves_no_file(tmp_path: Path) -> None:
 def test_input_of_a_run_is_not_overwritten(
     link: Callable[..., None] | None, tmp_path: Path
 ) -> None:
+    """Also through symbolic and hard links, and with --force. Files that the run itself writes, and
+    edited models, are exceptions.
+    """
     read, other = tmp_path / "robot.xml", tmp_path / "out.json"
     read.write_text("<mujoco/>")
     if link is None:
@@ -376,6 +384,7 @@ def fails_at(what: str, monkeypatch: pytest.MonkeyPatch, error: BaseException) -
 def test_first_file_is_restored_if_the_second_fails(
     error: BaseException, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The inode of the first file is unchanged."""
     before = (folder / "a").stat()
     fails_at("b", monkeypatch, error)
     expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else OutputError
@@ -476,6 +485,7 @@ def test_concurrent_change_of_a_file_is_kept(folder: Path, monkeypatch: pytest.M
 def test_contents_are_synced_before_files_are_replaced(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Order of the calls of fsync and rename."""
     done: list[str] = []
     sync, replace = os.fsync, Path.replace
 

@@ -1,4 +1,4 @@
-"""Input files: what comes in, and what is refused before it is opened."""
+"""Input files are checked for type, size and encoding before they are read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from pupper_analysis.base.inputs import check_input, decode_input, is_input, rea
 from tests import damaged
 
 
-def refused(path: Path, most: int = 100) -> str:
+def get_refusal_code(path: Path, most: int = 100) -> str:
+    """Return the code of the error by which both functions refuse a path."""
     for read in (check_input, read_input):
         with pytest.raises(InputError) as error:
             read(path, most)
@@ -24,23 +25,30 @@ def test_input_is_read_through_symbolic_links(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"content")
     (tmp_path / "link").symlink_to("file")
     assert read_input(tmp_path / "link", 7) == b"content"
-    assert refused(tmp_path / "link", 6) == "file-too-large"
+    assert get_refusal_code(tmp_path / "link", 6) == "file-too-large"
 
 
 def test_pipes_folders_and_devices_are_refused_as_input(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
     (tmp_path / "loop").symlink_to("loop")
-    assert refused(tmp_path / "pipe") == refused(tmp_path / "link") == "file-not-regular"
-    assert refused(tmp_path) == "file-is-folder"
-    assert refused(Path("/dev/null")) == "file-not-regular"
-    assert refused(tmp_path / "none") == refused(tmp_path / "a\0b") == "no-such-file"
-    assert refused(tmp_path / "loop") == "file-not-read"
+    assert (
+        get_refusal_code(tmp_path / "pipe")
+        == get_refusal_code(tmp_path / "link")
+        == "file-not-regular"
+    )
+    assert get_refusal_code(tmp_path) == "file-is-folder"
+    assert get_refusal_code(Path("/dev/null")) == "file-not-regular"
+    assert (
+        get_refusal_code(tmp_path / "none") == get_refusal_code(tmp_path / "a\0b") == "no-such-file"
+    )
+    assert get_refusal_code(tmp_path / "loop") == "file-not-read"
 
 
 def test_read_does_not_block_if_a_pipe_replaces_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The check before is skipped, as if the file were replaced after it."""
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr("pupper_analysis.base.inputs.check_input", lambda *_, **__: None)
     assert read_input(tmp_path / "pipe", 10) == b""
@@ -48,6 +56,7 @@ def test_read_does_not_block_if_a_pipe_replaces_the_file(
 
 @pytest.mark.skipif(not Path("/proc/self/environ").is_file(), reason="Linux alone has it")
 def test_size_limit_holds_for_a_file_without_a_stated_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of /proc have a size of 0 bytes and some content."""
     path = Path("/proc/self/maps")
     assert path.stat().st_size == 0
     with pytest.raises(InputError) as error:
@@ -75,6 +84,7 @@ def test_invalid_text_raises_with_its_line(data: bytes, code: str, line: int | N
 def test_damaged_files_are_read_or_refused_in_one_line(
     kind: damaged.Kind, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """Eight random damages per kind of file, judged by `damaged.problems_of`."""
     assert damaged.problems_of(kind, count=8, seed=3, folder=tmp_path) == []
 
 

@@ -51,6 +51,7 @@ def test_displayed_text_begins_after_two_seconds() -> None:
 
 
 def test_next_stage_has_its_own_estimate() -> None:
+    """Three more descents of 1 s each; the sample of 50 s does not count."""
     time = Time()
     clock = ProgressClock(time)
     clock.update("samples", 0, 2)

@@ -1,4 +1,4 @@
-"""Where a result comes from is written beside it."""
+"""Results contain their provenance: command, date, versions, and digests of the input files."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from tests.support.repository import ROOT
 
 @pytest.mark.slow
 def test_json_page_markdown_and_pictures_contain_their_provenance(tmp_path: Path) -> None:
+    """References: the words of the command, MuJoCo's version, and the SHA-256 of the file."""
     file = tmp_path / "own.urdf"
     file.write_bytes((ROOT / "urdf" / "pupper_skeleton.urdf").read_bytes())
     words = ("push", "own.urdf", "--directions", "3", "--payload", "200g", "--format", "markdown",

@@ -1,4 +1,6 @@
-"""Results as JSON: complete, readable by anything, nothing lost but infinities."""
+"""Results as JSON and tables: complete and valid JSON, with null for numbers that are not
+finite.
+"""
 
 import copy
 import json
@@ -47,6 +49,7 @@ def test_values_of_other_types_become_json(value: object, expected: object) -> N
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float64(math.nan)])
 def test_values_that_are_not_finite_become_null(value: float) -> None:
+    """Also in arrays with a stride of two, which orjson does not accept directly."""
     for whole in (
         {"x": value},
         {"x": [value]},
@@ -128,6 +131,7 @@ def test_repr_is_short_and_contains_the_key_values() -> None:
 
 @pytest.mark.slow
 def test_tables_become_dataframes() -> None:
+    """References: the arrays of statics, gain sweep and path."""
     robot, stand = load("v3"), stand_of("v3")
     held = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
     frame = held.to_dataframe()

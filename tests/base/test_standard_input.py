@@ -1,4 +1,4 @@
-"""A model from standard input is the same as from a file, in the current folder."""
+"""A model from standard input equals the model of a file in the current folder."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ def given(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_meshes_of_standard_input_are_read_from_the_current_folder(capfd, given) -> None:
+    """The audit reports the mesh until the file exists in the current folder."""
     urdf = urdf_text(arm()).replace(
         "<inertial>",
         '<visual><geometry><mesh filename="one.stl"/></geometry></visual><inertial>',

@@ -1,4 +1,4 @@
-"""Units of the published numbers: field metadata, independent of docstrings."""
+"""Units of published numbers: metadata of fields, independent of docstrings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Physics at which slips in the code once went unnoticed: each test fails with one of them."""
+"""Physics at which planted faults once survived all tests: each test fails with one of these
+faults.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The package computes the numbers that it computed when they were recorded: see `recorded.py`."""
+"""Results equal those of an earlier version, in tests/data/recorded.json; see `recorded.py`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def coarse(where: str) -> list[float]:
 
 
 def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -> list[str]:
-    """What is not as it was, in words."""
+    """Return texts of the numbers that differ from the recorded numbers."""
     messages = [f"{where} is new" for where in found.keys() - expected.keys()]
     for where, old in expected.items():
         if where not in found:

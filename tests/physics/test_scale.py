@@ -1,4 +1,4 @@
-"""A robot of 20 g or of 2.8 t, of one size or in proportion: no tolerance is in its way."""
+"""Dimensionless results of robots from 20 g to 2.8 t: no absolute tolerance affects them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Springs and gravity compensation of an MJCF: motors hold what these leave."""
+"""Springs and gravity compensation of an MJCF: motors hold the remaining load, by closed forms and
+MuJoCo.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the audit finds in robots that others have published; see ``test_real_robots``."""
+"""Findings of `audit` in public robots, read by hand in the files; see ``test_real_robots``."""
 
 from __future__ import annotations
 
@@ -41,6 +41,9 @@ MEANT = (
 
 @pytest.mark.parametrize("name", PLACEHOLDERS + MEANT)
 def test_placeholder_efforts_of_public_robots_are_found(name: str) -> None:
+    """Reference: lists by hand of robots with placeholder efforts, and of robots whose efforts are
+    real.
+    """
     model = read_urdf_model(read_urdf(file(URDF, f"{name}.urdf")))
     assert bool(list(CHECKS["effort-placeholder"](model))) == (name in PLACEHOLDERS)
 
@@ -64,6 +67,9 @@ TURNS = (
 
 @pytest.mark.parametrize("name", sorted({*BALLS, *TURNS, *MEANT}))
 def test_placeholder_inertias_and_ranges_of_public_robots_are_found(name: str) -> None:
+    """Reference: lists by hand of robots with spherical placeholder inertias, and with ranges of
+    whole turns.
+    """
     model = read_urdf_model(read_urdf(file(URDF, f"{name}.urdf")))
     assert bool(list(CHECKS["inertial-placeholder"](model))) == (name in BALLS)
     assert bool(list(CHECKS["range-placeholder"](model))) == (name in TURNS)
@@ -80,6 +86,7 @@ def test_placeholder_inertias_and_ranges_of_public_robots_are_found(name: str) -
     ],
 )
 def test_faults_of_one_leg_are_the_only_warnings(name: str, expected: set[str]) -> None:
+    """Reference: faults of single legs and keyframes, read by hand in the MJCF."""
     result = audit_model(file(MJCF, f"{name}/{name}.xml"))
     assert result.passed
     assert {one.rule for one in result.findings if one.severity == Severity.WARNING} == expected
@@ -96,6 +103,9 @@ def _found(audit: Audit) -> Counter[tuple[str, str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LEGGED)
 def test_slips_that_all_legs_share_are_found(name: str, tmp_path: Path) -> None:
+    """Each slip of `symmetric_slips.SLIPS` adds a finding, except a CoM with flipped y of 1 to 3
+    cm.
+    """
     source = file(URDF, f"{name}.urdf")
     packages = {"example-robot-data": file(URDF, "").parent}
     slips = {

@@ -1,6 +1,5 @@
-"""Contacts of robots that others have published: hands on tables, feet on roofs and walls.
-
-Where the files are from: see ``test_real_robots``. Each stance is proven in MuJoCo, nudged.
+"""Stands of public robots with hands on tables and feet on roofs and walls; MuJoCo's nudged
+simulation is the reference. For the sources of the files see ``test_real_robots``.
 """
 
 from __future__ import annotations
@@ -121,6 +120,9 @@ STANCES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("stance", STANCES)
 def test_stances_on_stated_contacts_hold_in_mujoco(stance: str) -> None:
+    """Contact points are on their planes within 1 nm; relative torque and force errors are below
+    the limit of the stance.
+    """
     name, make, within = STANCES[stance]
     of = robot(name)
     contacts = make(of)

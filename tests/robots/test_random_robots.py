@@ -1,4 +1,6 @@
-"""Random legged robots, published in all kinds of ways: they stand, or it is said why not."""
+"""Random legged robots in many published forms: the stand holds in MuJoCo, or the cause of the
+failure is named.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ foot that leans in the start pose; and 20 others. ``tests.explore`` draws new se
 
 
 def outcome(seed: int, folder: Path) -> set[str]:
-    """Returns the codes of why it does not hold; none if it holds."""
+    """Return the codes of the causes for which a stand does not hold; none if it holds."""
     drawn = random_legged.drawn(seed)
     pair = random_legged.written(drawn, folder)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)

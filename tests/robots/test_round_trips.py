@@ -1,4 +1,4 @@
-"""Round trips between the formats of robots of others: what is lost is told."""
+"""Round trips of public robots between the formats: each loss is reported."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ MJCFS = ("go2", "aliengo", "mini_cheetah", "go1", "b2", "hyqreal1", "spot", "a2"
 @pytest.mark.slow
 @pytest.mark.parametrize("name", URDFS)
 def test_urdf_round_trip_reports_each_loss(tmp_path: Path, name: str) -> None:
+    """Reference: all numbers of the file before and after; `lost` are the differences without a
+    report.
+    """
     lost, count = round_trip(file(URDF, f"{name}.urdf"), tmp_path)
     assert count > 30
     assert not lost
@@ -29,6 +32,9 @@ def test_urdf_round_trip_reports_each_loss(tmp_path: Path, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MJCFS)
 def test_mjcf_round_trip_reports_each_loss(tmp_path: Path, name: str) -> None:
+    """Reference: all numbers of the file before and after; `lost` are the differences without a
+    report.
+    """
     lost, count = round_trip(file(MJCF, f"{name}/{name}.xml"), tmp_path)
     assert count > 100
     assert not lost

@@ -1,4 +1,4 @@
-"""Wheels: cylinders that lie, on legs that cannot turn them about the direction of travel."""
+"""Wheels: horizontal cylinders on legs that cannot turn them about the direction of travel."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_two_wheels_make_no_polygon(tmp_path: Path) -> None:
+def test_stand_on_two_wheels_is_refused(tmp_path: Path) -> None:
     files = wheeled(tmp_path, "FL", "FR")
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
     with pytest.raises(pa.ConfigurationError, match="along a single line"):

@@ -1,4 +1,6 @@
-"""Diagnostics: facts as data, and the catalogue that has their words."""
+"""Diagnostics: messages as codes with values, and the catalogues with their texts in two
+languages.
+"""
 
 from __future__ import annotations
 
@@ -132,7 +134,8 @@ def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
 
 
 @pytest.mark.slow
-def test_catalogue_tables_equal_tomllibs_and_no_code_is_in_two_files() -> None:
+def test_catalogue_equals_tomllib_and_each_code_is_in_one_file() -> None:
+    """Reference: the catalogue files, read by `tomllib`."""
     found = []
     for read in WORDS.values():
         found += list(read)
@@ -144,6 +147,9 @@ def test_catalogue_tables_equal_tomllibs_and_no_code_is_in_two_files() -> None:
 
 @pytest.mark.slow
 def test_each_code_has_a_message_in_both_languages() -> None:
+    """Both templates use the same values, and the Chinese text contains Chinese characters if the
+    English text contains words.
+    """
     assert CODES
     for code in CODES:
         message = entry(code)
@@ -156,7 +162,8 @@ def test_each_code_has_a_message_in_both_languages() -> None:
 
 
 @pytest.mark.slow
-def test_every_code_that_is_used_is_in_the_catalogue_and_the_other_way_round() -> None:
+def test_catalogue_contains_exactly_the_codes_in_use() -> None:
+    """Reference: all calls in the package's syntax trees."""
     used = {code for _, code, _ in calls()}
     assert used - set(CODES) == set()
     assert set(CODES) - used == set()
@@ -164,6 +171,7 @@ def test_every_code_that_is_used_is_in_the_catalogue_and_the_other_way_round() -
 
 @pytest.mark.slow
 def test_every_template_gets_its_values() -> None:
+    """Reference: keyword arguments of each `diagnose` call in the syntax trees."""
     lacking = {
         f"{where} {code}": missing
         for where, code, given in calls()

@@ -80,11 +80,13 @@ def english_meanings() -> dict[str, str]:
 
 @pytest.mark.slow
 def test_english_meanings_equal_the_docstrings_of_listed_fields() -> None:
+    """Reference: docstring and unit metadata of each field; each field has a Chinese text."""
     assert {key: both["en"] for key, both in listed().items()} == english_meanings()
     assert [key for key, both in listed().items() if not both["zh"]] == []
 
 
 def test_meanings_are_in_both_languages_with_the_same_units() -> None:
+    """Units in parentheses are equal in both texts."""
     units = r"[(（\[](N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)[)）\]]"
     assert listed()
     for key, both in listed().items():
