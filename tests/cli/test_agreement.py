@@ -1,4 +1,4 @@
-"""No two commands disagree: of a variant, of random robots, and of an arm."""
+"""Commands agree with each other on a variant, on random robots, and on an arm."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_commands_agree_on_the_same_robot(seed: int | None, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_commands_agree_on_what_an_arm_holds(tmp_path: Path) -> None:
+def test_commands_agree_on_the_payload_of_an_arm(tmp_path: Path) -> None:
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES["as it is"])
     place = tmp_path / "answers"
     place.mkdir()

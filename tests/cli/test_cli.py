@@ -1,4 +1,4 @@
-"""The command line: what it prints, what it writes, and its exit status."""
+"""The command line: printed text, written files, and exit status."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from tests.support.repository import ROOT
 SCRIPTS = ROOT / "scripts"
 
 
-def run(script: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def run_script(
+    script: str, *arguments: str, cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a script of the repository, and return the completed process."""
     return subprocess.run(
         [sys.executable, str(SCRIPTS / script), *arguments],
         capture_output=True,
@@ -35,7 +38,8 @@ def run(script: str, *arguments: str, cwd: Path | None = None) -> subprocess.Com
 
 @pytest.mark.slow
 def test_analyze_writes_figures_json_and_models_of_its_own_variant(tmp_path: Path) -> None:
-    result = run(
+    """References: requested scales and task; total mass [kg] of the variant in the written MJCF."""
+    result = run_script(
         "analyze_variant.py",
         *("--base", "v3", "--leg-scale", "1.2", "--height", "0.15", "--pitch", "-0.05"),
         *("--output", "out", "--json", "all.json", "--write", "models"),
@@ -74,10 +78,10 @@ ANALYZE = ("analyze_variant.py", "--json", "all.json")
         (("view_pupper.py", "--fix"), ""),
     ],
 )
-def test_bad_input_of_scripts_is_one_line_and_exit_status_2(
+def test_invalid_input_of_scripts_is_refused_in_one_line(
     words: tuple[str, ...], message: str, tmp_path: Path
 ) -> None:
-    result = run(*words, cwd=tmp_path)
+    result = run_script(*words, cwd=tmp_path)
     assert (result.returncode, result.stdout) == (2, "")
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
@@ -87,6 +91,7 @@ def test_bad_input_of_scripts_is_one_line_and_exit_status_2(
 
 @pytest.mark.slow
 def test_exit_status_is_1_if_the_verification_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The joint tolerance is set to 1e-12 rad."""
     from click.testing import CliRunner
 
     from pupper_analysis.simulation import verify as simulation
@@ -99,7 +104,7 @@ def test_exit_status_is_1_if_the_verification_fails(monkeypatch: pytest.MonkeyPa
     assert "VERIFIED" not in result.stdout
 
 
-def test_colors_are_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_color_option_takes_precedence_over_force_color(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("NO_COLOR", "")
     file = str(ROOT / "urdf" / "pupper_v3.urdf")
@@ -169,6 +174,7 @@ def test_help_lists_each_command_under_its_heading(capsys: pytest.CaptureFixture
     ids=["the list of all", "one command"],
 )
 def test_command_imports_no_other_command(arguments: list[str], needed: set[str]) -> None:
+    """Reference: the modules of a new process; the list of commands needs no NumPy."""
     code = f"""
 import sys
 from pupper_analysis import cli

@@ -1,4 +1,6 @@
-"""No command says more of a file than bare MuJoCo does; see ``tests.support.every_command``."""
+"""No command reports more favourably on a file than bare MuJoCo; see
+``tests.support.every_command``.
+"""
 
 from __future__ import annotations
 
@@ -93,6 +95,7 @@ def test_no_converted_file_is_better_than_bare_mujoco(name: str, tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", arm_features.FEATURES)
 def test_no_verdict_of_an_arm_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
+    """Reference: simulation of the unmodified arm."""
     row = every_command.make_arm_row(name, tmp_path)
     assert row.cells.keys() == every_command.HELD.keys()
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
@@ -114,6 +117,7 @@ ARMS = {
 def test_expected_outcome_of_an_unmodified_arm_equals_bare_mujoco(
     name: str, tmp_path: Path
 ) -> None:
+    """Control of the reference: outcomes of seven edits, derived by hand."""
     _, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[name])
     assert every_command.simulate_arm_truth(mjcf) is ARMS[name]
 
@@ -142,4 +146,5 @@ def test_knee_with_a_gain_of_the_wrong_sign_passes_in_no_command(tmp_path: Path)
 def test_expected_outcome_of_an_unmodified_file_equals_bare_mujoco(
     name: str, tmp_path: Path
 ) -> None:
+    """Control of the reference: outcomes of six edits, derived by hand."""
     assert every_command.make_row(name, EDITS[name], tmp_path, ()).truth is SURELY[name]

@@ -1,4 +1,4 @@
-"""Mistakes of typing: each is refused in one line that says what to type instead."""
+"""Typing mistakes: each is refused in one line with the correct input."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from tests.support.commands import answer
 from tests.support.repository import ROOT
 
 
-def refusal(*arguments: str, folder: Path | None = None) -> str:
+def run_refused(*arguments: str, folder: Path | None = None) -> str:
+    """Run a command that must fail with one line on standard error, and return the line."""
     result = answer(*arguments, folder=folder)
     assert result.returncode == 2
     assert result.stdout == ""
@@ -25,8 +26,8 @@ def refusal(*arguments: str, folder: Path | None = None) -> str:
     [("stnad", "Did you mean stand"), ("crosschek", "Did you mean crosscheck?"), ("hodl", "hold")],
 )
 def test_error_of_a_misspelt_command_lists_similar_commands(typed: str, suggested: str) -> None:
-    assert suggested in refusal(typed, "v3")
-    assert "Did you mean" not in refusal("xyzzy", "v3")
+    assert suggested in run_refused(typed, "v3")
+    assert "Did you mean" not in run_refused("xyzzy", "v3")
 
 
 @pytest.mark.parametrize(
@@ -47,7 +48,7 @@ def test_error_of_a_length_without_unit_suggests_millimetres(
     arguments: tuple[str, ...], tmp_path: Path
 ) -> None:
     (tmp_path / "stance.toml").write_text("height = 120\n")
-    message = refusal("stand", "v3", *arguments, folder=tmp_path)
+    message = run_refused("stand", "v3", *arguments, folder=tmp_path)
     assert "write 120mm" in message or "write 120.0mm" in message
 
 
@@ -63,7 +64,7 @@ def test_a_direction_may_have_any_length() -> None:
     "arguments", [("--height", "12", "cm"), ("--height=12", "cm"), ("--payload", "1.5", "kg")]
 )
 def test_error_of_a_unit_after_a_blank_suggests_one_word(arguments: tuple[str, ...]) -> None:
-    message = refusal("stand", "v3", *arguments)
+    message = run_refused("stand", "v3", *arguments)
     value = arguments[-2].rpartition("=")[2]
     assert f"'{value} {arguments[-1]}' is two words" in message
     assert f"write the unit directly behind the number: {value}{arguments[-1]}" in message
@@ -82,7 +83,7 @@ def test_error_of_a_unit_after_a_blank_suggests_one_word(arguments: tuple[str, .
 def test_a_result_is_not_written_under_another_formats_suffix(
     option: str, name: str, suffix: str, tmp_path: Path
 ) -> None:
-    message = refusal("stand", "v3", option, name, folder=tmp_path)
+    message = run_refused("stand", "v3", option, name, folder=tmp_path)
     assert f"{option}: {name}: " in message
     assert f"ends with {suffix}" in message
     assert list(tmp_path.iterdir()) == []
@@ -91,6 +92,7 @@ def test_a_result_is_not_written_under_another_formats_suffix(
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["crosscheck", "sync"])
 def test_the_order_of_a_urdf_and_an_mjcf_does_not_matter(command: str, tmp_path: Path) -> None:
+    """The output is equal to the last character."""
     files = [str(ROOT / "urdf" / "pupper_v3.urdf"), str(ROOT / "mjcf" / "pupper_v3.xml")]
     shutil.copy(files[0], tmp_path / "robot.xml")  # the root element counts, not the suffix
     expected = answer(command, *files)

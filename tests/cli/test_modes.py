@@ -1,4 +1,4 @@
-"""Modes of commands: what is typed is used, or refused by name; nothing is passed over."""
+"""Modes of commands: each typed option is used, or refused by name."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.commands import answer
 from tests.support.repository import ROOT
 
 
-def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
+def test_typed_option_without_effect_is_refused_and_a_default_is_not() -> None:
     @click.command()
     @click.option("--mode", is_flag=True)
     @click.option("--new", default="x")
@@ -71,6 +71,7 @@ IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMAND_N
 def test_option_without_effect_is_refused_before_any_computation(
     line: tuple[str, ...], tmp_path: Path
 ) -> None:
+    """No file is written, and nothing is printed on standard output."""
     (tmp_path / "stands.csv").touch()
     for more in IDLE[line]:
         given = answer(*line, *more, folder=tmp_path)

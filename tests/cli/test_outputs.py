@@ -1,7 +1,6 @@
-"""No output of any command is one of its inputs, whatever links lead there; nor anybody's file.
-
-Commands, their outputs and the files that they read are those that click knows: one that is new is
-swept, too, and a kind of input that this does not know fails.
+"""No output of any command overwrites an input, whatever links lead to it, or a file of another
+program. Commands, outputs and input files are taken from click; an unknown kind of input fails the
+test.
 """
 
 from __future__ import annotations
@@ -244,7 +243,10 @@ def one_line(given: Answer) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", WRITING, ids=lambda command: str(command.name))
-def test_no_output_is_an_input(command: Command, folder: Path) -> None:
+def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> None:
+    """Each output, by name, by another path, by a symbolic and a hard link, also with --force: all
+    files keep their SHA-256.
+    """
     before, count = sums(folder), 0
     for case in cases(command):
         words = aimed(folder, *case)
@@ -299,7 +301,7 @@ def all_outputs(command: Command) -> list[str]:
 
 
 @pytest.mark.parametrize("command", WRITING, ids=lambda command: str(command.name))
-def test_a_folder_that_takes_no_file_is_found_before_the_work(
+def test_folder_without_write_permission_is_refused_before_the_work(
     command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # By a stand-in: who runs the tests may be root, who may do everything.

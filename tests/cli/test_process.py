@@ -1,4 +1,4 @@
-"""The command line as a process: its output fails, signals end it, errors nobody foresaw."""
+"""The command line as a process: failing output, signals, and unexpected errors."""
 
 from __future__ import annotations
 
@@ -109,12 +109,13 @@ def test_results_are_written_if_the_reader_of_standard_output_closes(tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
 def test_output_is_written_in_each_terminal_encoding(encoding: str, tmp_path: Path) -> None:
+    """A character that the encoding lacks is printed as an escape."""
     environment = {**ENVIRONMENT, "PYTHONIOENCODING": encoding}
     file = shutil.copy(ROOT / "urdf/pupper_skeleton.urdf", tmp_path / "狗.urdf")
     process = start(*COMMAND, "audit", file, env=environment, encoding=encoding)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
-    assert "\\u72d7.urdf" in out or "狗.urdf" in out
+    assert "\\u72d7.urdf" in out
 
 
 def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Which robot a command is about: its first argument."""
+"""Selection of the robot by the first arguments of a command."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_stand_of_one_file_converts_the_other_in_memory(
         (["payload", "a.xml", "--map", "noequals"], "NAME=VALUE"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_status_2(
+def test_invalid_input_is_refused_in_one_line(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
 ) -> None:
     check_refusal(capfd, tmp_path, arguments, message)

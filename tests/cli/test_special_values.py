@@ -1,8 +1,6 @@
-"""Absent, zero, negative and placeholder values: the table that the documentation shows.
-
-Each row of ``docs/data/special-values.csv`` is one edit of a small robot and one command. The
-independent reference of a limit of zero is MuJoCo with forces clamped to zero, which lets the arm
-fall.
+"""Absent, zero, negative and placeholder values, as the table of the documentation lists them. Each
+row of ``docs/data/special-values.csv`` is one edit of a small robot and one command. Reference of a
+limit of zero: MuJoCo with forces clamped to zero lets the arm fall.
 """
 
 from __future__ import annotations
@@ -155,9 +153,12 @@ def typed(folder: Path, row: dict[str, str]) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", rows())
-def test_a_command_answers_as_the_table_states(
+def test_command_output_equals_the_row_of_the_table(
     row: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """Exit status, first word, code in JSON; an unknown limit gives neither a number nor "any
+    mass".
+    """
     command, output = row["command"], tmp_path / "out.json"
     asked = [] if command == "live" else ["--json", str(output)]
     status, out, err = run_command(capfd, command, *typed(tmp_path, row), *asked)
@@ -201,6 +202,7 @@ def check_metrics(verdict: str, result: dict[str, Any]) -> None:
 
 
 def test_an_arm_with_forces_clamped_to_zero_falls_in_mujoco() -> None:
+    """The shoulder is beyond 1 rad after 1 s."""
     model = mujoco.MjModel.from_xml_string(ARM_MJCF)
     model.actuator_forcerange[:] = 0.0
     data = mujoco.MjData(model)

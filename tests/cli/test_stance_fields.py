@@ -1,3 +1,7 @@
+"""Stances in TOML files and options: both give the same task, and invalid entries are refused by
+name.
+"""
+
 from __future__ import annotations
 
 import math
@@ -14,7 +18,7 @@ from tests.support.commands import check_refusal
 
 
 def asked(*arguments: str) -> RobotAndTask:
-    """What a command of stances is told."""
+    """Return the options of a stance that a command line specifies."""
     messages: list[RobotAndTask] = []
 
     @click.command()
@@ -26,7 +30,7 @@ def asked(*arguments: str) -> RobotAndTask:
     return messages[0]
 
 
-def test_stance_file_is_equivalent_to_options(tmp_path: Path) -> None:
+def test_stance_file_gives_the_task_of_its_entries(tmp_path: Path) -> None:
     file = tmp_path / "crouch.toml"
     file.write_text(
         'height = "11cm"\npitch = 0.05\ncom = [0.01, -0.002]\ncom_margin = "5mm"\nslope = "10deg"\n'
@@ -99,6 +103,7 @@ def test_invalid_contact_is_refused_in_one_line(typed: str, message: str) -> Non
 
 
 def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
+    """Reference: the task whose contacts are typed, and written by `format_stance`."""
     task = StandTask(
         contacts={
             "FL": Contact(Plane((0.4, 0, 0), (-1, 0, 0), 0.6)),
@@ -127,7 +132,7 @@ def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
         (None, "there is no such file"),
     ],
 )
-def test_bad_files_are_one_line_and_exit_status_2(
+def test_invalid_stance_file_is_refused_in_one_line(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, text: str | None, message: str
 ) -> None:
     file = tmp_path / "bad.toml"

@@ -1,4 +1,4 @@
-"""The options that all commands of a stance share, and their help."""
+"""Options that all commands of a stance share, and their help texts."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ def test_the_help_fits_into_80_columns(name: str) -> None:
     assert [line for line in said.splitlines() if len(line) > 80] == []
 
 
-def derived(*given: object) -> object:
+def select_variant(*given: object) -> object:
+    """Return the variant that --base, --leg-scale and --torso-mass-scale select."""
     names = ("base", "leg_scale", "torso_mass_scale")
     return RobotOptions.pop_from(dict(zip(names, given, strict=True))).select_robot(())
 
@@ -65,13 +66,13 @@ def test_derived_variant_keeps_the_scales_that_are_not_given() -> None:
         (("v3", 1.2, None), 1.2, 1.0),
         (("v3", None, 1.5), 1.0, 1.5),
     ):
-        found = derived(*given)
+        found = select_variant(*given)
         assert isinstance(found, VariantSpec)
         assert (found.base, found.leg_scale, found.torso_mass_scale) == ("v3", legs, torso)
-    skeleton = derived(None, 1.5, None)
+    skeleton = select_variant(None, 1.5, None)
     assert isinstance(skeleton, VariantSpec)
     assert (skeleton.base, skeleton.torso_mass_scale) == ("skeleton", 1.0)
-    assert derived(None, None, None) is None
+    assert select_variant(None, None, None) is None
 
 
 def test_package_folder_that_does_not_exist_is_refused(tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
-"""Results are shown as golden documents have it, and each cell is the same on a page.
-
-``golden/*.md`` are documents of results whose numbers are all different (``stubs``), as Markdown:
-what a change of a builder changes is read in their diff.
-``python -m tests.present.test_documents`` writes them anew.
+"""Documents of results equal golden Markdown files. ``golden/*.md`` contain results whose numbers
+are all different (``stubs``), so that exchanged fields are visible. ``python -m
+tests.present.test_documents`` writes the files anew; read the diff.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The figures: what they draw, and that they are written whole or not at all."""
+"""Figures: drawn positions, compared with Pinocchio and the model files."""
 
 from __future__ import annotations
 
@@ -36,6 +36,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments
 
 @pytest.mark.parametrize("name", pa.VARIANTS)
 def test_skeleton_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
+    """Reference: Pinocchio's foot positions [m]."""
     robot, qpos = load(name), stand_of(name).qpos
     feet = pa.Configuration(robot, qpos).foot_positions()
     legs = compute_skeleton(robot, qpos).legs
@@ -47,6 +48,7 @@ def test_skeleton_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
 def test_skeleton_base_consists_of_its_boxes(name: str, count: int) -> None:
+    """Reference: edge lengths [m] of the boxes in the model files."""
     robot = load(name)
     boxes = compute_skeleton(robot, robot.neutral()).boxes
     assert boxes.shape == (count, 8, 3)
@@ -61,6 +63,7 @@ def test_skeleton_base_consists_of_its_boxes(name: str, count: int) -> None:
 def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The step reaches from the plane to the contact point; three feet have a force arrow."""
     robot = load("v3")
     ground = pa.Ground(slope=0.15, uphill=0.8, heights={"FR": 0.02})
     task = pa.StandTask(ground=ground, swing={"RL": 0.02}, com="inside", com_margin=0.01)

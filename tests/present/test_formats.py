@@ -1,4 +1,4 @@
-"""GitHub's workflow commands and JUnit's XML, as their readers take them apart."""
+"""GitHub's workflow commands and JUnit's XML, parsed as their readers parse them."""
 
 from __future__ import annotations
 
@@ -54,6 +54,7 @@ def shown(text: str) -> str:
 @pytest.mark.slow
 @given(title=TEXT, message=TEXT)
 def test_workflow_command_is_read_back_with_any_characters(title: str, message: str) -> None:
+    """Reference: the parser of GitHub's runner (ActionCommand.cs)."""
     level, properties, read = read_command(
         write_github([Annotation("error", title, message, "r.xml:3")])
     )
@@ -106,6 +107,9 @@ HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] 
 @pytest.mark.parametrize("terminal", [False, True])
 @pytest.mark.parametrize("hostile", [HOSTILE, f"::error::{HOSTILE}", f"##[error]{HOSTILE}"])
 def test_console_escapes_control_characters(hostile: str, terminal: bool) -> None:
+    """No escape sequences, text directions, line breaks or workflow commands of names; markup is
+    printed as text.
+    """
     out = SafeConsole(file=io.StringIO(), force_terminal=terminal, width=400, emoji=False)
     out.print(f"robot {hostile.replace(chr(10), '')}")
     name, place = Name(hostile), FilePlace(Name(hostile), Name(hostile), hostile)

@@ -1,4 +1,6 @@
-"""A report is one file: it has the result's numbers, in both languages; no name acts in it."""
+"""HTML reports: one file with the numbers of the result in two languages; names contain no active
+markup.
+"""
 
 from __future__ import annotations
 
@@ -200,6 +202,9 @@ def evil_analysis() -> pa.analysis.Analysis:
 
 @pytest.mark.slow
 def test_names_with_markup_are_escaped_in_the_page() -> None:
+    """Joint and robot names with script, image and event attributes: two scripts of the page, as
+    without such names.
+    """
     tame, wild = page_of(analysis()), Page(written(evil_analysis(), robots=False))
     assert len(wild.strict.scripts) == 2  # the words of the scripts, and the page's own
     assert "img" not in {tag for tag, _ in wild.strict.tags}
@@ -320,6 +325,7 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
 
 
 def test_robots_share_equal_meshes_in_one_page() -> None:
+    """v3 and v3-heavy have equal meshes; each geom refers to the packed mesh of its file."""
     models = load("v3").mj_model, load("v3-heavy").mj_model
     (geoms, meshes), (_, others) = map(write.serialise_geoms, models)
     shapes, whole = collect_visible_shapes(models[0], write.MAX_FACES)
@@ -394,6 +400,9 @@ def test_page_contains_the_licences_of_three_js() -> None:
 
 
 def test_line_plot_points_are_at_their_values() -> None:
+    """Points are at the ends of the axes, at the height of the grid lines of their values; NaN is
+    left out.
+    """
     axis = Axis(Name("x"), "s", ".1f"), Axis(Name("y"), "mm", ".1f")
     drawing = plots.draw_svg(
         LinePlot(Name("t"), *axis, [Series(Name("a"), [0, 5, 10], [1.0, np.nan, 3.0])])

@@ -1,4 +1,4 @@
-"""A report in a real browser, without a network: it draws, sorts, switches, without complaint."""
+"""A report in a browser without a network: it draws, sorts and switches without error messages."""
 
 from __future__ import annotations
 
@@ -80,7 +80,8 @@ def opened(browser: Any, file: Path) -> Iterator[Opened]:
     one.close()
 
 
-def stage(opened: Opened) -> Any:
+def get_canvas(opened: Opened) -> Any:
+    """Return the canvas of the view after scrolling to it."""
     canvas = opened.page.locator(".canvas canvas")
     opened.page.locator(".canvas").scroll_into_view_if_needed()
     canvas.wait_for(timeout=10_000)
@@ -97,7 +98,8 @@ def share_changed(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[
 
 
 def test_view_draws_and_turns_the_robot(opened: Opened) -> None:
-    canvas = stage(opened)
+    """Pixels change with keys and mouse, and return with the reset button."""
+    canvas = get_canvas(opened)
     before = opened.pixels(canvas)
     assert share_of_torso(before) > 0.005
     assert len(np.unique(before.reshape(-1, 3), axis=0)) > 500
@@ -130,7 +132,7 @@ def test_views_are_printed_if_they_were_never_visible(browser: Any, file: Path) 
 
 def test_view_draws_joints_at_the_positions_of_pinocchio(opened: Opened) -> None:
     """By the page's own transforms of the MJCF's axes; Pinocchio's are the URDF's."""
-    stage(opened)
+    get_canvas(opened)
     drawn = opened.page.evaluate(
         """() => { const view = window.report.views[0]; view.scene.updateMatrixWorld(true);
         return view.axes.map((mesh) => [mesh.matrixWorld.elements.slice(12, 15),
@@ -143,7 +145,8 @@ def test_view_draws_joints_at_the_positions_of_pinocchio(opened: Opened) -> None
 
 
 def test_view_draws_forces_from_the_contact_points(opened: Opened) -> None:
-    stage(opened)
+    """References: contact points [m] and force directions of the statics."""
+    get_canvas(opened)
     drawn = opened.page.evaluate(
         """() => window.report.views[0].layers.forces.map((group) =>
         [group.position.toArray(), group.matrixWorld.elements.slice(4, 7)])"""
@@ -157,7 +160,7 @@ def test_view_draws_forces_from_the_contact_points(opened: Opened) -> None:
 
 
 def test_view_highlights_and_describes_a_selected_joint(opened: Opened) -> None:
-    canvas = stage(opened)
+    canvas = get_canvas(opened)
     dark = opened.pixels(canvas)
     button = opened.page.get_by_role("button", name="leg_front_r_2", exact=True)
     button.focus()
@@ -172,7 +175,8 @@ def test_view_highlights_and_describes_a_selected_joint(opened: Opened) -> None:
 
 
 def test_view_plays_the_simulated_motion(opened: Opened) -> None:
-    canvas = stage(opened)
+    """The force arrows belong to the stand, and are hidden during the motion."""
+    canvas = get_canvas(opened)
     opened.page.locator("select.motion").select_option(label="simulated, without feed-forward")
     slider = opened.page.locator("input.time")
     forces = "window.report.views[0].layers.forces.some((arrow) => arrow.visible)"
@@ -207,6 +211,7 @@ def test_table_is_sorted_by_number_and_restored(opened: Opened) -> None:
 
 
 def test_plot_shows_values_at_the_pointer(opened: Opened) -> None:
+    """Reference: base height [mm] of the stand."""
     drawing = opened.page.locator("figure.plot", has_text="Height of the simulated base")
     svg = drawing.locator("svg").first
     svg.scroll_into_view_if_needed()
@@ -263,6 +268,7 @@ def test_page_opens_in_chinese_with_a_chinese_browser(browser: Any, file: Path) 
 def test_page_has_light_and_dark_themes_and_fits_a_phone(
     browser: Any, file: Path, scheme: str
 ) -> None:
+    """A screen of 360 pixels: no horizontal scrolling, also with a long verdict."""
     one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)
     long = "CARRIES (short-term, at peak torque)"
     one.page.locator(".verdict .en").first.evaluate(f"one => one.textContent = {long!r}")
@@ -288,7 +294,7 @@ def test_view_states_that_webgl_is_missing(browser: Any, file: Path) -> None:
     one.close()
 
 
-def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
+def test_names_with_markup_execute_nothing(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "evil.html"
     pa.report.write_report(evil_analysis(), file, robots=())
     one = Opened(browser, file)

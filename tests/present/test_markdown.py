@@ -1,4 +1,4 @@
-"""Markdown: a document for a comment on a pull request, in which nobody's names act."""
+"""Markdown documents for comments on pull requests, in which names of a model act as no markup."""
 
 from __future__ import annotations
 
@@ -112,7 +112,10 @@ EVIL = (
 
 
 @pytest.mark.parametrize("name", EVIL)
-def test_no_name_acts(name: str) -> None:
+def test_names_with_markup_are_escaped(name: str) -> None:
+    """Mentions, references, links, HTML, formulas and lists of GitHub's Markdown; a table row keeps
+    its columns.
+    """
     said, place = diagnostic_text(problem(name)), FilePlace(Name(name), Name(name), name)
     blocks = (
         Table(said, (Column(said, "N"),), ((said,),), (said,)),

@@ -1,4 +1,6 @@
-"""``show`` and ``animate``: pixels of MuJoCo's renderer, files, and what cannot be drawn."""
+"""``show`` and ``animate``: pixels of MuJoCo's renderer, written files, and results that cannot be
+drawn.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +35,7 @@ def find_robot(pixels: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_picture_of_a_stand_shows_the_whole_robot_in_the_middle() -> None:
+    """Reference: the yellow pixels of v3's torso."""
     stand = stand_of("v3")
     picture = stand.show(size=(200, 150))
     assert isinstance(picture, Image.Image)
@@ -46,6 +49,7 @@ def test_picture_of_a_stand_shows_the_whole_robot_in_the_middle() -> None:
 
 @pytest.mark.slow
 def test_picture_of_a_slope_contains_the_slope() -> None:
+    """More than 20 % of the pixels differ from the level ground."""
     robot = load("v3")
     task = pa.StandTask(contacts={"FR": pa.Contact(pa.Slope(0.3))})
     level, tilted = stand_of("v3"), pa.solve_stand(robot, task)
@@ -56,6 +60,7 @@ def test_picture_of_a_slope_contains_the_slope() -> None:
 
 @pytest.mark.slow
 def test_animation_of_a_verification_is_a_gif_with_its_time(tmp_path: Path) -> None:
+    """The frame durations sum to the simulated time within 2 %."""
     report = pa.verify_stand(load("v3"), stand_of("v3"), duration=2.0)
     movie = report.animate(size=(80, 60))
     assert movie.frames.shape == (len(report.motion), 60, 80, 3)
@@ -77,6 +82,7 @@ def test_animation_of_a_verification_is_a_gif_with_its_time(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_animation_of_a_posture_turns_the_camera_once() -> None:
+    """The frame after half a turn differs most from the first frame."""
     movie = pa.Configuration(load("v3"), stand_of("v3").qpos).animate(size=(64, 48))
     assert len(movie.frames) == 40
     changes = [np.abs(frame.astype(int) - movie.frames[0]).mean() for frame in movie.frames]
@@ -114,6 +120,7 @@ def test_picture_of_a_result_without_view_is_refused(
 def test_window_opens_with_the_stand_if_there_is_a_display(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Reference: qpos in MuJoCo's data."""
     shown = []
     monkeypatch.setattr(pictures, "check_display", lambda: None)
     monkeypatch.setattr(pictures, "show_window", lambda model, data: shown.append(data.qpos.copy()))

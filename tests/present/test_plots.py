@@ -1,4 +1,4 @@
-"""``Result.plot``: axes of new figures, and results that have none."""
+"""``Result.plot``: axes and data of new figures, and results without plots."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ def headless(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_plot_of_a_stand_has_the_two_views_of_its_figure() -> None:
+    """Reference: Pinocchio's CoM [m] in the view from above."""
     robot, stand = load("v3"), stand_of("v3")
     axes = stand.plot(robot)
     assert [panel.get_title(loc="left") for panel in axes] == ["from the front", "from above"]
@@ -33,6 +34,7 @@ def test_plot_of_a_stand_has_the_two_views_of_its_figure() -> None:
 
 
 def test_plot_of_a_comparison_contains_each_deviation() -> None:
+    """Reference: deviations and tolerance of the comparison, on a logarithmic axis."""
     files = [
         ROOT / folder / f"pupper_v3.{kind}" for folder, kind in (("urdf", "urdf"), ("mjcf", "xml"))
     ]
@@ -50,9 +52,23 @@ def test_plot_of_a_comparison_contains_each_deviation() -> None:
 
 @pytest.mark.slow
 def test_plot_of_a_verification_shows_the_height() -> None:
-    report = pa.verify_stand(load("v3"), stand_of("v3"))
+    """Reference: base height of the recorded configurations [mm]. The axes are in pixels: two tick
+    labels give the scale, and the line of the requested height gives the offset.
+    """
+    stand = stand_of("v3")
+    report = pa.verify_stand(load("v3"), stand, feedforward=False, duration=4.0)
     (axes,) = report.plot()
-    assert axes.lines
+    lines = [np.asarray(line.get_xydata()) for line in axes.lines]
+    curve, requested = max(lines, key=len), lines[-1]
+    rows = {label.get_text(): label.get_position()[1] for label in axes.texts}
+    millimetres = (130 - 120) / (rows["130"] - rows["120"])  # per pixel, negative
+    time = np.interp(curve[:, 0], requested[:, 0], (0.0, report.time[-1]))
+    height = 1e3 * stand.qpos[2] + (curve[:, 1] - requested[0, 1]) * millimetres
+    drawn = np.interp(report.motion_time, time, height)
+    # 0.01 mm: pixels have one digit. The first second is left out: the base falls between samples.
+    later = report.motion_time > 1.0
+    np.testing.assert_allclose(drawn[later], 1e3 * report.motion[later, 2], atol=1e-2)
+    assert np.ptp(drawn) > 1.0
 
 
 def test_missing_robot_and_result_without_plot_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""What documents say in cases that no golden document has."""
+"""Printed documents in cases that no golden document contains."""
 
 from __future__ import annotations
 

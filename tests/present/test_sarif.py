@@ -1,4 +1,4 @@
-"""SARIF as the standard and code scanning have it."""
+"""SARIF 2.1.0, as the standard and GitHub's code scanning require."""
 
 from __future__ import annotations
 
@@ -93,6 +93,7 @@ def test_fingerprint_is_independent_of_line_and_numbers() -> None:
 
 
 def test_commands_write_sarif(tmp_path: Path) -> None:
+    """Reference: the line of the edited mass in the file."""
     text = (ROOT / "urdf" / "pupper_skeleton.urdf").read_text()
     text = text.replace('<mass value="1.506"/>', '<mass value="-1.506"/>')
     (tmp_path / "robot.urdf").write_text(text)

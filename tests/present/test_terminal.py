@@ -1,4 +1,4 @@
-"""Documents on a terminal: in its width, the short view first, and nothing cut."""
+"""Documents on a terminal: short view first, wrapped to its width, and no text cut off."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ def shown(*blocks: Table | Lines, width: int = 80, everything: bool = True) -> l
 
 
 def test_table_is_printed_in_parts_without_cut_numbers_if_too_wide() -> None:
+    """Each cell occurs once, in lines of at most 80 characters."""
     lines = shown(table(9, letters=9))
     assert max(map(len, lines)) <= 80
     assert sum(line.startswith("joint") for line in lines) == 2 * (1 + 12)  # header and rows

@@ -1,4 +1,4 @@
-"""Texts of documents and pages, and terms: keyed, in both languages, all of them used."""
+"""Texts of documents and pages, and terms: each key has both languages and is used."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\
 
 @pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])
 def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]]) -> None:
+    """Both texts use the same values; Chinese texts contain Chinese characters and punctuation."""
     assert words
     for key, both in words.items():
         assert set(both) == set(LANGUAGES), key
@@ -33,6 +34,7 @@ def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]])
 
 @pytest.mark.slow
 def test_catalogue_has_no_unused_text() -> None:
+    """Reference: all texts in the source code and in the page template."""
     measures = {f"metric-{name.replace('_', '-')}" for name in METRICS}
     left = set(TEXTS) - written() - measures
     assert {key for key in left if not key.startswith(tuple(begun()))} == set()

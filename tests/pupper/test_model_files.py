@@ -1,4 +1,4 @@
-"""The model files themselves: what they say, and that they say the same."""
+"""The model files of Pupper: their values, and equality of the files."""
 
 from collections.abc import Callable
 
@@ -50,7 +50,10 @@ def test_feet_and_com_of_v3_at_zero_angles() -> None:
     np.testing.assert_allclose(mj.body("base_link").subtree_com, com, atol=1e-8)
 
 
-def test_actuators_are_in_the_tutorials_order() -> None:
+def test_actuators_have_the_documented_order() -> None:
+    """Front before rear, right before left, hip before knee; the joints of the robot have the order
+    of the actuators.
+    """
     v3 = [f"leg_{end}_{side}_{i}" for end in ("front", "back") for side in "rl" for i in (1, 2, 3)]
     skeleton = [
         f"{leg}_{joint}" for leg in ("FL", "FR", "RL", "RR") for joint in ("HAA", "HFE", "KFE")
@@ -68,9 +71,12 @@ def test_actuators_are_in_the_tutorials_order() -> None:
 
 @pytest.mark.parametrize(("base", "arm"), [("v3", (0.09, 0, 0.032)), ("original", (0.08, 0, 0.03))])
 @given(place=numbers(3, 1.0), turn=numbers(3, 1.8), qvel=numbers(6, 3.0))
-def test_sensors_by_name(
+def test_named_sensors_measure_the_rigid_body_motion(
     base: str, arm: tuple[float, ...], place: np.ndarray, turn: np.ndarray, qvel: np.ndarray
 ) -> None:
+    """Closed forms of gyro, angular and linear velocity [rad/s, m/s] and position [m] of the IMU on
+    its lever arm.
+    """
     robot = load(base)
     rotation = Rotation.from_rotvec(turn)
     quat = rotation.as_quat(scalar_first=True)
@@ -98,6 +104,7 @@ def test_sensors_by_name(
 def test_feet_are_spheres_of_the_robots_radius(
     base: str, radius: float, solimp: tuple[float, ...] | None, friction: tuple[float, ...]
 ) -> None:
+    """Reference: radius [m], solimp and friction of the tutorial's foot."""
     robot = load(base)
     model = robot.mj_model
     assert len(robot.contact_frames) == 4
@@ -143,6 +150,7 @@ def without(spec: mujoco.MjSpec, unwanted: Callable[[str], bool]) -> mujoco.MjMo
 
 
 def test_v3_files_differ_by_freejoint_floor_and_keyframe_alone() -> None:
+    """Reference: all arrays of both compiled models without these elements."""
     free = mujoco.MjSpec.from_file(str(MJCF / "pupper_v3.xml"))
     fixed = mujoco.MjSpec.from_file(str(MJCF / "pupper_v3_fixed.xml"))
     assert {joint.name for joint in free.joints} - {joint.name for joint in fixed.joints} == {

@@ -1,4 +1,4 @@
-"""Names of variants are accepted where model files are."""
+"""Names of variants are accepted in place of model files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_load_robot_refuses_options_of_files_for_a_variant() -> None:
         pa.load_robot("v4")
 
 
-def test_a_file_named_as_a_variant_is_the_file(
+def test_file_takes_precedence_over_a_variant_of_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -43,6 +43,7 @@ def test_a_file_named_as_a_variant_is_the_file(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
 def test_audit_and_crosscheck_accept_the_name_of_a_variant(name: str, tmp_path: Path) -> None:
+    """Temporary files of a scaled variant are removed afterwards."""
     done = answer("audit", name, "--json", "audit.json", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()[:2]] == ["OK", "OK"]

@@ -1,4 +1,6 @@
-"""Which variants there are, what they weigh and measure, and what is refused."""
+"""Variants: masses, centres of mass and feet in closed form, and refusals of invalid
+specifications.
+"""
 
 import math
 from pathlib import Path
@@ -19,6 +21,7 @@ from tests.support.variants import NAMES
 @settings(max_examples=15)
 @given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
 def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
+    """Point masses of torso, hips, thighs, calves and feet; the CoM [m] in both engines."""
     robot = pa.load_variant(pa.pupper.VariantSpec("skeleton", s, t))
     config = pa.Configuration(robot, robot.neutral())
     torso, hips, thighs, calves, feet = 1.506 * t, 4 * 0.045, 4 * 0.186 * s, 4 * 0.05 * s, 4 * 0.02
@@ -68,7 +71,7 @@ def test_unknown_variant_is_refused_with_the_valid_names(name: str) -> None:
 @pytest.mark.parametrize(
     "value", [math.nan, math.inf, -math.inf, 0, 0.0, -1.5, "1.5", True, None, [1.5], 1j]
 )
-def test_bad_scale_is_refused(field: str, value: object) -> None:
+def test_invalid_scale_is_refused_by_field(field: str, value: object) -> None:
     with pytest.raises(pa.VariantError, match=r"finite number greater than 0") as caught:
         pa.pupper.VariantSpec("v3", **{field: value})  # type: ignore[arg-type]
     assert field in str(caught.value)

@@ -1,4 +1,4 @@
-"""The GitHub Action and the pre-commit hook: their commands run, here as there."""
+"""GitHub Action and pre-commit hook: their commands are executed as GitHub's runner does."""
 
 from __future__ import annotations
 
@@ -82,6 +82,7 @@ def installed(checkout: Path) -> Path:
 
 
 def test_action_file_is_complete() -> None:
+    """No script contains an expression, which would execute the names of branches and files."""
     assert ACTION["runs"]["using"] == "composite"
     assert ACTION["name"]
     assert ACTION["description"]
@@ -235,6 +236,7 @@ HOOKS = {hook["id"]: hook for hook in read(ROOT / ".pre-commit-hooks.yaml")}
 
 
 def test_hook_file_is_complete() -> None:
+    """The pattern matches the models and settings of the sample, and no other file."""
     hook = HOOKS["pupper-analysis-check"]
     assert hook["language"] == "python"
     assert hook["pass_filenames"] is False

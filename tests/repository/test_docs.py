@@ -1,4 +1,4 @@
-"""The docs name what is there, and what is generated of them is whole."""
+"""Documentation: links, commands, tables and generated pages exist and are complete."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def resolve_public_path(path: str) -> object:
     return value
 
 
-def test_links_lead_somewhere() -> None:
+def test_relative_links_of_pages_exist() -> None:
     for page in PAGES:
         for link in re.findall(r"\]\(((?!https?:)[^)#\s]+)[^)]*\)", page.read_text()):
             known = (page.parent / link).exists() or "generated" in Path(link).parts
@@ -95,7 +95,7 @@ def test_every_command_has_a_guide() -> None:
         assert any(f"\npupper-analysis {name}" in text for text in texts), name
 
 
-def test_tables_of_data_are_whole_and_described() -> None:
+def test_data_tables_are_rectangular_and_described() -> None:
     groups = tomllib.loads((DATA / "tables.toml").read_text())
     described = [name for group in groups.values() for name in group if name != "title"]
     assert {path.stem for path in DATA.glob("*.csv")} == set(described)
@@ -156,14 +156,14 @@ def test_reference_lists_all_rules_codes_names_and_commands(generated: Path) -> 
 
 
 @pytest.mark.slow
-def test_the_picture_of_the_architecture_is_current() -> None:
+def test_architecture_page_has_the_current_import_graph() -> None:
     drawing = script("docs/draw_architecture.py")
     assert drawing.read_embedded_facts() == drawing.collect_facts(
         drawing.folder_graph(), drawing.tool_graph()
     ), "draw it again: python docs/draw_architecture.py"
 
 
-def test_every_room_is_described_in_the_architecture() -> None:
+def test_each_package_is_described_on_the_architecture_page() -> None:
     described = [row[0] for row in rows("docs/explanation/architecture.md") if len(row) == 4]
     assert described == [f"`{room}/`" for room in FLOOR]
 

@@ -1,4 +1,4 @@
-"""Each example runs, is short, and shows what its docstring says that one sees."""
+"""Each example runs, is short, and prints the lines that its docstring describes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the fuzzer has found stays mended, and the fuzzer finds what it looks for."""
+"""Inputs at which the fuzzer once found a defect pass, and the fuzzer detects defects."""
 
 from __future__ import annotations
 
@@ -21,5 +21,5 @@ def test_seeds_that_once_failed_pass(path: Path) -> None:
 @pytest.mark.slow
 @settings(max_examples=15, suppress_health_check=list(HealthCheck))
 @given(fuzz.on_files())
-def test_spoilt_files_are_refused(case: fuzz.Case) -> None:
+def test_randomly_damaged_files_have_no_defect(case: fuzz.Case) -> None:
     assert fuzz.found_in(case) == []

@@ -1,6 +1,5 @@
-"""Few folders, that import each other in no circle, as the picture of the architecture has them.
-
-import-linter keeps the rooms apart (`make lint`), and ruff functions simple.
+"""The packages are few, import each other without cycles, and equal the architecture page.
+import-linter checks the allowed imports (`make lint`); ruff bounds the complexity of functions.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 
 
 @pytest.mark.slow
-def test_the_house_has_few_folders_and_arrows() -> None:
+def test_number_of_packages_and_imports_is_bounded() -> None:
     graph = drawing.folder_graph()
     assert len(graph) <= 11
     assert sum(map(len, graph.values())) <= 70
@@ -52,7 +51,7 @@ def test_the_house_has_few_folders_and_arrows() -> None:
 
 
 @pytest.mark.slow
-def test_tools_know_each_other_at_few_places_and_in_no_circle() -> None:
+def test_tools_import_each_other_rarely_and_without_cycles() -> None:
     graph = drawing.tool_graph()
     assert sum(map(len, graph.values())) <= 12
     graphlib.TopologicalSorter(graph).prepare()

@@ -18,7 +18,7 @@ def numbers(text: str) -> list[int]:
     return [int(part) for part in text.split(".") if part.isdigit()]
 
 
-def test_every_requirement_has_a_lowest_version_and_ours_are_not_below() -> None:
+def test_each_requirement_has_a_lowest_version_below_the_installed_one() -> None:
     found = lowest(PROJECT)
     assert {"mujoco", "pin", "placo", "numpy", "pytest"} <= set(found)
     for name, bound in found.items():

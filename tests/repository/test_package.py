@@ -1,4 +1,4 @@
-"""The package as a whole: its names, and what importing it costs."""
+"""The package as a whole: public names, and the modules that an import loads."""
 
 import os
 import subprocess
@@ -30,8 +30,10 @@ def test_each_public_name_equals_the_name_of_its_object() -> None:
     assert others == {"VARIANTS": MappingProxyType}
 
 
-def run(code: str, folder: Path) -> str:
-    """Runs Python in a fresh process, from another folder, warnings being errors."""
+def run_python(code: str, folder: Path) -> str:
+    """Run Python code in a new process in another folder, with warnings as errors; return the
+    printed text.
+    """
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "MUJOCO_GL": ""}
     result = subprocess.run(
         [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", code],
@@ -55,17 +57,17 @@ HEAVY = (
 
 def test_import_loads_no_engine_and_no_heavy_package(tmp_path: Path) -> None:
     code = "import pupper_analysis; " + LOADED.format(names=(*HEAVY, "mujoco", "pinocchio"))
-    assert run(code, tmp_path) == "[]"
+    assert run_python(code, tmp_path) == "[]"
 
 
 @pytest.mark.slow
 def test_loading_a_base_model_needs_no_drawing_and_no_urdf_writer(tmp_path: Path) -> None:
     code = "import pupper_analysis as pa; pa.load_variant('v3'); " + LOADED.format(names=HEAVY)
-    assert run(code, tmp_path) == "[]"
+    assert run_python(code, tmp_path) == "[]"
 
 
 @pytest.mark.slow
-def test_a_stand_needs_no_drawing_and_of_scipy_the_linear_algebra(tmp_path: Path) -> None:
+def test_stand_imports_only_the_linear_algebra_of_scipy_and_no_drawing(tmp_path: Path) -> None:
     code = (
         "import pupper_analysis as pa; r = pa.load_variant('v3'); s = pa.solve_stand(r); "
         "pa.gravity_compensation(pa.Configuration(r, s.qpos)); pa.steady_state(r, s); "
@@ -73,15 +75,17 @@ def test_a_stand_needs_no_drawing_and_of_scipy_the_linear_algebra(tmp_path: Path
     )
     parts = ("optimize", "interpolate", "integrate", "spatial", "stats")
     names = ("matplotlib", "yourdfpy", "trimesh", *(f"scipy.{part}" for part in parts))
-    assert run(code + LOADED.format(names=names), tmp_path) == "[]"
+    assert run_python(code + LOADED.format(names=names), tmp_path) == "[]"
 
 
 @pytest.mark.slow
-def test_docstrings_example_works(tmp_path: Path) -> None:
+def test_example_in_the_package_docstring_runs(tmp_path: Path) -> None:
     assert pa.__doc__ is not None
     lines = [line[4:] for line in pa.__doc__.splitlines() if line.startswith("    ")]
     assert len(lines) >= 5
-    assert run("\n".join([*lines, "print(report.passed, len(torques))"]), tmp_path) == "True 12"
+    assert (
+        run_python("\n".join([*lines, "print(report.passed, len(torques))"]), tmp_path) == "True 12"
+    )
 
 
 def test_completion_offers_public_names_only() -> None:

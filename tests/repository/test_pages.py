@@ -1,4 +1,6 @@
-"""Every block of the pages and every example of `--help` runs, and prints what its page says."""
+"""Each code block of the documentation and each example of `--help` runs and prints the stated
+output.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ def test_blocks_of_a_page_run_and_print_the_stated_output(name: str, tmp_path: P
     pages.run_page(BLOCKS[name], tmp_path)
 
 
-def test_few_blocks_are_run_nowhere() -> None:
+def test_blocks_that_are_not_run_need_a_network_or_another_program() -> None:
     left = {line for found in BLOCKS.values() for block in found for line in block.left}
     unreachable = (
         "pip install",

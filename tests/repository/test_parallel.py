@@ -1,4 +1,4 @@
-"""Robots, results and errors go to other processes and threads, and come back the same."""
+"""Robots, results and errors are equal after transfer to other processes and threads."""
 
 from __future__ import annotations
 
@@ -108,6 +108,7 @@ def assert_same_model(one: mujoco.MjModel, two: mujoco.MjModel, tolerance: float
 @pytest.mark.slow
 @COPIES
 def test_robot_is_equal_after_pickling(variant: str, copied: Callable[[Any], Any]) -> None:
+    """All numbers of both engines' models; after recompilation of the spec within 1e-14."""
     robot = load(variant)
     back = copied(robot)
     assert back.fingerprint == robot.fingerprint
@@ -127,6 +128,7 @@ def test_robot_is_equal_after_pickling(variant: str, copied: Callable[[Any], Any
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["v3-heavy", "long-leg"])
 def test_pickled_robot_has_the_same_stand(variant: str) -> None:
+    """qpos and torques are equal to the last bit, simulated heights within 1e-9."""
     robot = load(variant)
     back = pickled(robot)
     task = pa.StandTask(pitch=0.03, ground=pa.Ground(heights={robot.contact_points[0]: 0.01}))
@@ -204,7 +206,7 @@ def test_workers_solve_and_refuse(method: str) -> None:
     assert caught.value.nearest.robot == robot.fingerprint
 
 
-def test_twenty_threads_at_once() -> None:
+def test_stands_of_twenty_threads_equal_those_of_one_thread() -> None:
     robot = load("v3")
     expected = [heights(robot, height) for height in HEIGHTS]
     with ThreadPoolExecutor(20) as pool:

@@ -1,4 +1,6 @@
-"""The README is true: its snippets run, its commands exist, its numbers are the program's."""
+"""README and pages: snippets run, commands and options exist, and the numbers equal the
+program's.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,10 @@ PAGES = [
 ]
 
 
-def test_the_table_of_variants_is_true() -> None:
+def test_table_of_variants_equals_the_computed_values() -> None:
+    """Mass [kg], ratios, peak torque [N m] and utilisation [%], within half of the last printed
+    digit.
+    """
     rows = re.findall(r"^\| ([\w-]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| (.*) \|$", README, re.M)
     assert [row[0] for row in rows] == list(pa.VARIANTS)
     for name, mass, mass_ratio, thigh_ratio, rest in rows:

@@ -1,4 +1,4 @@
-"""A tool is dropped by deleting its folders: what is left works."""
+"""A tool is removed by deleting its folders: the remaining package works."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ def without(tools: Iterable[str], folder: Path) -> Path:
     return copy
 
 
-def run(copy: Path, *words: str) -> str:
+def run_in_copy(copy: Path, *words: str) -> str:
+    """Run Python in a copy of the checkout, assert its success, and return the printed text."""
     done = subprocess.run(
         [sys.executable, *words],
         capture_output=True,
@@ -91,7 +92,7 @@ def check_imports(tool: str, copy: Path) -> None:
         "sys.argv = ['pupper-analysis', '--help']; "
         "runpy.run_module('pupper_analysis', run_name='__main__')"
     )
-    printed = run(copy, "-c", code)
+    printed = run_in_copy(copy, "-c", code)
     assert str(copy) in printed
     left = {path.parent.name for path in (copy / "pupper_analysis/tools").glob("*/command.py")}
     listed = re.findall(r"^  (\w+)  +\S", printed.partition(f"{HELP_HEADINGS[0]}:")[2], re.M)
@@ -111,10 +112,10 @@ def run_tests(copy: Path) -> None:
     ]
     core = [path for path in QUICK if (copy / path).exists()]
     options = ("-n", "0", "-q", "-m", "not slow", "--maxfail", "3")
-    run(copy, "-m", "pytest", *options, *core, *tools[:2])
+    run_in_copy(copy, "-m", "pytest", *options, *core, *tools[:2])
 
 
-def test_the_core_names_no_tool_that_only_reads() -> None:
+def test_core_names_no_package_without_command() -> None:
     for name in own_packages().keys() - own_tools().keys():
         for path in (ROOT / "pupper_analysis").rglob("*.*"):
             if path.suffix in (".py", ".toml", ".pyi") and "tools" not in path.parts:
@@ -158,7 +159,9 @@ def test_tests_of_other_tools_do_not_import_a_tool(tool: str) -> None:
 @pytest.mark.slow
 def test_all_other_tests_are_collected_without_five_tools(tmp_path: Path) -> None:
     """The tools are deleted together: each collection takes 7 s."""
-    run(without(ALONE, tmp_path), "-m", "pytest", "-n", "0", "--collect-only", "-q", "tests")
+    run_in_copy(
+        without(ALONE, tmp_path), "-m", "pytest", "-n", "0", "--collect-only", "-q", "tests"
+    )
 
 
 @pytest.mark.slow

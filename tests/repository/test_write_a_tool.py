@@ -1,4 +1,6 @@
-"""Tools, formats and readers of the guides, installed beside the package, are used like ours."""
+"""Tools, formats and readers of the guides, installed beside the package, work as those of the
+package.
+"""
 
 from __future__ import annotations
 
@@ -83,6 +85,7 @@ def test_help_lists_an_installed_tool_without_importing_it(installed: Path, tmp_
 
 @pytest.mark.slow
 def test_installed_tool_has_options_page_json_and_markdown(installed: Path, tmp_path: Path) -> None:
+    """Moments of inertia satisfy the triangle inequality, and are printed with five digits."""
     assert "about its base" in run(installed, tmp_path, "inertia", "--help")
     words = ("inertia", "v3", "--json", "inertia.json", "--report", "inertia.html")
     said = run(installed, tmp_path, *words, "--format", "markdown")
@@ -97,7 +100,7 @@ def test_installed_tool_has_options_page_json_and_markdown(installed: Path, tmp_
 
 
 @pytest.mark.slow
-def test_a_format_from_outside_is_audited_and_compared(tmp_path: Path) -> None:
+def test_format_of_another_package_is_audited_and_compared(tmp_path: Path) -> None:
     stated = '[project.entry-points."pupper_analysis.formats"]\nurdfz = "urdfz_format"'
     install(tmp_path, "urdfz_format", {n: PARTS[n] for n in ("format.toml", "reader.py")}, stated)
     sound = (ROOT / "urdf/pupper_v3.urdf").read_bytes()
