@@ -25,6 +25,7 @@ from pupper_analysis.models.places import (
     one_line,
 )
 from pupper_analysis.models.xml import LFS_POINTER
+from pupper_analysis.tools.usd.prim_limits import check_prim_count
 
 MAX_BYTES: Final = 500_000_000
 """Upper bound of the size of a layer [bytes]; meshes are part of the layer. Chosen, not tuned."""
@@ -97,7 +98,7 @@ def read_usd(path: str | Path) -> UsdFile:
     """Open a USD file.
 
     Raises:
-        ModelError: If the file cannot be opened, or contains no rigid body.
+        ModelError: If the file cannot be opened, has no rigid body, or has more than `MAX_PRIMS` prims.
         MissingPackageError: If usd-core is not installed.
     """
     check_type("usd", path, str | Path)
@@ -106,6 +107,9 @@ def read_usd(path: str | Path) -> UsdFile:
     _check_file(path)
     with _capture_warnings(pxr) as get_warnings:
         try:
+            reason = check_prim_count(path)
+            if reason is not None:
+                raise make_file_error(Place(path), reason)
             stage = pxr.Usd.Stage.Open(str(path.absolute()), pxr.Usd.Stage.LoadAll)
             stage.Reload()  # USD caches layers of earlier reads
             for layer in stage.GetUsedLayers():

@@ -9,8 +9,11 @@ import pytest
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
+from pxr import Usd
+
 from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.models.loading import read_model
+from pupper_analysis.tools.usd import prim_limits
 from pupper_analysis.tools.usd.file import MAX_DEPTH, read_usd
 from tests.tools.usd import written as usd
 
@@ -55,6 +58,60 @@ def test_nesting_that_usd_would_die_of_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="nested"):
         read_usd(file)
     file.write_text(HEAD + BODY + f'def "c" ( doc = "{"{" * depth}" )\n{{\n}}\n')
+    assert read_usd(file).bodies == {"b": "/b"}
+
+
+def nest_references(levels: int, *, instanceable: bool = False) -> str:
+    """Return a layer in which each class refers twice to the class before: 2^levels prims."""
+    flag = "instanceable = true" if instanceable else ""
+    text = HEAD + BODY + 'class "n0"\n{\n}\n'
+    for level in range(levels):
+        child = f"( references = </n{level}>\n {flag} )\n{{\n}}\n"
+        text += f'class "n{level + 1}"\n{{\ndef "a" {child}def "b" {child}}}\n'
+    return text + f'def "c" ( references = </n{levels}> )\n{{\n}}\n'
+
+
+@pytest.mark.parametrize("instanceable", [False, True])
+def test_nested_references_are_refused_before_usd_composes_the_prims(
+    tmp_path: Path, instanceable: bool
+) -> None:
+    """2^30 prims in 3 kB; USD needs 34 s for 2^15 of them."""
+    file = tmp_path / "nested.usda"
+    file.write_text(nest_references(30, instanceable=instanceable))
+    with pytest.raises(ModelError, match="more than 100000 prims"):
+        read_usd(file)
+
+
+def test_prims_of_references_payloads_variants_and_sublayers_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reference is the number of prims of USD's own stage, with its pseudo-root."""
+    inner = 'def "r"\n{\ndef "x"\n{\n}\ndef "y"\n{\n}\n}\n'
+    (tmp_path / "inner.usda").write_text('#usda 1.0\n( defaultPrim = "r" )\n' + inner)
+    (tmp_path / "below.usda").write_text('#usda 1.0\ndef "below"\n{\n}\n')
+    file = tmp_path / "outer.usda"
+    variants = 'variants = { string s = "v" }\n prepend variantSets = "s"'
+    file.write_text(
+        "#usda 1.0\n( subLayers = [@./below.usda@] )\n"
+        + BODY
+        + 'def "one" ( references = @./inner.usda@ )\n{\n}\n'
+        + 'def "two" ( payload = @./inner.usda@</r> )\n{\n}\n'
+        + 'def "three" ( inherits = </one> )\n{\n}\n'
+        + f'def "four" ( {variants} )\n{{\n'
+        + 'variantSet "s" = {\n"v" {\ndef "z"\n{\n}\n}\n}\n}\n'
+    )
+    stage = read_usd(file).stage
+    prims = sum(1 for _ in Usd.PrimRange.AllPrims(stage.GetPseudoRoot()))
+    assert prims == 14
+    monkeypatch.setattr(prim_limits, "MAX_PRIMS", prims - 1)
+    with pytest.raises(ModelError, match="prims"):
+        read_usd(file)
+
+
+def test_a_reference_to_a_prim_above_ends(tmp_path: Path) -> None:
+    """USD ignores such a reference with a warning."""
+    file = tmp_path / "endless.usda"
+    file.write_text(HEAD + BODY + 'def "a"\n{\ndef "c" ( references = </a> )\n{\n}\n}\n')
     assert read_usd(file).bodies == {"b": "/b"}
 
 
