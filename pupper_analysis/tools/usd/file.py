@@ -98,7 +98,7 @@ def read_usd(path: str | Path) -> UsdFile:
     """Open a USD file.
 
     Raises:
-        ModelError: If the file cannot be opened, has no rigid body, or has more than `MAX_PRIMS` prims.
+        ModelError: If the file cannot be opened, or has no rigid body or too many prims.
         MissingPackageError: If usd-core is not installed.
     """
     check_type("usd", path, str | Path)
