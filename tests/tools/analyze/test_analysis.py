@@ -1,4 +1,6 @@
-"""An analysis gathers what the modules find; here, what it adds of its own."""
+"""Analyses of robots: joint motions, leg lengths and failures that the analysis adds to the results
+of other modules.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,10 @@ def test_joint_motions_follow_from_their_axes() -> None:
 
 
 @pytest.mark.slow
-def test_a_prismatic_joint_slides(tiny: pa.Robot, tmp_path: Path) -> None:
+def test_motion_of_a_prismatic_joint_is_a_direction_or_oblique(
+    tiny: pa.Robot, tmp_path: Path
+) -> None:
+    """Axes of the files: (0, 0, 1) is "along z", (0, 1, 1) is "oblique slide"."""
     found = {joint.name: joint.motion for joint in summarise_joints(tiny)}
     assert found["push"] == "along z"
     assert found["turn"] == found["bend"] == "oblique"  # the arm is tilted by 0.3 rad
@@ -74,6 +79,7 @@ def test_leg_jacobian_of_a_planar_leg() -> None:
 
 @pytest.mark.slow
 def test_failed_verification_and_failed_cross_check_are_reported() -> None:
+    """Motors of 0.2 N m where knees hold 0.36 N m, and a body of 10 g more in the MJCF."""
     robot = pa.load_variant("original")
     weak = copy.copy(robot.mj_model)
     weak.actuator_forcerange[:] = (-0.2, 0.2)  # the knees hold 0.36 N m
@@ -113,6 +119,7 @@ def telescope(folder: Path) -> pa.Robot:
 
 @pytest.mark.slow
 def test_thigh_length_is_none_for_legs_of_one_joint(tmp_path: Path) -> None:
+    """Closed form of the slide force: weight / 4 less the leg's own 0.1 kg times g [N]."""
     robot = telescope(tmp_path)
     assert measure_leg_lengths(robot) == (None, pytest.approx(0.0))  # along the slide
     analysis = pa.analyze_variant(robot, pa.StandTask(height=0.16))

@@ -101,6 +101,7 @@ def test_torque_figure_draws_the_share_of_the_limit_in_a_row_per_joint_of_a_leg(
 
 
 def test_torque_figure_states_the_torque_of_a_motor_without_limit(figures: list[Figure]) -> None:
+    """Reference: largest knee torque [N m] of the statics."""
     analysis = analysis_of("v3")
     limits = [SimpleNamespace(name=joint.name, effort=np.inf) for joint in analysis.joints]
     FIGURES["torques.png"]([changed(analysis, joints=limits)], Path("unused.png"))
@@ -121,6 +122,7 @@ def test_panels_of_robots_with_equal_joints_share_axes(figures: list[Figure]) ->
 
 
 def test_height_figure_states_the_mean_of_the_last_second(figures: list[Figure]) -> None:
+    """Reference: mean height [mm] of the simulation's last second less the height of the stand."""
     analysis = analysis_of("v3")
     FIGURES["heights.png"]([analysis], Path("unused.png"))
     (axes,) = panels(figures[0])

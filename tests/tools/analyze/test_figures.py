@@ -1,4 +1,4 @@
-"""The rendered picture, and the line drawing that takes its place without OpenGL."""
+"""The rendered picture of robots, and the line drawing that replaces it without OpenGL."""
 
 from __future__ import annotations
 
@@ -56,6 +56,7 @@ def render_with_opengl(*arguments: Any, **options: Any) -> render.Picture:
 
 @pytest.mark.slow
 def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
+    """Pixels: each third shows a robot with yellow parts and an empty border."""
     picture = render_with_opengl(
         pairs("original", "v3", "v3-heavy"), tmp_path / "a.png", width=WIDTH
     )
@@ -177,7 +178,12 @@ def test_a_fresh_process_is_quiet(
     pixels(tmp_path / "a.png")
 
 
-def test_the_next_backend_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_osmesa_is_tried_after_egl_and_lines_are_drawn_at_last(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Both backends fail as PyOpenGL does without its libraries; environment variables are
+    restored.
+    """
     tried = []
 
     def fail(backend: str, tiles: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The audit: each rule finds its slip, where it is, and finds nothing in sound models."""
+"""Audit rules: each rule finds its planted fault with its line, and no fault in correct models."""
 
 from __future__ import annotations
 
@@ -275,6 +275,9 @@ ESCALATED = {"limits-in-wrong-unit", "mass-beyond-motors"}
 def test_planted_fault_is_found_at_its_line(
     case: Case, tmp_path: Path, sound: dict[str, Audit]
 ) -> None:
+    """One edit per rule; the correct file has no such finding. The severity is that of the rule at
+    least.
+    """
     path = written(tmp_path, case.format, case.edits)
     findings = found(audit_model(path), case.rule, case.element)
     assert findings, [str(finding) for finding in audit_model(path).findings]
@@ -391,6 +394,7 @@ def test_limits_of_ten_turns_are_an_error_unless_they_are_symmetric(
 def test_command_range_is_found_if_it_is_the_range_of_the_joint_in_degrees(
     command_range: str, is_found: bool, tmp_path: Path
 ) -> None:
+    """Reference: -1.8 to 1.2 rad of the joint are -103.1 to 68.75 deg."""
     edit = Edit('<general name="FL_HFE"', "/>", f' ctrlrange="{command_range}"/>')
     result = audit_model(written(tmp_path, "mjcf", (edit,)))
     assert bool(found(result, "command-range-in-degrees")) == is_found
@@ -500,7 +504,8 @@ BROKEN = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_mesh_that_is_none_is_found(name: str, tmp_path: Path) -> None:
+def test_unreadable_mesh_is_found_with_its_reason(name: str, tmp_path: Path) -> None:
+    """Truncated, text and empty files; with a valid mesh in place there is no finding."""
     content, code = BROKEN[name]
     (tmp_path / name).write_bytes(content)
     edit = Edit(FL_CALF, r'<cylinder radius="0.011" length="0.11"/>', f'<mesh filename="{name}"/>')
@@ -536,6 +541,7 @@ def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None
 
 
 def test_a_mesh_that_is_mirrored_in_all_directions_is_found(tmp_path: Path) -> None:
+    """Two mirrored directions are a rotation; a scale of 0 is another finding."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
     edit = Edit(
         FL_CALF,
@@ -625,9 +631,12 @@ FLOOR = Edit("<worldbody", '<geom name="floor".*?/>', "")
         ),
     ],
 )
-def test_a_file_without_ground_is_judged_on_that_of_a_scene(
+def test_file_without_ground_is_checked_on_a_default_ground(
     rule: str, edits: tuple[Edit, ...], tmp_path: Path
 ) -> None:
+    """MuJoCo's rule: the larger condim and friction of foot and ground count, unless a priority is
+    set.
+    """
     result = audit_model(written(tmp_path, "mjcf", (FLOOR, *edits)))
     assert {one.rule for one in result.findings if one.severity != Severity.NOTE} <= {rule}
     assert bool(found(result, rule)) is bool(rule)
@@ -637,6 +646,9 @@ def test_a_file_without_ground_is_judged_on_that_of_a_scene(
 def test_individually_identified_motors_are_no_finding(
     factor: float, named: bool, tmp_path: Path
 ) -> None:
+    """Armatures between 100 % and 160 % of 0.003 kg m^2; a factor of 100 in one motor is found, a
+    factor of 10 is not.
+    """
     text = OWN["mjcf"].read_text()
     for number, name in enumerate(re.findall('<joint name="(.._H.E|.._KFE|.._HAA)"', text)):
         value = 0.003 * (1.0 + 0.1 * (number % 7)) * (factor if name == "FR_KFE" else 1.0)
@@ -665,7 +677,7 @@ def test_limits_of_a_continuous_joint_are_reported(tmp_path: Path) -> None:
     assert finding.diagnostic.values["upper"] == Quantity(0.8, "rad")
 
 
-def test_masses_a_thousandth_are_lighter_than_foam(tmp_path: Path) -> None:
+def test_masses_in_grams_are_reported_as_lighter_than_foam(tmp_path: Path) -> None:
     path = tmp_path / "light.urdf"
     text = OWN["urdf"].read_text()
     path.write_text(re.sub(r'<mass value="([^"]+)"', r'<mass value="\1e-3"', text))
@@ -679,7 +691,7 @@ def test_each_rule_of_the_catalogue_has_a_function() -> None:
 
 
 @pytest.mark.parametrize("rule", RULES.values(), ids=lambda rule: rule.id)
-def test_rules_are_argued_in_chinese(rule: Rule) -> None:
+def test_each_rule_has_chinese_texts(rule: Rule) -> None:
     assert rule.chinese.keys() == {"title", "why", "todo"}
     assert all(re.search("[\u4e00-\u9fff]", words) for words in rule.chinese.values())
 
@@ -708,14 +720,14 @@ def test_every_rule_has_a_test() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.name)
-def test_our_own_models_are_sound(path: Path) -> None:
+def test_models_of_this_package_have_no_finding(path: Path) -> None:
     result = audit_model(path)
     assert result.passed
     assert result.counts["warning"] == 0, [str(finding) for finding in result.findings]
 
 
 @pytest.mark.slow
-def test_derived_variants_are_sound(variant: str, tmp_path: Path) -> None:
+def test_derived_variants_have_no_finding(variant: str, tmp_path: Path) -> None:
     written = pa.pupper.write_variant(variant, tmp_path)
     assert len(written) == 2
     for path in written:

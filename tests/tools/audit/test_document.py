@@ -1,4 +1,4 @@
-"""The audit's output, and its command."""
+"""The command `audit`: refusals of invalid input."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.repository import ROOT
         ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--package", "x"], "NAME=VALUE"),
     ],
 )
-def test_bad_input_is_one_line(arguments: list[str], message: str) -> None:
+def test_invalid_input_is_refused_in_one_line(arguments: list[str], message: str) -> None:
     result = answer("audit", *arguments)
     assert result.returncode == cli.EXIT_BAD_INPUT
     assert message in result.stderr

@@ -1,4 +1,4 @@
-"""Robots in memory: the findings are those of the file, without lines."""
+"""Audits of robots in memory: the findings of the file, without lines."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ def test_text_of_a_urdf_is_audited_without_lines() -> None:
 
 
 def test_robots_in_memory_are_compared_like_their_files() -> None:
+    """A mass that is 10 % larger in the spec is a difference."""
     spec = mujoco.MjSpec.from_file(str(MJCF))
     assert pa.compare_models(URDF.read_text(), spec, configurations=2).agree
     spec.body("leg_front_r_3").mass *= 1.1

@@ -1,4 +1,6 @@
-"""Repairs of findings: planted mistakes are mended to the original number, byte by byte."""
+"""Repairs of findings: planted faults are replaced by the original number, and all other bytes are
+unchanged.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ MJCF = ROOT / "mjcf/pupper_skeleton.xml"
 
 
 def planted(folder: Path, after: str, old: str, new: str, model: Path = URDF) -> Path:
-    """Write the model with one text replaced after another text, and DOS line ends."""
+    """Write the model with one text replaced after another text, and with DOS line endings."""
     text = model.read_text()
     start = text.index(after)
     assert old in text[start:]
@@ -56,7 +58,7 @@ def repairs_of(audit: Audit, rule: str) -> list[dict[str, str]]:
         ),
     ],
 )
-def test_planted_number_is_mended_to_the_original_bytes(
+def test_planted_number_is_repaired_to_the_original_bytes(
     after: str, old: str, new: str, rule: str, tmp_path: Path
 ) -> None:
     path = planted(tmp_path, after, old, new)
@@ -128,6 +130,7 @@ def test_nothing_is_written_without_a_confirmation(tmp_path: Path) -> None:
 
 
 def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
+    """Reference: the original file, after replacing the byte region of SARIF."""
     path = planted(tmp_path, '<link name="FR_calf">', 'value="0.05"', 'value="0.5"')
     shown = CliRunner().invoke(group, ["audit", str(path), "--format", "sarif"])
     (run,) = json.loads(shown.stdout)["runs"]

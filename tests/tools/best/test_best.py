@@ -1,4 +1,4 @@
-"""The best stance: better than the nominal one, than its neighbours, and one that holds."""
+"""The best stance: better than the nominal stand and its neighbours, and held in MuJoCo."""
 
 from __future__ import annotations
 
@@ -89,6 +89,9 @@ def check_kept(robot: pa.Robot, found: pa.analysis.BestStance) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_best_stance_has_the_least_utilisation(name: str) -> None:
+    """References: random neighbours in all coordinates (0.5 % for their sampling), and MuJoCo's
+    motor torques at rest.
+    """
     robot, found = load(name), best_stance(load(name))
     check_kept(robot, found)
     held, nominal = (
@@ -137,6 +140,7 @@ def test_redundant_joints_of_the_best_stance_equal_its_task(tmp_path: Path) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_largest_payload_holds_in_mujoco(name: str) -> None:
+    """The trial with the payload survives nudges; with 5 % more the verdict fails."""
     robot, found = load(name), best_stance(load(name), Objective.PAYLOAD)
     check_kept(robot, found)
     assert found.payload is not None
@@ -155,7 +159,8 @@ def test_largest_payload_holds_in_mujoco(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
-def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -> None:
+def test_best_stance_for_an_offset_payload_carries_more_than_its_neighbours() -> None:
+    """Random neighbours carry at most 0.5 % more, and the nominal stand less than half."""
     robot, point = load("v3"), (0.05, 0.0, 0.05)
     found = StanceSearch(robot, Objective.PAYLOAD, point=point)
     found.run()
@@ -212,6 +217,7 @@ def test_asymmetric_stance_is_optimised_over_all_free_parameters() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_best_stance_keeps_the_fixed_part_of_the_task() -> None:
+    """Slope, position of one foot, joint margin of 0.1 rad and CoM margin of 40 mm."""
     robot = load("v3")
     ground = pa.Ground(slope=0.1, uphill=1.0)
     task = pa.StandTask(
@@ -247,7 +253,7 @@ def test_best_stance_refuses_wrong_requests() -> None:
 
 
 @pytest.mark.parametrize(("limit", "words"), [(0.0, "leg_front_r_1"), (np.inf, "no motor")])
-def test_motors_without_a_limit_to_use(limit: float, words: str) -> None:
+def test_motors_with_zero_or_unknown_limit_are_refused(limit: float, words: str) -> None:
     robot = with_efforts(load("v3"), limit)
     for objective in (Objective.UTILISATION, Objective.PAYLOAD):
         with pytest.raises(pa.ConfigurationError, match=words):

@@ -1,4 +1,4 @@
-"""What guides the search for payloads: stiffness by another route, through settled poses."""
+"""Linearised payload limits: the stiffness of settled stands, compared with the buckling load."""
 
 from __future__ import annotations
 

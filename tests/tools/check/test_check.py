@@ -1,4 +1,4 @@
-"""A repository that is guarded: what is known passes, and only what is new or has changed fails."""
+"""`check` of a repository: known remarks pass, and only new or changed remarks fail."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def run(folder: Path, *arguments: str) -> Answer:
 
 
 def change(path: Path, old: str, new: str) -> int:
-    """Replaces a text that is there once; returns its line."""
+    """Replace a text that occurs once in a file; return its line."""
     text = path.read_text()
     assert text.count(old) == 1, old
     path.write_text(text.replace(old, new))
@@ -62,7 +62,7 @@ def test_sample_repository_passes_and_is_not_changed(folder: Path) -> None:
     assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
 
 
-def test_the_sample_has_the_baseline_that_is_written_today(folder: Path) -> None:
+def test_baseline_of_the_sample_equals_a_new_baseline(folder: Path) -> None:
     (folder / BASELINE).unlink()
     assert run(folder).returncode == 1
     result = run(folder, "--update-baseline")
@@ -137,9 +137,9 @@ def test_unreadable_file_fails_and_other_remarks_are_reported(folder: Path) -> N
 def test_unreadable_file_cannot_be_accepted_by_the_baseline(folder: Path) -> None:
     change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
     config = folder / "pupper-analysis.toml"
-    (remark,) = (r for r in pa.guard.check_repository(config).remarks if r.kind == "refused")
+    (make_remark,) = (r for r in pa.guard.check_repository(config).remarks if r.kind == "refused")
     before = read_baseline(folder / BASELINE)
-    entries = [*before.entries, BaselineEntry(remark.identity, remark.values)]
+    entries = [*before.entries, BaselineEntry(make_remark.identity, make_remark.values)]
     write_baseline(folder / BASELINE, before, entries)
     check = pa.guard.check_repository(config)
     assert not check.passed
@@ -151,10 +151,12 @@ COMMENTS = "# agreed with the supplier: part ordered"
 
 def baseline_with(folder: Path, *lines: str) -> list[str]:
     """Write the sample's baseline with lines before (``^``) and after its first entry."""
-    head, entry = (SAMPLE / BASELINE).read_text().split("\n\n")
+    head, make_baseline_entry = (SAMPLE / BASELINE).read_text().split("\n\n")
     above = [line.removeprefix("^") for line in lines if line.startswith("^")]
     below = [line for line in lines if not line.startswith("^")]
-    (folder / BASELINE).write_text("\n".join([head, *above, entry.rstrip("\n"), *below, ""]))
+    (folder / BASELINE).write_text(
+        "\n".join([head, *above, make_baseline_entry.rstrip("\n"), *below, ""])
+    )
     return [*above, *below]
 
 
@@ -230,7 +232,7 @@ def test_joint_in_one_file_only_fails_the_check(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_severities_that_fail(folder: Path) -> None:
+def test_remarks_fail_from_the_severity_of_fail_on(folder: Path) -> None:
     change(folder / "pupper-analysis.toml", "start-outside-limits", "gravity-unusual")
     result = run(folder)
     assert result.returncode == 0
@@ -251,14 +253,14 @@ def test_a_file_of_several_pairs_is_audited_once(folder: Path) -> None:
     with (folder / "pupper-analysis.toml").open("a") as file:
         file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
     check = pa.guard.check_repository(folder / "pupper-analysis.toml")
-    audited = [remark for remark in check.remarks if remark.check == "audit"]
+    audited = [make_remark for make_remark in check.remarks if make_remark.check == "audit"]
     assert [(r.pair, r.kind, r.file) for r in audited] == [
         ("", "start-outside-limits", "hopper.urdf")
     ]
     assert [(pair.name, pair.agree) for pair in check.pairs] == [("hopper", False), ("alone", None)]
 
 
-def test_patterns_name_many_models(folder: Path) -> None:
+def test_patterns_select_models_and_pair_them_by_name(folder: Path) -> None:
     for kind, suffix in (("urdf", "urdf"), ("mjcf", "xml")):
         (folder / kind).mkdir()
         for name in ("one", "two"):
@@ -323,7 +325,7 @@ def test_annotation_paths_are_relative_to_the_checkout(
     assert place["artifactLocation"]["uri"] == "repository/hopper.urdf"
 
 
-def test_check_writes_formats_for_machines(folder: Path) -> None:
+def test_check_writes_sarif_and_json(folder: Path) -> None:
     change(folder / "hopper.xml", 'range="-1.5 1.5"', 'range="-1.5 1.2"')
     log = json.loads(run(folder, "--format", "sarif").stdout)
     states = {r["ruleId"]: r["baselineState"] for r in log["runs"][0]["results"]}
@@ -341,35 +343,41 @@ def test_check_writes_formats_for_machines(folder: Path) -> None:
 # ------------------------------------------------------------------------------------- baseline
 
 
-def remark(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> Remark:
+def make_remark(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> Remark:
+    """Return a remark of `crosscheck` on an element with one value."""
     values = {"urdf": value}
     message = diagnose("problem", problem="text")
     return Remark("crosscheck", "a", kind, element, file, values, Severity.ERROR, message, None)
 
 
-def entry(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> BaselineEntry:
+def make_baseline_entry(
+    element: str, value: object, kind: str = "mass", file: str = "a.urdf"
+) -> BaselineEntry:
+    """Return the baseline entry of a remark from `make_remark`."""
     return BaselineEntry(("crosscheck", "a", file, kind, element), {"urdf": value})
 
 
-def test_every_part_of_an_identity_counts() -> None:
-    known = entry("base", 1.0)
+def test_remark_is_known_only_if_all_parts_of_its_identity_match() -> None:
+    known = make_baseline_entry("base", 1.0)
     for other in (
-        remark("hip", 1.0),
-        remark("base", 1.0, kind="com"),
-        remark("base", 1.0, file="b.urdf"),
+        make_remark("hip", 1.0),
+        make_remark("base", 1.0, kind="com"),
+        make_remark("base", 1.0, file="b.urdf"),
     ):
         ((judged_one,), stale) = mark_known_remarks([other], [known])
         assert not judged_one.known
         assert stale == (known,)
-    assert mark_known_remarks([remark("base", 1.0)], [known])[0][0].known
+    assert mark_known_remarks([make_remark("base", 1.0)], [known])[0][0].known
 
 
 def test_each_baseline_entry_matches_one_remark_of_equal_value() -> None:
     """A second remark with the same value is new; an entry without a remark is stale."""
-    remarks = [remark("base", value) for value in (1.0, 2.0, 3.0, 2.0)]
-    found, stale = mark_known_remarks(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
+    remarks = [make_remark("base", value) for value in (1.0, 2.0, 3.0, 2.0)]
+    found, stale = mark_known_remarks(
+        remarks, [make_baseline_entry("base", value) for value in (2.0, 5.0, 3.0)]
+    )
     assert [one.known for one in found] == [False, True, True, False]
-    assert stale == (entry("base", 5.0),)
+    assert stale == (make_baseline_entry("base", 5.0),)
 
 
 @pytest.mark.parametrize(
@@ -396,6 +404,7 @@ def test_each_baseline_entry_matches_one_remark_of_equal_value() -> None:
     ],
 )
 def test_values_agree_within_rounding(one: object, two: object, expected: bool) -> None:
+    """Cases by hand: numbers within a relative 1e-6, nested values, infinities and NaN."""
     assert values_agree(one, two) is expected
     assert values_agree(two, one) is expected
 

@@ -1,4 +1,6 @@
-"""``pupper-analysis.toml`` is read as it is written; what is not valid is refused with its line."""
+"""The file ``pupper-analysis.toml``: all keys are read, and invalid keys are refused with their
+line.
+"""
 
 from __future__ import annotations
 

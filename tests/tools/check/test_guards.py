@@ -1,4 +1,6 @@
-"""A tool that guards is a key of a pair: `contract` holds a repository's sources to its models."""
+"""Tools that extend `check` by a key of a pair: `contract` compares the sources of a repository
+with its models.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ def run(folder: Path, *arguments: str) -> Answer:
 
 
 def slip(folder: Path) -> int:
-    """Writes another kp of one joint into the deployment; returns its line."""
+    """Write another kp of one joint into the deployment file; return its line."""
     text = DEPLOY.replace("stiffness: [5.0, 5.0, 5.0", "stiffness: [5.0, 5.0, 7.0")
     assert text != DEPLOY
     (folder / "deploy.yaml").write_text(text)

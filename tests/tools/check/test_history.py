@@ -1,4 +1,4 @@
-"""What has changed since a revision is told by `check`, with its line and what it does."""
+"""Changes since a revision, reported by `check` with line and effect."""
 
 from __future__ import annotations
 
@@ -41,12 +41,14 @@ def folder(tmp_path: Path) -> Path:
 
 
 def check(folder: Path, since: str | None = "HEAD") -> pa.guard.RepositoryCheck:
+    """Return the check of the repository, with changes since a revision."""
     return pa.guard.check_repository(folder / "pupper-analysis.toml", since=since)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FELT, *HARMLESS])
 def test_each_edit_is_reported_at_its_line_with_its_effect(folder: Path, name: str) -> None:
+    """Reference: the lists FELT, HARMLESS and FALLS of edits, by their effect in bare MuJoCo."""
     edit = (FELT | HARMLESS)[name]
     edit.written(folder / "mjcf")
     result = check(folder)
@@ -87,7 +89,7 @@ def test_new_file_or_unreadable_old_version_has_no_history(folder: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_revision_that_is_none_is_refused(folder: Path) -> None:
+def test_unknown_revision_is_refused(folder: Path) -> None:
     for revision in ("no-such", "--output=x"):
         with pytest.raises(ModelError):
             check(folder, revision)

@@ -1,4 +1,6 @@
-"""Sources of any robot in six formats, a number a line, and slips planted into them by a seed."""
+"""Sources of any robot in six formats, with one number per line, and mistakes that a seed plants
+into them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sources of Pupper v3 in each format, written here: what slips are planted into."""
+"""Sources of Pupper v3 in each format, into which tests plant mistakes."""
 
 from __future__ import annotations
 

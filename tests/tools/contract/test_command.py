@@ -1,4 +1,6 @@
-"""``pupper-analysis contract``: exit status, both lines for machines, and bad input in one line."""
+"""The command ``contract``: exit status, lines of both sources for machines, and refusals in one
+line.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,10 @@ def run(folder: Path, *arguments: object) -> Answer:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_one_line(tmp_path: Path, name: str) -> None:
+def test_invalid_source_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    """Among the files: a YAML of 9^9 values by aliases, endless nesting, and Python that would
+    write a file if it were executed.
+    """
     text, problem = BAD[name]
     (tmp_path / name).write_text(text)
     said = run(tmp_path, URDF, tmp_path / name)

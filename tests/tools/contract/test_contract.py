@@ -1,4 +1,6 @@
-"""A contract: what agrees is silent, and what is planted is found, with both its lines."""
+"""Contracts between trainer, deployment and model: equal values give no finding, and planted
+mistakes are found with both lines.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +87,7 @@ def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("given", [".inf", "-1", "0.5", "0", "x"])
-def test_numbers_that_are_no_motor_numbers_are_ignored(
+def test_invalid_motor_numbers_are_ignored_with_a_note(
     sources: dict[str, Path], given: str
 ) -> None:
     path = sources["deploy.yaml"]
@@ -161,6 +163,7 @@ def test_usd_is_accepted_as_the_model_of_a_contract(tmp_path: Path) -> None:
 
 
 def test_line_of_a_training_value_is_that_of_its_assignment(sources: dict[str, Path]) -> None:
+    """Closed form of the trained scale: 0.5 (2 x 1.5) / 5 + 0.45 = 0.75."""
     text = sources["deploy.yaml"].read_text()
     sources["deploy.yaml"].write_text(text.replace(listed([0.75] * 12), listed([0.4] * 12)))
     found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
@@ -173,6 +176,7 @@ def test_line_of_a_training_value_is_that_of_its_assignment(sources: dict[str, P
 
 
 def test_rounded_numbers_agree(sources: dict[str, Path]) -> None:
+    """5.0123 in the trainer agrees with 5.0; 5.1 does not."""
     text = sources["motors.py"].read_text()
     sources["motors.py"].write_text(text.replace("10.0 / 2", "10.0 / 2 + 0.0123"))
     deploy = sources["deploy.yaml"]
@@ -210,7 +214,8 @@ def test_model_values_are_compared_with_other_sources(sources: dict[str, Path]) 
 
 
 @pytest.mark.slow
-def test_default_poses_are_stood(sources: dict[str, Path]) -> None:
+def test_stands_of_default_poses_differ_in_height(sources: dict[str, Path]) -> None:
+    """Two default poses differ in base height [mm]; v3 with kp = 5 N m/rad sags by 2 to 20 mm."""
     text = sources["config.yaml"].read_text()
     sources["config.yaml"].write_text(text.replace("0.52", "0.82"))
     found = read_contract(MJCF, URDF, sources["policy.json"], sources["config.yaml"])
@@ -248,7 +253,7 @@ def test_a_folder_gives_the_deployments_of_this_robot(sources: dict[str, Path]) 
         "pupper_v3.urdf", "config.yaml:walker", "policy.onnx"}  # fmt: skip
 
 
-def test_a_deployment_of_unitree_rl_gym(sources: dict[str, Path]) -> None:
+def test_deployment_of_unitree_rl_gym_is_read_and_compared(sources: dict[str, Path]) -> None:
     path = sources["deploy.yaml"].with_name("go.yaml")
     path.write_text(UNITREE_GYM)
     assert contract(sources["gym_cfg.py"], path).findings == ()
@@ -318,7 +323,7 @@ def test_contract_without_a_model_is_refused(sources: dict[str, Path]) -> None:
         read_contract(sources["policy.json"])
 
 
-def test_a_tables_twofold_key_is_refused_and_merged_keys_are_read(
+def test_duplicate_yaml_key_is_refused_and_merged_keys_are_read(
     sources: dict[str, Path],
 ) -> None:
     path = sources["deploy.yaml"]
@@ -346,6 +351,9 @@ def test_a_tables_twofold_key_is_refused_and_merged_keys_are_read(
 def test_regular_expressions_with_exponential_time_are_left_out(
     sources: dict[str, Path], pattern: str
 ) -> None:
+    """Four patterns backtrack exponentially in `re`, so that the test would not end; two are
+    invalid.
+    """
     text = sources["isaac_cfg.py"].read_text()
     sources["isaac_cfg.py"].write_text(
         text.replace('{"leg_.*": 5.0}', f'{{"leg_.*": 5.0, "{pattern}": 9.0}}')

@@ -1,4 +1,6 @@
-"""Slips that a seed plants into six kinds of sources of two robots, and what is no slip."""
+"""Mistakes that a seed plants into six kinds of sources of two robots are found; harmless edits
+give no finding.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +31,7 @@ LOOKS = {"order": "order", "sign": "sign", "unit": "unit"}
 def test_planted_mistake_is_found_with_both_lines(
     tmp_path: Path, name: str, kind: str, slip: str
 ) -> None:
+    """Reference: quantity, joint and line of the planted mistake."""
     robot = robot_of(name, tmp_path)
     seed = CASES.index((name, kind, slip))
     slipped, quantity, joint = plant(robot, kind, slip, seed)
@@ -87,6 +90,7 @@ SOUND: dict[str, tuple[str, Callable[[str], str]]] = {
 @pytest.mark.parametrize("name", ["v3", "quadruped"])
 @pytest.mark.parametrize("sound", SOUND)
 def test_harmless_edit_gives_no_finding(tmp_path: Path, name: str, sound: str) -> None:
+    """At least three quantities of each joint are read, so the file is not merely ignored."""
     kind, change = SOUND[sound]
     robot = robot_of(name, tmp_path)
     path, _ = write(robot, kind, tmp_path)
@@ -100,7 +104,7 @@ def test_harmless_edit_gives_no_finding(tmp_path: Path, name: str, sound: str) -
         assert len(stated) >= 3 * len(robot.order), source  # silent, as it was read
 
 
-def test_named_joint_order_that_differs_is_the_only_finding(tmp_path: Path) -> None:
+def test_lists_in_another_order_with_joint_names_agree(tmp_path: Path) -> None:
     robot = robot_of("v3", tmp_path)
     path, _ = write(replace(robot, order=robot.order[::-1]), "ros2", tmp_path)
     other, _ = write(robot, "legged_gym", tmp_path)

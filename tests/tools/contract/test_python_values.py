@@ -1,4 +1,6 @@
-"""What a Python file states by its syntax: what changes a value counts, and what is not known."""
+"""Values of Python sources by their syntax, without execution: statements that change a value
+count, and unknown values stay unknown.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Readers of policies, which `walk` runs too: what a file states, and the sizes of its network."""
+"""Readers of policy files, which `walk` uses too: metadata and sizes of the network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pupper_analysis.tools.contract.readers import (
 from tests.tools.contract.sources import field, onnx, value
 
 
-def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:
+def test_metadata_inputs_and_outputs_of_an_onnx_file_are_read(tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
     graph = field(5, field(8, b"weights")) + field(11, value("obs", 0, 45))
     graph += field(11, value("weights", 45, 12)) + field(12, value("actions", 0, 12))
@@ -29,6 +29,7 @@ def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:
 
 
 def test_packed_and_single_integers_are_decoded() -> None:
+    """Protocol Buffers: 0xac 0x02 is 300, and 2^64 - 1 is -1."""
     assert decode_integers([3, memoryview(b"\x01\xac\x02"), (1 << 64) - 1]) == [3, 1, 300, -1]
 
 

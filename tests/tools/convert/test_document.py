@@ -1,4 +1,6 @@
-"""The document of a conversion states a recovery only if it happens within the simulation."""
+"""The document of a conversion states a recovery only if the robot recovers within the simulated
+time.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +32,9 @@ def conversion(frequency: float, damping_ratio: float, left: float, *, stands: b
 def test_recovery_is_stated_only_if_it_is_faster_than_the_simulation(
     frequency: float, damping_ratio: float, left: float, start: str
 ) -> None:
+    """Closed form: the time to 1/e is 1 / (2 pi frequency damping ratio) [s]; the simulation has 12
+    s.
+    """
     (line,) = _describe_recovery(conversion(frequency, damping_ratio, left))
     assert str(line.en).startswith(start)
 

@@ -1,4 +1,6 @@
-"""Conversion: the new file is the same robot, engine against engine, and one that stands."""
+"""Conversions: source and new file have equal dynamics, each in its own engine, and the robot
+stands.
+"""
 
 from __future__ import annotations
 
@@ -31,6 +33,9 @@ from tests.support.round_trips import round_trip
 
 @pytest.mark.slow
 def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
+    """References: dynamics of Pinocchio and MuJoCo (1e-9), 12 s of simulation, masses [kg] and
+    efforts [N m] of the URDF.
+    """
     urdf = write_standing_urdf(tmp_path)
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
@@ -53,6 +58,7 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_converted_random_robots_agree_with_their_source(tmp_path: Path) -> None:
+    """Reference: dynamics of Pinocchio (URDF) and MuJoCo (MJCF) within 1e-9, there and back."""
     random = np.random.default_rng(5)
     for number in range(6):
         parts = _random_tree(random)
@@ -93,6 +99,9 @@ def _random_tree(random: np.random.Generator) -> Parts:
 
 
 def test_mimic_joints_are_converted_to_couplings(tmp_path: Path) -> None:
+    """Reference: multiplier and offset in MuJoCo's `eq_data`, and in the URDF after the conversion
+    back.
+    """
     urdf = tmp_path / "arm.urdf"
     text = urdf_text(changed(arm(), "rod", effort=7.0), ())
     mimic = '<mimic joint="lift" multiplier="-0.5" offset="0.1"/></joint>'
@@ -197,6 +206,7 @@ def test_model_that_cannot_be_simulated_is_not_written(feature: str, tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["pupper_v3", "pupper_skeleton"])
 def test_mjcfs_of_this_package_convert_to_urdfs_that_agree(name: str, tmp_path: Path) -> None:
+    """References: cross-check in both engines, and effort limits [N m] of the robot."""
     source = ROOT / "mjcf" / f"{name}.xml"
     output = tmp_path / f"{name}.urdf"
     found = pa.convert_model(source, output)
@@ -257,6 +267,9 @@ def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("file", ["urdf/pupper_v3.urdf", "mjcf/pupper_v3.xml"])
 def test_round_trip_of_v3_reports_each_loss(tmp_path: Path, file: str) -> None:
+    """Reference: all numbers of the file before and after; `lost` are the differences without a
+    report.
+    """
     lost, count = round_trip(ROOT / file, tmp_path)
     assert count > 90
     assert not lost
@@ -284,7 +297,7 @@ def test_invalid_model_is_refused_before_any_file_is_written(tmp_path: Path) -> 
         assert not (tmp_path / f"new.{new}").exists()
 
 
-def test_arguments_are_checked(tmp_path: Path) -> None:
+def test_invalid_arguments_and_existing_files_are_refused(tmp_path: Path) -> None:
     urdf, output, mjcf = (tmp_path / name for name in ("arm.urdf", "arm.xml", "machine.xml"))
     urdf.write_text(urdf_text(arm(), ()))
     mjcf.write_text(mjcf_text(arm(), free=False))
@@ -313,7 +326,9 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
         (("-o", "a.xml", "--foot", "nose"), "nose"),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_line(arguments: tuple[str, ...], problem: str, tmp_path: Path) -> None:
+def test_invalid_command_line_is_refused_in_one_line(
+    arguments: tuple[str, ...], problem: str, tmp_path: Path
+) -> None:
     write_standing_urdf(tmp_path)
     done = answer("convert", "quad.urdf", *arguments, folder=tmp_path)
     assert done.returncode == 2

@@ -1,4 +1,4 @@
-"""One slip is named in the first line, in place of twenty differences."""
+"""Causes: one mistake that leads to many differences is named in the first line."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ from tests.support.robots import (
 )
 
 
-def first_line(files: Files) -> str:
+def get_headline(files: Files) -> str:
+    """Return the first line of a comparison that must disagree with a complete explanation."""
     comparison = compared(files)
     assert not comparison.agree
     assert comparison.complete
@@ -60,23 +61,23 @@ def test_euler_angles_with_their_stated_sequence_agree(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_euler_angles_of_another_sequence_are_one_cause(tmp_path: Path) -> None:
     text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian"')
-    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert 'the MJCF\'s angles are meant otherwise: with eulerseq="XYZ" in place of "xyz"' in line
 
 
-def test_degrees_for_radians(tmp_path: Path) -> None:
+def test_degrees_for_radians_in_the_compiler_are_one_cause(tmp_path: Path) -> None:
     text = mjcf_text(quadruped()).replace('angle="radian"', 'angle="degree"')
-    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert 'with angle="radian" in place of "degree" in its <compiler>' in line
 
 
-def test_limbs_that_are_exchanged(tmp_path: Path) -> None:
+def test_exchanged_limbs_are_one_cause(tmp_path: Path) -> None:
     text = mjcf_text(quadruped())
     for kind in ("hip", "knee"):
         for one, two in (("0", "1"), ("2", "3")):
             text = text.replace(f'"{kind}{one}"', "@").replace(f'"{kind}{two}"', f'"{kind}{one}"')
             text = text.replace("@", f'"{kind}{two}"')
-    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert "limbs are exchanged between the files: hip0 and hip1, hip2 and hip3;" in line
 
 
@@ -104,20 +105,21 @@ def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float 
     ],
 )
 def test_a_ratio_of_a_unit_is_named(tmp_path: Path, factors: dict[str, float], words: str) -> None:
-    assert words in first_line(pair(tmp_path, scaled(quadruped(), **factors)))
+    """All masses, lengths or inertias scaled by one factor."""
+    assert words in get_headline(pair(tmp_path, scaled(quadruped(), **factors)))
 
 
-def test_limits_in_degrees(tmp_path: Path) -> None:
+def test_limits_in_degrees_are_one_cause(tmp_path: Path) -> None:
     urdf = {
         name: replace(part, lower=math.degrees(part.lower), upper=math.degrees(part.upper))
         for name, part in quadruped().items()
     }
-    line = first_line(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
+    line = get_headline(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
     assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
 
 
 def test_tenfold_mass_is_named_as_a_decimal_point_error(tmp_path: Path) -> None:
-    line = first_line(pair(tmp_path, changed(quadruped(), "shank2", mass=2.2)))
+    line = get_headline(pair(tmp_path, changed(quadruped(), "shank2", mass=2.2)))
     assert line.startswith("DISAGREE: link shank2: mass 0.22 kg in the URDF, 2.2 kg in the MJCF")
     assert "(ten times: a decimal point?)" in line
 
@@ -206,7 +208,7 @@ def test_displaced_joint_axis_is_the_cause_of_moved_coms(tmp_path: Path) -> None
     text = offset_joint(mjcf_text(quadruped()), "hip1", "0 0 0.004")
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
     assert {("position", "hip1"), ("position", "knee1"), ("com", "hip1")} <= set(found(comparison))
-    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert "joint hip1: its axis is elsewhere in the MJCF, 4 mm away, and all" in line
 
 
@@ -220,7 +222,7 @@ def test_axis_rotated_about_another_point_has_no_offset(tmp_path: Path) -> None:
     new = Rotation.from_rotvec(0.2 * across / np.linalg.norm(across)).apply(old)
     turned = axis[0].replace(axis[1], numbers(new))
     text = offset_joint(text.replace(axis[0], turned), "hip1", numbers(0.1 * old))
-    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert "joint hip1: its axis is elsewhere in the MJCF, turned by 11.46 deg, and all" in line
 
 
@@ -245,7 +247,7 @@ def test_efforts_stated_before_the_gear_are_the_first_cause(tmp_path: Path) -> N
     mjcf = changed(quadruped(), "base", mass=7.0)  # a kilogram goes before efforts, but not first
     text = geared(mjcf_text(mjcf), (25, 16) * 4)
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
-    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert "the URDF's efforts of 8 joints are the motors', before their gears" in line
     assert "20 times 25 is 500 on hip0" in line
     assert [cause.kind for cause in comparison.causes] == ["gears"]
@@ -278,7 +280,7 @@ def test_dropped_products_of_inertia_are_one_cause(tmp_path: Path) -> None:
         name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
         for name, part in quadruped().items()
     }
-    line = first_line(pair(tmp_path, mjcf))
+    line = get_headline(pair(tmp_path, mjcf))
     assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
 
 
@@ -289,7 +291,7 @@ def test_dropped_products_of_one_link_are_no_common_cause(
     mjcf = quadruped()
     name = "thigh2"
     mjcf[name] = replace(mjcf[name], inertia=(*mjcf[name].inertia[:3], 0.0, 0.0, 0.0))
-    line = first_line(pair(tmp_path, mjcf))
+    line = get_headline(pair(tmp_path, mjcf))
     assert "all products of inertia" not in line
     assert name in line
 

@@ -1,4 +1,4 @@
-"""``pupper-analysis crosscheck``: exit status, options, output for machines, and bad input."""
+"""The command ``crosscheck``: exit status, options, output for machines, and refusals."""
 
 from __future__ import annotations
 

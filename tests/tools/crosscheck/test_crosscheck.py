@@ -1,4 +1,6 @@
-"""The cross-check: agreeing models agree, and a changed number is found where it is."""
+"""The cross-check of both engines on both files: equal models agree, and a changed number is
+located.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,14 @@ from tests.support.robots import Frame, arm, compared, mjcf_text, numbers, urdf_
 
 @pytest.mark.parametrize("name", pa.VARIANTS)
 def test_both_models_of_every_variant_agree_in_both_engines(name: str) -> None:
+    """All quantities within a relative 1e-12."""
     check = cross_check(pa.load_variant(name))
     assert check.passed
     assert max(quantity.relative for quantity in check.quantities) < 1e-12
 
 
 def test_cross_check_compares_all_documented_quantities() -> None:
+    """Each quantity has a scale above zero, so that none compares zeros only."""
     quantities = {q.name: q for q in cross_check(pa.load_variant("v3")).quantities}
     assert set(quantities) >= {
         *("body masses", "body coms", "body inertias", "lower joint limits", "upper joint limits"),
@@ -76,6 +80,9 @@ def _with_urdf(robot: pa.Robot, old: str, new: str) -> pa.Robot:
     ],
 )
 def test_a_changed_number_is_found(old: str, new: str, quantities: set[str], where: str) -> None:
+    """Both engines agree on each file within 1e-12; the files differ in the changed quantity, at
+    the changed element.
+    """
     check = cross_check(_with_urdf(pa.load_variant("v3"), old, new))
     assert not check.passed
     failed = {quantity.name: quantity for quantity in check.quantities if not quantity.passed}
@@ -90,6 +97,7 @@ def test_a_changed_number_is_found(old: str, new: str, quantities: set[str], whe
 
 
 def test_engine_deviation_is_distinguished_from_model_deviation() -> None:
+    """0.1 kg more in Pinocchio's model of the URDF alone."""
     robot = pa.load_variant("original")
     pin_model = robot.pin_model.copy()
     pin_model.inertias[1].mass += 0.1  # in Pinocchio's copy of the URDF alone
@@ -114,7 +122,7 @@ def test_inertia_deviation_is_relative_to_its_own_link() -> None:
     assert found.relative > 0.3e-6 / scale
 
 
-def test_is_deterministic_and_depends_on_the_seed() -> None:
+def test_cross_check_is_deterministic_and_depends_on_the_seed() -> None:
     robot = pa.load_variant("v3")
     one, same, other = (cross_check(robot, seed=seed, configurations=3) for seed in (1, 1, 2))
     assert one.to_json() == same.to_json()

@@ -1,4 +1,4 @@
-"""What is printed: the first cause first, groups, all of it when asked, and nothing cut off."""
+"""Printed comparisons: the first cause first, equal differences in groups, and no text cut off."""
 
 from __future__ import annotations
 

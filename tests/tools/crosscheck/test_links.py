@@ -1,4 +1,6 @@
-"""Which link of a folded body differs: found, told once, first, and never where it is not so."""
+"""Fixed links that are merged into a body: a missing or scaled link is found, and reported once and
+first.
+"""
 
 from __future__ import annotations
 
@@ -74,6 +76,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("lacks", ["MJCF", "URDF"])
 def test_missing_links_are_one_cause_and_the_first(lacks: str, folder: Path) -> None:
+    """Reference: eight rotors of 0.089 kg, 0.712 kg together."""
     full, bare = urdf_text(geared()), mjcf_text(without(geared(), "_rotor"))
     if lacks == "URDF":
         full, bare = urdf_text(without(geared(), "_rotor")), mjcf_text(geared())
@@ -100,6 +103,8 @@ def test_missing_link_is_found_despite_rotated_frames(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("inertia", [True, False])
 def test_decimal_point_error_is_found_in_folded_links(inertia: bool, folder: Path) -> None:
+    """Mass, or mass and inertia, of four rotors are ten times larger in the URDF."""
+
     def tenfold(part: Part) -> Part:
         moments = tuple((10.0 if inertia else 1.0) * value for value in part.inertia)
         return replace(part, mass=10 * part.mass, inertia=moments)

@@ -1,4 +1,4 @@
-"""Two versions of a model: every change is found, with its lines, and nothing else is one."""
+"""Comparison of two versions of a model: each change is found with its lines and its effect."""
 
 from __future__ import annotations
 
@@ -85,6 +85,9 @@ FELT = {"mass", "com", "inertia", "position", "axis", "damping"}
 def test_change_is_found_with_the_lines_of_both_versions(
     tmp_path: Path, name: str, kind: str
 ) -> None:
+    """The changed value is on the reported line of the new version only. Changes without effect on
+    the dynamics have a deviation of exactly zero.
+    """
     link, values, expected, text = CHANGES[name]
     diff = diff_of(tmp_path, ROBOT, changed(ROBOT, link, **values), kind)
     assert not diff.same
@@ -187,7 +190,7 @@ def test_versions_without_a_common_joint_are_refused() -> None:
         pa.diff_models(ROOT / "urdf/pupper_v3.urdf", ROOT / "urdf/pupper_skeleton.urdf")
 
 
-def test_a_mimic_joint(tmp_path: Path) -> None:
+def test_changed_and_removed_mimic_are_reported_with_their_values(tmp_path: Path) -> None:
     text = urdf_text(ROBOT)
     mimic = '<mimic joint="hip0" multiplier="2" offset="0.1"/>'
     old = text.replace('<axis xyz="0.0 1.0 0.0"/>', f'<axis xyz="0.0 1.0 0.0"/>{mimic}', 1)
@@ -373,7 +376,7 @@ def test_revision_that_begins_with_a_dash_is_refused(repository: Path) -> None:
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
-def test_outside_a_repository_and_without_git(
+def test_revision_is_refused_outside_a_repository_and_without_git(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
@@ -444,7 +447,7 @@ def test_a_link_without_mass_is_compared(tmp_path: Path) -> None:
     ]
 
 
-def test_a_file_that_a_revision_lacks_is_refused(repository: Path) -> None:
+def test_file_that_is_excluded_from_exports_is_read(repository: Path) -> None:
     (repository / ".gitattributes").write_text("*.urdf export-ignore\n")
     _commit(repository)
     assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0

@@ -1,4 +1,4 @@
-"""What touches, options and keyframes of two versions: each change, its line, and what it does."""
+"""Changes of contacts, options and keyframes: each with its line, and its effect in bare MuJoCo."""
 
 from __future__ import annotations
 
@@ -36,6 +36,9 @@ def rest_height(file: Path) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FELT, *HARMLESS])
 def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, name: str) -> None:
+    """Reference: change of the base height [m] after 2 s of bare MuJoCo, within 1 % or 3 mm, since
+    `diff` reports the height of the CoM.
+    """
     edit = (FELT | HARMLESS)[name]
     before, after = ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, edit)
     diff = pa.diff_models(before, after)
@@ -81,6 +84,7 @@ def test_models_are_not_equal_if_no_change_explains_the_simulation(
 
 
 def test_shapes_of_a_urdf_that_touch_are_compared(tmp_path: Path) -> None:
+    """Closed form: four feet with a radius of 90 mm in place of 19.95 mm."""
     text = (ROOT / "urdf/pupper_v3.urdf").read_text()
     folder = tmp_path / "urdf"
     shutil.copytree(ROOT / "urdf", folder)

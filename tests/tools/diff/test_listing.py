@@ -1,4 +1,4 @@
-"""Geoms, pairs, options and keyframes of an MJCF: their numbers, and where each stands."""
+"""Geoms, pairs, options and keyframes of an MJCF: compiled values with their lines."""
 
 from __future__ import annotations
 

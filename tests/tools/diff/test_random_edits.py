@@ -1,6 +1,5 @@
-"""Random edits of what touches, options, keyframes and pairs: `diff` beside bare MuJoCo.
-
-Of robots that nobody chose; those that others have published are in `tests/robots`.
+"""Random edits of contacts, options, keyframes and pairs: reports of `diff` compared with bare
+MuJoCo. Robots are random; public robots are in `tests/robots`.
 """
 
 from __future__ import annotations
@@ -16,6 +15,9 @@ from tests.support.repository import ROOT
 
 @pytest.mark.slow
 def test_random_edits_of_v3_are_reported(tmp_path: Path) -> None:
+    """Reference: distance between two rollouts of bare MuJoCo; at least one edit changes the
+    motion.
+    """
     found = answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path)
     assert not [one for one in found if not one.right]
     assert any(one.truth > FELT for one in found)
@@ -34,6 +36,9 @@ def test_random_structural_edits_are_reported(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [44, 46])
 def test_random_edits_of_a_random_robot_are_reported(tmp_path: Path, seed: int) -> None:
+    """Reference: distance between two rollouts of bare MuJoCo; at least one edit changes the
+    motion.
+    """
     (tmp_path / "drawn").mkdir()
     source = written(drawn(seed), tmp_path / "drawn").mjcf
     found = answers(source, 12, 1000 * seed, tmp_path)

@@ -1,4 +1,4 @@
-"""Bags: small ones are written with the library that reads them, and say the same again."""
+"""ROS bags, written with the library `rosbags` in the test and read as logs."""
 
 from __future__ import annotations
 
@@ -262,7 +262,9 @@ def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(kinds["position"]["hip"], POSITION[:, 1])
 
 
-def test_messages_are_read_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bag_beyond_the_size_limit_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = bag(tmp_path, states())
     monkeypatch.setattr(bags, "MAX_MESSAGE_BYTES", 10_000)
     with pytest.raises(MeasurementError) as refused:
@@ -270,7 +272,7 @@ def test_messages_are_read_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.Mon
     assert refused.value.cause.code == "bag-too-large"
 
 
-def test_without_the_package_the_extra_is_named(
+def test_missing_package_is_named_by_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)

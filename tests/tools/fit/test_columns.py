@@ -1,4 +1,4 @@
-"""Columns of a CSV file: separators, units, and what is no file of measurements."""
+"""Columns of a CSV file: separators, units and decimal commas, and refusals of other files."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ KNOWN = (Column("time", "time"), Column("position.*", "position"), Column("stand
 
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_columns_may_be_separated_by_semicolons_or_tabs(tmp_path: Path, separator: str) -> None:
+    """Times in ms become s; semicolon files may have decimal commas."""
     file = tmp_path / "a.csv"
     name = "ab" if separator == "," else "a,b"
     lines = [["stand", "time [ms]", "position.a"], [name, "5", "0.25"]]

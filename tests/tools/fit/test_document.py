@@ -1,4 +1,4 @@
-"""Documents of fits and plans, of numbers that are all different, as their golden ones."""
+"""Documents of fits and plans equal golden files; all their numbers are different."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Most probable parameters against closed forms: straight, bent, bounded."""
+"""Most probable parameters, compared with closed forms of linear, curved and bounded problems."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def table(*kinds: str) -> ParameterTable:
     )
 
 
-def straight(size: int, rows: int = 40) -> tuple[Array, Array]:
-    """Whitened rows A and right sides b of A x = b, and noise of variance 1."""
+def make_linear_problem(size: int, rows: int = 40) -> tuple[Array, Array]:
+    """Return whitened rows A and right sides b of A x = b, with noise of variance 1."""
     random = np.random.default_rng(3)
     rows_of = random.normal(size=(rows, size))
     return rows_of, rows_of @ random.uniform(1, 4, size) + random.normal(size=rows)
@@ -32,7 +32,7 @@ def test_estimate_of_linear_residuals_solves_the_normal_equations() -> None:
     """Reference: normal equations in closed form. Half of the prior variance of the kp is common to
     all joints."""
     given = table("kp", "kp", "offset")
-    rows, right = straight(3)
+    rows, right = make_linear_problem(3)
     found = estimate_parameters(
         given, lambda x, _: LinearisedResiduals.from_residuals(rows @ x - right, rows)
     )
@@ -66,8 +66,10 @@ def test_bounded_parameter_stops_at_zero_and_others_stay_optimal() -> None:
     assert found.mean == pytest.approx([0.0, alone], abs=1e-6)
 
 
-def bent(x: Array) -> tuple[Array, Array]:
-    """Residuals of a valley that bends: 10 (y - x^2) and 1 - x, and their derivative."""
+def evaluate_rosenbrock(x: Array) -> tuple[Array, Array]:
+    """Return the residuals 10 (y - x^2) and 1 - x of Rosenbrock's function, and their
+    derivative.
+    """
     return (
         np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]),
         np.array([[-20 * x[0], 10.0], [-1.0, 0.0]]),
@@ -80,8 +82,11 @@ WIDE = ParameterTable(
 
 
 def test_curved_valley_is_followed_to_the_minimum() -> None:
+    """Reference: minimum of Rosenbrock's function at (1, 1)."""
     found = estimate_parameters(
-        WIDE, lambda x, _: LinearisedResiduals.from_residuals(*bent(x)), min_decrease=1e-8
+        WIDE,
+        lambda x, _: LinearisedResiduals.from_residuals(*evaluate_rosenbrock(x)),
+        min_decrease=1e-8,
     )
     assert found.mean == pytest.approx([1, 1], abs=1e-5)
 
@@ -108,6 +113,7 @@ def test_residual_that_is_not_finite_does_not_converge(left: float) -> None:
 
 
 def test_first_moments_convert_to_masses_and_coms_and_back() -> None:
+    """Closed form m c = m c0 + m0 (y - c0), and a finite difference of the conversion."""
     given = ParameterTable(
         [
             Parameter("com", "bar", "x", 0.1, 0.03),

@@ -1,4 +1,4 @@
-"""Results are known by their content, as their writers make them; what people type is kept."""
+"""Result files are recognised by their content, and files that people edited are kept."""
 
 from __future__ import annotations
 

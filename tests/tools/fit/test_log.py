@@ -1,4 +1,4 @@
-"""Logs: what is read of them, what is found in them, and what is refused."""
+"""Logs of joint positions and commands: units, gaps, resolution, and refusals of wrong columns."""
 
 from __future__ import annotations
 
@@ -96,6 +96,9 @@ def test_log_is_reordered_to_the_robot_and_unknown_joints_are_refused() -> None:
 
 
 def test_log_inspection_states_rate_resolution_and_gaps() -> None:
+    """Reference: an encoder step of 2 pi / 4096 rad, one jump of the clock, three missing samples,
+    and one joint at rest.
+    """
     good = log()
     quantum = 2 * np.pi / 4096
     position = quantum * np.round(good.position / quantum)
@@ -115,7 +118,7 @@ def test_log_inspection_states_rate_resolution_and_gaps() -> None:
     }
 
 
-def test_wrong_columns_are_found() -> None:
+def test_swapped_scaled_and_still_columns_are_refused() -> None:
     good, robot = log(), arm()
     degrees, swapped = np.rad2deg(good.position), "command-and-position-swapped"
     inspect_log(robot, good)
@@ -155,6 +158,7 @@ def test_soft_servo_that_holds_is_not_reported_as_swapped(offset: float) -> None
 
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
 def test_encoder_resolution_is_found_from_rounded_values(bits: int) -> None:
+    """Reference: 2 pi / 2^bits rad, by which the positions were rounded."""
     random, quantum = np.random.default_rng(bits), 2 * np.pi / 2**bits
     moved = 0.5 * np.sin(np.arange(2000) / 60) + quantum * random.normal(size=2000)
     values = np.round(quantum * np.round(moved / quantum), 7)

@@ -1,4 +1,6 @@
-"""Tables of measured stands: names that begin a formula are read as they were written."""
+"""Tables of measured stands: names that begin like a formula are escaped, and read back
+unchanged.
+"""
 
 from __future__ import annotations
 

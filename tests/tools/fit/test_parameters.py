@@ -1,4 +1,6 @@
-"""What is known of parameters before: as it is typed, and by whom it is meant."""
+"""Prior knowledge of parameters: parsing of typed values, and the parameters that a prior
+concerns.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Which stands are chosen: those that tell most; and that servos too soft to stand hold none."""
+"""Planned stands: selection by the determinant of the information matrix, and reasons why none can
+be planned.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,10 @@ def test_the_chosen_make_the_determinant_largest() -> None:
     assert len(set(choose_stands(each, before, 4))) == 4
 
 
-def test_few_rare_stands_are_chosen() -> None:
+def test_number_of_rare_stands_is_bounded() -> None:
+    """Rare measurements with ten times the signal: without the bound more than four are chosen,
+    with it two.
+    """
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(12, 2, 5))
     rows[:6] *= 10  # which tell most
@@ -52,6 +57,7 @@ def test_few_rare_stands_are_chosen() -> None:
 
 @pytest.mark.slow
 def test_plan_has_known_masses_rotations_and_few_three_leg_stands(tmp_path: Path) -> None:
+    """The expected standard deviations shrink for kp and not for the known mass."""
     robot = load_variant("v3")
     at = (0.01, 0.0, 0.05)
     plan = plan_stands(robot, 6, added=0.2, added_at=at)

@@ -1,4 +1,6 @@
-"""A simulated robot is led through a plan: rows are what it is, and faults lose none."""
+"""Recording of planned stands on a simulated robot: rows equal the robot's state, and no fault
+loses rows.
+"""
 
 from __future__ import annotations
 
@@ -349,7 +351,7 @@ def test_invalid_plan_is_refused_before_any_command(
     assert len(one.sent) == sent
 
 
-def test_bridges_are_found_by_name(robot: Robot) -> None:
+def test_bridge_is_selected_by_its_name_and_options(robot: Robot) -> None:
     bridge, person = open_bridge("mujoco:5;kp=7", robot)
     assert bridge is person
     # 7 % of deviation, and as much in common, of what is said (not of the file's 5 N m/rad).
@@ -427,6 +429,9 @@ class Stub:
 def test_topics_have_joints_by_name_and_commands_in_the_controllers_order(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A stub of `rclpy` with hand-made messages; joint states arrive in two parts with an unknown
+    joint.
+    """
     ros, names = Stub(), robot.joint_names
     monkeypatch.setattr("pupper_analysis.tools.fit.record.ros._DISCOVERY_TIMEOUT", 0.1)
     for name, module in (

@@ -1,4 +1,4 @@
-"""Linear measurements, of which the posterior and what they tell together are known by hand."""
+"""Linear measurements whose posterior and combined estimates have closed forms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What a fit writes is read by both engines and by studies, and is there whole or not at all."""
+"""Files that a fit writes are read by both engines and by studies, and are written completely or
+not at all.
+"""
 
 from __future__ import annotations
 
@@ -60,6 +62,9 @@ def written(v3: pa.Robot, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
 def test_written_models_have_the_significant_digits_of_the_estimates(
     written: tuple[Path, FitFiles], v3: pa.Robot
 ) -> None:
+    """References: mass [kg], CoM [m], kp and friction in Pinocchio's and MuJoCo's models of the
+    files.
+    """
     folder, made = written
     np.testing.assert_allclose(made.vector, [row[3] for row in WANTED.values()], atol=1e-12)
     urdf, mjcf = folder / "urdf" / "pupper_v3.urdf", folder / "mjcf" / "pupper_v3.xml"
@@ -115,7 +120,8 @@ def test_offsets_and_parameters_are_written(written: tuple[Path, FitFiles]) -> N
     assert mass["high"] - mass["mean"] == pytest.approx(1.96 * 0.02, rel=1e-3)
 
 
-def test_studies_understand_the_samples(written: tuple[Path, FitFiles], v3: pa.Robot) -> None:
+def test_samples_are_factors_of_a_study(written: tuple[Path, FitFiles], v3: pa.Robot) -> None:
+    """Total mass [kg] of the robot that is scaled by one sample."""
     folder, _ = written
     _, names, row, *_ = csv.reader((folder / "samples.csv").read_text().splitlines())
     drawn = dict(zip(names, map(float, row), strict=True))
