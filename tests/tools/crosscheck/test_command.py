@@ -65,7 +65,7 @@ BAD: dict[str, tuple[list[str], str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_line_and_exit_status_2(
+def test_invalid_input_is_refused_in_one_line(
     models: Path, tmp_path: Path, case: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """What C++ prints is captured as well."""

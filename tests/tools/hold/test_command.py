@@ -1,4 +1,4 @@
-"""``pupper-analysis hold``: what it prints and writes, its exit status, and bad input."""
+"""The command ``hold``: printed text, written files, exit status, and refusals."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ def files(tmp_path: Path) -> tuple[str, str]:
 def test_written_results_equal_the_python_results(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
+    """Reference: `hold_posture` with the same joint positions and payload."""
     given = ("--joints", "elbow=90deg", "--joints", "b_slide=5cm", "--payload", "0.2")
     out = tmp_path / "held.json", tmp_path / "held.png"
     written = ("--json", str(out[0]), "--figure", str(out[1]))
@@ -41,7 +42,7 @@ def test_written_results_equal_the_python_results(
 
 
 @pytest.mark.slow
-def test_weak_motors_and_bad_input(
+def test_weak_motors_give_exit_status_1_and_invalid_input_is_refused(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     status, output, _ = run_command(capfd, "hold", *files, "--payload", "3")

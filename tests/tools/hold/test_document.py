@@ -1,4 +1,4 @@
-"""The page of a posture that is held: each number in its own column."""
+"""The document of a held posture: each number is in its own column."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from tests.support.arm import arm
 
 
 def test_torques_positions_and_sags_are_each_in_their_column() -> None:
+    """Reference: torques [N m], and positions and sags in mm for slides and degrees for hinges."""
     held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
     table = next(block for block in hold_document(held).blocks if isinstance(block, Table))
     columns = {str(getattr(one.name, "en", one.name)): at for at, one in enumerate(table.columns)}

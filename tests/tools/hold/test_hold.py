@@ -1,4 +1,4 @@
-"""A posture of a robot whose base is held, against closed forms and both engines."""
+"""Held postures of a robot with a fixed base, compared with closed forms and both engines."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_torques_sag_and_tool_position_equal_the_closed_form() -> None:
     assert [one.code for one in run.failures] == ["joint-off"]
 
 
-def test_joints_that_are_not_given_are_in_the_middle_or_the_keyframe(tmp_path: Path) -> None:
+def test_omitted_joints_are_at_mid_range_or_in_the_keyframe(tmp_path: Path) -> None:
     robot = arm()
     middle = {name: np.mean(ends) for name, ends in by_hand.RANGES.items()}
     found = find_posture(robot, {"*l*": 0.1, "elbow": 0.5})

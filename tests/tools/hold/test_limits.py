@@ -1,4 +1,4 @@
-"""Worst postures, payloads and forces at the tool, against samples, vertices and the simulator."""
+"""Worst postures, payloads and tool forces of arms, compared with samples, vertices and MuJoCo."""
 
 from __future__ import annotations
 
@@ -54,6 +54,9 @@ def test_worst_postures_equal_the_closed_form() -> None:
 
 
 def test_no_random_posture_exceeds_the_worst_torque() -> None:
+    """Reference: 2,000 random postures; the largest torque of each joint among them is above 70 %
+    of the worst.
+    """
     robot = pa.load_variant("v3", fixed_base=True)
     samples = np.random.default_rng(2).uniform(*joint_ranges(robot).T, size=(2000, robot.nu))
     assert (check_worst(robot, find_posture(robot), samples) > 0.7).all()

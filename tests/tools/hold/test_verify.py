@@ -1,4 +1,4 @@
-"""A posture is judged by what its file does, as a stand is."""
+"""Verdicts of held postures contain the simulation of the unmodified file, as those of stands."""
 
 from __future__ import annotations
 
@@ -50,6 +50,7 @@ _ELBOW = '<position joint="elbow" kp="300.0" kv="20"/>'
 def test_posture_verdict_follows_the_unmodified_file(
     tmp_path: Path, servos: str, code: VerdictCode, joint: str | None
 ) -> None:
+    """One actuator of the MJCF is changed per case; the joint that nothing holds is named."""
     robot = arm.load_arm(tmp_path, mjcf=arm.MJCF.replace(arm._SERVOS, servos))
     verdict = hold_posture(robot, {"shoulder": -0.5, "elbow": 1.0}).verdict
     assert verdict.code is code, format_verdict(verdict)
@@ -85,7 +86,8 @@ def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path, gr
     assert f"gravity is taken from the MJCF: ({gravity.replace(' ', ', ')}) m/s^2" in said
 
 
-def judged(urdf: Path, mjcf: Path) -> Verdict:
+def judge_posture(urdf: Path, mjcf: Path) -> Verdict:
+    """Return the verdict of the arm's posture with a bent shoulder and elbow."""
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
     return hold_posture(robot, {"shoulder": -0.5, "elbow": 1.0}).verdict
 
@@ -110,5 +112,6 @@ ODD = {
 @pytest.mark.slow
 @pytest.mark.parametrize("feature", ODD)
 def test_planted_fault_of_an_arm_is_named(tmp_path: Path, feature: str) -> None:
+    """The first reported causes are those of `ODD`; see `right`."""
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[feature])
-    assert right(urdf, mjcf, ODD[feature], judged)
+    assert right(urdf, mjcf, ODD[feature], judge_posture)

@@ -1,4 +1,4 @@
-"""The live page's access: who may come in, and what a browser may send."""
+"""Access to the live page: permitted hosts, origins and tokens, and bounds of messages."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def test_access_depends_on_host_and_origin(host: str, headers: dict[str, str], m
         assert (access.find_refusal("/", headers | more) is None) == may
 
 
-def code(message: Diagnostic | None) -> str:
+def get_code(message: Diagnostic | None) -> str:
+    """Return the code of a diagnostic; empty for None."""
     return "" if message is None else message.code
 
 
@@ -60,10 +61,10 @@ def test_remote_access_requires_the_token() -> None:
     assert len(access.token) >= 16
     assert Access("0.0.0.0").token != access.token
     for more in ({}, SOCKET):
-        assert code(access.find_refusal("/", headers | more)) == "token-missing"
-        assert code(access.find_refusal("/?token=", headers | more)) == "token-missing"
+        assert get_code(access.find_refusal("/", headers | more)) == "token-missing"
+        assert get_code(access.find_refusal("/?token=", headers | more)) == "token-missing"
         assert (
-            code(access.find_refusal(f"/?token={access.token[:-1]}", headers | more))
+            get_code(access.find_refusal(f"/?token={access.token[:-1]}", headers | more))
             == "token-missing"
         )
         assert access.find_refusal(f"/?state=roll:1&token={access.token}", headers | more) is None
@@ -72,12 +73,12 @@ def test_remote_access_requires_the_token() -> None:
             is None
         )
         assert (
-            code(access.find_refusal("/", headers | more | {"Cookie": f"{TOKEN_COOKIE}=x"}))
+            get_code(access.find_refusal("/", headers | more | {"Cookie": f"{TOKEN_COOKIE}=x"}))
             == "token-missing"
         )
     assert access.find_refusal("/assets/index.js", headers) is None  # viser's, and nobody's secret
     evil = headers | SOCKET | {"Origin": "http://evil.example"}
-    assert code(access.find_refusal(f"/?token={access.token}", evil)) == "another-page-asks"
+    assert get_code(access.find_refusal(f"/?token={access.token}", evil)) == "another-page-asks"
 
 
 @pytest.mark.parametrize(

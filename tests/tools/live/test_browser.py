@@ -1,4 +1,4 @@
-"""The live page in a real browser: sliders move robots, and what is closed is gone."""
+"""The live page in a browser: sliders move robots, and closed pages leave no threads."""
 
 from __future__ import annotations
 
@@ -143,6 +143,7 @@ def differs(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[type-a
 
 
 def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
+    """Reference: torques and height loss of the Python functions for the same task."""
     before = opened.pixels()
     yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
     assert yellow.mean() > 0.005

@@ -1,4 +1,4 @@
-"""Each field of a stance on the page: its state, its sliders, the command that it exports."""
+"""Each field of a stance on the page: state, sliders, and the exported file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The live page without a browser: its states, and that its numbers are the Python interface's."""
+"""The live page without a browser: its numbers equal those of the Python functions."""
 
 from __future__ import annotations
 
@@ -78,6 +78,7 @@ def model_of(name: str = "v3") -> StanceSolver:
 
 
 def test_answer_of_a_page_equals_the_python_functions() -> None:
+    """Reference: stand, statics and steady state of the task in m and rad, with payload and kp."""
     found = model_of().solve_state(RICH)
     robot = pa.robot.with_payload(load("v3"), 0.3, (0.01, 0.0, 0.05))
     task = pa.StandTask(
@@ -112,6 +113,7 @@ def test_answer_of_a_page_equals_the_python_functions() -> None:
 
 
 def test_offset_of_the_page_is_that_of_the_base_from_the_feet() -> None:
+    """Closed form: base position less the mean of the contact points is (10, -5) mm."""
     found = model_of("original").solve_state(State(place="offset", offset=(10.0, -5.0)))
     assert found.stand is not None
     centre = np.mean(list(found.stand.contact_points.values()), axis=0)
@@ -119,7 +121,8 @@ def test_offset_of_the_page_is_that_of_the_base_from_the_feet() -> None:
 
 
 @pytest.mark.slow
-def test_simulations_are_the_python_interfaces() -> None:
+def test_simulations_of_a_page_equal_the_python_functions() -> None:
+    """References: `verify_stand` and `simulate_push` with the same gains."""
     found = model_of("original").solve_state(State(pitch=3.0, kp=40.0, kd=0.6))
     robot = load("original")
     assert found.robot is not None
@@ -140,6 +143,9 @@ def test_simulations_are_the_python_interfaces() -> None:
 
 @pytest.mark.slow
 def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
+    """Reference: limits of the error that `solve_stand` raises; each limit and the nearest stand
+    are solved.
+    """
     model = model_of()
     found = model.solve_state(State(height=200.0, roll=30.0))
     assert found.unreachable
@@ -181,6 +187,7 @@ def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[typ
 
 @pytest.mark.slow
 def test_saved_stance_file_gives_the_same_stand(tmp_path: Path) -> None:
+    """Reference: qpos that the command `stand` computes from the saved file."""
     qpos, _ = outcome(model_of().solve_state(RICH))
     (tmp_path / "stance.toml").write_text(write_stance_file(RICH))
     words = ("stand", "v3", "--stance", "stance.toml", "--json", "stance.json")
@@ -303,6 +310,7 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
     ],
 )
 def test_shapes_have_their_volumes(name: str, size: tuple[float, ...], expected: float) -> None:
+    """Closed forms of the volumes [m^3], within 6 % for the triangulation of round shapes."""
     pytest.importorskip("trimesh")
     mesh = triangulate_shape(Shape("", name, Pose(), size, collides=True))
     assert volume(mesh.vertices, mesh.faces) == pytest.approx(expected, rel=0.06)
@@ -352,25 +360,27 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "message"),
     [
-        ["nobody"],
-        ["v3", "--stance", "nonsense.toml"],
-        ["v3", "--stance", "tail.toml"],
-        ["v3", "--stance", "payload.toml"],
-        ["v3", "--port", "99999"],
-        ["v3", "--host", "203.0.113.7"],
-        ["arm.urdf"],
+        (["nobody"], "name 'nobody' is not valid; known variants: original,"),
+        (["v3", "--stance", "nonsense.toml"], "nonsense.toml: there is no such file"),
+        (["v3", "--stance", "tail.toml"], "v3: no foot 'tail'; there are: FR,"),
+        (["v3", "--stance", "payload.toml"], "mass: -1.0 kg is not a finite number >= 0"),
+        (["v3", "--port", "99999"], "--port: 99999 is not from 0 to 65535"),
+        (["v3", "--host", "203.0.113.7"], "--host, --port: cannot serve on 203.0.113.7"),
+        (["arm.urdf"], "robot: machine has a fixed base: `hold`"),
     ],
 )
-def test_bad_input_is_refused_in_a_line(arguments: list[str], tmp_path: Path) -> None:
+def test_invalid_input_is_refused_in_one_line(
+    arguments: list[str], message: str, tmp_path: Path
+) -> None:
     pytest.importorskip("viser")
     (tmp_path / "arm.urdf").write_text(urdf_text(arm()))
-    (tmp_path / "tail.toml").write_text("lift.tail = '2cm'\n")
+    (tmp_path / "tail.toml").write_text("swing.tail = '2cm'\n")
     (tmp_path / "payload.toml").write_text("payload = -1\n")
     done = run_command("live", *arguments, "--no-browser", folder=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith("error: ")
+    assert done.stderr.startswith(f"error: {message}")
     assert len(done.stderr.splitlines()) == 1
 
 

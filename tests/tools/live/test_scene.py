@@ -1,4 +1,4 @@
-"""What a page draws, where it is."""
+"""Positions of the objects that a page draws."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ class Drawn:
 
 
 def test_payload_is_drawn_at_its_position_on_a_tilted_base() -> None:
+    """Reference: MuJoCo's pose of the base."""
     found = StanceSolver(pa.load_variant("v3")).solve_state(
         State(roll=12, pitch=-8, payload=0.3, payload_at=(60, 40, 90))
     )

@@ -1,4 +1,4 @@
-"""A page that is closed is gone at once, whatever its browsers do."""
+"""A closed page ends at once, whatever its browsers do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A page's threads, with viser's server in the place of a browser: what is shown is never stale."""
+"""Threads of a page, with viser's server in place of a browser: shown results are never
+outdated.
+"""
 
 from __future__ import annotations
 
@@ -98,6 +100,7 @@ def page(server: Any) -> Iterator[Open]:
 
 
 def test_last_of_many_quick_moves_is_shown(page: Open) -> None:
+    """Reference: steady state and torques of the Python functions for the last of 200 positions."""
     angles = np.linspace(0.0, 6.0, 200)
     for angle in angles:
         page.ask(State(roll=float(angle)))
@@ -302,6 +305,9 @@ def test_a_page_that_is_closed_in_a_simulation_ends(server: Any) -> None:
 
 
 def test_a_motion_is_played_between_its_samples() -> None:
+    """Closed form: half of a rotation by 0.2 rad between two configurations, whose quaternions have
+    opposite signs.
+    """
     qpos = np.array([0.0, 0, 0, 1, 0, 0, 0, 0.5])
     other = np.array([1.0, 0, 0, -np.cos(0.1), 0, 0, -np.sin(0.1), 0.7])  # turned by 0.2 rad
     motion, times = np.array([qpos, other]), np.array([0.0, 0.2])

@@ -1,4 +1,4 @@
-"""The page of a policy, with viser's server in the place of a browser."""
+"""The live page of a walking policy, with viser's server in place of a browser."""
 
 from __future__ import annotations
 

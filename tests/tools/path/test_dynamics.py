@@ -1,4 +1,6 @@
-"""Inverse dynamics on feet: against MuJoCo's, against momentum, and at rest against statics."""
+"""Inverse dynamics of robots on feet, compared with MuJoCo, with momentum, and with statics at
+rest.
+"""
 
 from __future__ import annotations
 
@@ -162,6 +164,9 @@ def test_rolling_contact_on_a_slope_is_at_the_cone_boundary() -> None:
 
 
 def test_infeasible_acceleration_states_its_reason() -> None:
+    """Closed forms: below -g feet would have to pull; a sideways acceleration of 3 m/s^2 needs a
+    friction of 3 / 9.81.
+    """
     robot, stand = load("v3"), stand_of("v3")
     config, qacc = pa.Configuration(robot, stand.qpos), np.zeros(robot.nv)
     for index, acceleration, reason in (
@@ -186,6 +191,7 @@ def test_infeasible_acceleration_states_its_reason() -> None:
 
 
 def test_fixed_base_carries_all_of_the_load() -> None:
+    """Reference: M qacc + h of Pinocchio."""
     robot = load("v3", fixed_base=True)
     generator = np.random.default_rng(0)
     qpos, qvel, qacc = generator.normal(size=(3, robot.nu))
@@ -197,6 +203,7 @@ def test_fixed_base_carries_all_of_the_load() -> None:
 
 
 def test_spinning_foot_has_only_torsional_friction() -> None:
+    """Closed form: the lever arm [m] is the torsional coefficient, against the rotation."""
     robot, stand = load("v3"), stand_of("v3")
     qvel = np.zeros(robot.nv)
     qvel[5] = 50.0  # far beyond where friction saturates

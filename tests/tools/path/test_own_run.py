@@ -15,13 +15,14 @@ from tests.prepare.test_imported import four_legs
 from tests.prepare.test_own_run import codes, slipped
 
 
-def judged(robot: pa.Robot) -> Verdict:
+def judge_path(robot: pa.Robot) -> Verdict:
+    """Return the verdict of a path of 1 s to a height of 0.33 m."""
     return study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
 
 
 @pytest.mark.slow
 def test_verdict_of_a_tracked_path_reports_the_keyframe_run(tmp_path: Path) -> None:
-    verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
+    verdict = judge_path(slipped(tmp_path, lambda text: text + "\n"))
     assert verdict.question is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
@@ -33,6 +34,6 @@ def test_verdict_of_a_tracked_path_reports_the_keyframe_run(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_keyframe_run_of_a_path_equals_that_of_the_robot(tmp_path: Path) -> None:
     robot = pa.load_robot(four_legs(tmp_path))
-    found = judged(robot)
+    found = judge_path(robot)
     assert found.keyframe_run == own_run(robot)
     assert "own-run" in codes(found)

@@ -1,4 +1,4 @@
-"""Paths through stances: smooth, and in balance at every sample."""
+"""Paths through stances: smooth, and in balance at each sample."""
 
 from __future__ import annotations
 
@@ -60,6 +60,9 @@ def path_of(name: str, kind: str, rolling: bool = True) -> StancePath:
 @pytest.mark.parametrize("kind", SECONDS)
 @pytest.mark.parametrize("rolling", [False, True])
 def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool) -> None:
+    """References: M qacc + h + friction = J^T f + tau of Pinocchio, loads from the CoM
+    acceleration, and single stands at the stances.
+    """
     robot, path, tasks = load(name), path_of(name, kind, rolling), stances(name, kind)
     joints = path.joint_positions()
     assert (joints >= robot.lower_limits - 1e-9).all()
@@ -125,6 +128,7 @@ def test_rolling_feet_have_no_slip_velocity(name: str, kind: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(SECONDS))
 def test_a_path_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
+    """Reference: finite differences of the joint positions [rad/s, rad/s^2]."""
     path = stance_path(load("v3"), stances("v3", kind)[:3], 1.0, rate=140.0)
     joints, step = path.joint_positions(), path.time[1]
     velocity = np.abs(np.gradient(joints, step, axis=0)).max(axis=1)
@@ -192,6 +196,7 @@ def test_path_is_refused_if_contacts_cannot_supply_the_force() -> None:
 
 @pytest.mark.slow
 def test_a_foot_is_unloaded_before_it_lifts() -> None:
+    """The load [N] decreases to zero before the clearance of 20 mm begins."""
     path = path_of("v3", "lift")
     foot, leg = path.feet.index("FL"), (len(path.time) - 1) // 5
     loads, clear = path.loads[:, foot], path.clearance[:, foot]
@@ -221,7 +226,7 @@ def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
 
 
 @pytest.mark.slow
-def test_files_hold_the_path(tmp_path: Path) -> None:
+def test_csv_contains_time_positions_and_torques_of_a_path(tmp_path: Path) -> None:
     path = path_of("v3", "lift")
     path.to_csv(tmp_path / "new" / "path.csv")
     with (tmp_path / "new" / "path.csv").open() as file:

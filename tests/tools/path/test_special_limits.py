@@ -1,4 +1,4 @@
-"""Shares of limits that are zero, or that no file states."""
+"""Utilisation of limits that are zero or unknown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Paths in MuJoCo: how well its servos follow them, and what is said if they do not."""
+"""Paths in MuJoCo: deviations of the servos, and failures."""
 
 from __future__ import annotations
 
@@ -42,6 +42,9 @@ BOUNDS = {
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), list(BOUNDS))
 def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
+    """Largest deviations of joints [rad], height [m] and base orientation [rad] below the measured
+    bounds, and less than 5 % in torque.
+    """
     tracking = track_path(load(name), path_of(name, kind))
     assert tracking.passed, tracking.failures
     joint, height, angle = BOUNDS[name, kind]
@@ -190,7 +193,10 @@ def test_path_passes_only_if_its_last_stand_holds(mass: float, passes: bool) -> 
 
 
 @pytest.mark.slow
-def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_path_command_writes_a_path_of_the_given_time(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """References: nominal stand and requested stand, at both ends of the path."""
     csv, file = tmp_path / "way.csv", tmp_path / "all.json"
     three_legs = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
     output = ("--csv", str(csv), "--json", str(file))
@@ -211,7 +217,7 @@ def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path)
     np.testing.assert_allclose(arrays["qpos"][0], pa.solve_stand(robot).qpos, atol=1e-9)
 
 
-def test_the_way_keeps_moved_feet_and_ground() -> None:
+def test_planned_stances_keep_moved_feet_and_ground() -> None:
     robot = load("v3")
     task = pa.StandTask(
         0.12, foot_offsets={"FL": (0.01, 0.0)}, ground=pa.Ground(0.05), com=(0.005, 0.0)
@@ -225,20 +231,21 @@ def test_the_way_keeps_moved_feet_and_ground() -> None:
     assert way[1].com == pytest.approx((0.005, 0.0), abs=1e-9)
 
 
-def test_no_duration_is_refused_before_any_file(
+def test_negative_duration_is_refused_before_any_file(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     arguments = ["path", "v3", "--seconds", "-2", "--json", "all.json"]
     check_refusal(capfd, tmp_path, arguments, "seconds")
 
 
-def judged(robot: pa.Robot) -> Verdict:
+def judge_path(robot: pa.Robot) -> Verdict:
+    """Return the verdict of a path of 1 s to a height of 0.33 m."""
     return study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
 
 
 @pytest.mark.slow
 def test_path_verdict_states_the_run_of_the_unmodified_file(tmp_path: Path) -> None:
-    verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
+    verdict = judge_path(slipped(tmp_path, lambda text: text + "\n"))
     assert verdict.question is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"

@@ -1,4 +1,4 @@
-"""``pupper-analysis payload``: what it carries for moments, and what lasts."""
+"""The command ``payload``: short-term and permanent payloads, and exit status."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
 
 @pytest.mark.slow
 def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Reference: `payload_limit` with the same task, point and gains."""
     path = tmp_path / "all.json"
     asked = ("--payload-at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
     status, out, err = run_command(capfd, "payload", "-v", "original", *asked, "--json", str(path))

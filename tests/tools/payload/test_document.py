@@ -1,4 +1,4 @@
-"""What a payload says."""
+"""Documents of payload limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a stance carries: typed back into ``stand``, closed forms, and bare MuJoCo."""
+"""Payload limits, compared with the verdict of ``stand``, closed forms, and bare MuJoCo."""
 
 from __future__ import annotations
 
@@ -90,6 +90,9 @@ def check_random_robot(seed: int, legs: int, folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_base_moves_from_under_the_load() -> None:
+    """The CoM with payload is above the centre of the contacts within 1 nm; the base is more than
+    20 mm behind it.
+    """
     robot, point = load("v3"), (0.05, 0.01, 0.05)
     limit = payload_limit(robot, stand_of("v3"), point)
     loaded, stand = solve_loaded_stand(robot, pa.StandTask(), limit.mass, point)
@@ -118,6 +121,9 @@ def test_tipping_payload_equals_the_moment_balance() -> None:
 
 @pytest.mark.slow
 def test_weakest_motor_is_at_its_limit_with_the_payload() -> None:
+    """Reference: statics of the loaded stand on soft ground; the same stand on rigid ground would
+    exceed the limit by 3 %.
+    """
     robot = load("v3")
     limit = payload_limit(robot, None, ON_TOP, **STIFF)
     assert limit.binding == "motors"
@@ -318,6 +324,9 @@ def biped(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
 def test_nudges_between_the_tried_directions_do_not_decide(
     mass: float, stands: bool, biped: pa.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Nudges turned by pi/16, and slower nudges on the inscribed circle of the tried directions:
+    survival does not change.
+    """
     nudges = trial.make_nudge_velocities
 
     def turned(by: float, size: float) -> Callable[..., NDArray[np.float64]]:

@@ -1,4 +1,4 @@
-"""A payload's trial: how it is nudged, and that dry friction does not hold up what it tries."""
+"""Trials of a payload: nudges, and instability that dry friction hides."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from tests.support.variants import load, stand_of
 
 
 def test_each_nudge_is_simulated_from_the_stand_that_is_judged() -> None:
+    """Reference: qpos of the loaded stand, for all twelve nudges."""
     robot, stand, seen = load("v3"), stand_of("v3"), []
 
     def watched(model: object, workers: object, starts: np.ndarray, control: np.ndarray) -> object:

@@ -1,4 +1,4 @@
-"""``pupper-analysis push``: what it prints and writes, its exit status, and bad input."""
+"""The command ``push``: printed text, written files, exit status, and refusals."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ COARSE = ("--directions", "4", "--resolution", "0.3")
 def test_stand_that_does_not_last_gives_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The tilt that counts as fallen is set to -1 rad."""
     from pupper_analysis.robot import fall
     from pupper_analysis.simulation import monitor
 
@@ -32,7 +33,10 @@ def test_stand_that_does_not_last_gives_exit_status_1(
 
 
 @pytest.mark.slow
-def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_pushes_of_two_files_in_a_stance_equal_the_python_result(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: impulses [N s] of `push_recovery` with the same task and gains."""
     urdf, mjcf = pa.pupper.write_variant("heavy", tmp_path / "robot")
     own = ("--urdf", str(urdf), "--mjcf", str(mjcf))
     feet = [part for foot in ("FL", "FR", "RL", "RR") for part in ("--foot", f"{foot}_foot")]

@@ -1,4 +1,4 @@
-"""What the page of pushes says in cases that no golden document has."""
+"""Documents of pushes in cases that no golden document contains."""
 
 from __future__ import annotations
 

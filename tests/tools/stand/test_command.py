@@ -1,4 +1,4 @@
-"""``pupper-analysis stand``: what it prints and writes, its exit status, and bad input."""
+"""The command ``stand``: printed text, written files, exit status, and refusals."""
 
 from __future__ import annotations
 
@@ -59,9 +59,10 @@ def test_the_table_of_joints_is_a_file_and_a_dataframe(
 
 
 @pytest.mark.slow
-def test_servos_stiffness_margins_and_a_derived_variant(
+def test_options_of_gains_margins_and_scales_are_applied(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
+    """References: requested gains, clearances and scales; `minimum_stiffness` of the same stand."""
     path = tmp_path / "all.json"
     status, out, err = run_command(
         capfd,
@@ -134,7 +135,7 @@ BAD = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_line_and_exit_status_2(
+def test_invalid_input_is_refused_in_one_line(
     case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     arguments, message = BAD[case]

@@ -1,4 +1,4 @@
-"""What came of a study, and its page: each number is the table's, and shows where it belongs."""
+"""Results of a study and their page: each number equals that of the table, in its own column."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each field of a stance that is a number as a parameter of studies."""
+"""Numeric fields of a stance as parameters of studies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Links of another length: as variants do it, and as both engines' own models have it."""
+"""Links with scaled lengths, compared with variants and between both engines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is made of a study's table: fronts, sensitivities, recorded diagnostics."""
+"""Evaluation of a study's table: Pareto fronts, main effects, recorded diagnostics."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from pupper_analysis.tools.study.outcome import compute_main_effects, pareto_fro
 
 
 def test_pareto_front_dominates_all_other_designs() -> None:
+    """Reference: comparison of all pairs of 300 designs."""
     random = np.random.default_rng(0)
     table = pd.DataFrame(random.integers(0, 12, (300, 3)).astype(float), columns=["a", "b", "c"])
     table.loc[5, "b"] = np.nan

@@ -1,4 +1,6 @@
-"""Running a study: the same everywhere, and nothing lost: failures, crashes, kills, full disks."""
+"""Execution of studies: equal results on any executor, and no loss by failures, crashes, signals or
+full disks.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,7 @@ def standing(legs: float, torso: float, height: float) -> tuple[pa.Robot, pa.Sta
 
 
 @pytest.mark.slow
-def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
+def test_failures_of_designs_have_a_kind_and_a_reason(threads: Executor, tmp_path: Path) -> None:
     vary = {"height": [0.12, 0.5], "slope": [0.0, 1.2], "mass:leg_*_3": pa.study.normal(1.0, 1e-3)}
     table = study(vary, "peak_utilisation", study_metrics.fails, samples=32).run(
         tmp_path, executor=threads
@@ -116,7 +118,7 @@ def test_metric_of_several_values_has_columns_and_a_wrong_type_fails(
 # ----------------------------------------------------------------------------- executors
 
 
-def same(one: pd.DataFrame, other: pd.DataFrame) -> None:
+def assert_same_table(one: pd.DataFrame, other: pd.DataFrame) -> None:
     """To the last bit, in the same order."""
     pd.testing.assert_frame_equal(one, other, check_exact=True)
 
@@ -140,13 +142,15 @@ class Backwards(Executor):
 def test_threads_processes_and_any_order_give_the_same_bits(
     undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
 ) -> None:
-    same(study().run(tmp_path / "threads", executor=threads), undisturbed)
-    same(study().run(tmp_path / "processes", workers=2), undisturbed)
-    same(study().run(tmp_path / "backwards", executor=Backwards(), workers=3), undisturbed)
+    assert_same_table(study().run(tmp_path / "threads", executor=threads), undisturbed)
+    assert_same_table(study().run(tmp_path / "processes", workers=2), undisturbed)
+    assert_same_table(
+        study().run(tmp_path / "backwards", executor=Backwards(), workers=3), undisturbed
+    )
     mixed = {name: FEW[name] for name in ("kp", "slope", "leg_scale")}  # the other way round
     table = study(mixed).run(tmp_path / "mixed", executor=threads)
     ordered = table.set_index("design").loc[undisturbed["design"]].reset_index()
-    same(ordered[undisturbed.columns], undisturbed)
+    assert_same_table(ordered[undisturbed.columns], undisturbed)
 
 
 def test_results_of_other_engine_versions_are_not_reused(
@@ -173,11 +177,11 @@ def test_existing_results_are_not_computed_again(
     assert part.execute(tmp_path, executor=threads).done == 8
     progress = study().execute(tmp_path, executor=threads)
     assert (progress.total, progress.num_stored, progress.done) == (12, 8, 4)
-    same(study().table(tmp_path), undisturbed)
+    assert_same_table(study().table(tmp_path), undisturbed)
     again = study().execute(tmp_path, executor=threads)
     assert (again.num_stored, again.done) == (12, 0)
     assert len(pa.read_study(tmp_path)) == 12
-    same(pa.read_study(tmp_path), undisturbed)
+    assert_same_table(pa.read_study(tmp_path), undisturbed)
 
 
 def test_changed_study_uses_only_its_own_rows(tmp_path: Path, threads: Executor) -> None:
@@ -229,6 +233,7 @@ def test_study_of_published_files_scales_both_models(
 
 @pytest.mark.slow
 def test_other_files_are_other_designs(tmp_path: Path) -> None:
+    """The design depends on the content of the file, not on its name."""
     files = {}
     for kind, name in (("urdf", "pupper_skeleton.urdf"), ("mjcf", "pupper_skeleton.xml")):
         files[kind] = str(shutil.copy(ROOT / kind / name, tmp_path / name))
@@ -281,7 +286,7 @@ def test_killed_worker_loses_no_design(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
-def test_workers_are_begun_anew_before_engines_fill_the_memory(
+def test_workers_are_restarted_after_a_number_of_designs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(running, "DESIGNS_PER_PROCESS", 2)
@@ -394,7 +399,9 @@ def test_killed_study_resumes_without_loss(tmp_path: Path) -> None:
     assert process.returncode == 0
     assert rows_of(folder) == 24  # each once
     with ThreadPoolExecutor(2) as executor:
-        same(pa.read_study(folder), slow_study().run(tmp_path / "other", executor=executor))
+        assert_same_table(
+            pa.read_study(folder), slow_study().run(tmp_path / "other", executor=executor)
+        )
 
 
 LOCKED = """import os, signal, sys
@@ -510,7 +517,7 @@ def test_the_study_command_writes_its_results(
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
+def test_interrupted_study_can_be_resumed_and_leaves_no_process(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(
         'robot = "v3"\nmeasure = ["minimum_stiffness"]\n[vary]\n'
         "torso_mass_scale = { linspace = [1.0, 2.0, 400] }\n"

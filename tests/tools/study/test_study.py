@@ -1,4 +1,4 @@
-"""What a study says: variables, designs, names of numbers; and what is refused before it runs."""
+"""Definition of studies: variables, designs, metrics, and refusals before the run."""
 
 from __future__ import annotations
 
@@ -122,6 +122,7 @@ def test_longer_sample_sequence_extends_the_shorter() -> None:
 
 
 def test_design_hash_depends_on_named_values_only() -> None:
+    """The order of columns and the sign of zero have no effect; values of 1e-18 do."""
     block = np.array([[1.0, 2.0], [2.0, 1.0], [-0.0, 3.0], [0.0, 3.0]])
     names = hash_designs("x", ("a", "b"), block)
     assert hash_designs("x", ("b", "a"), block[:, ::-1]) == names
@@ -147,7 +148,7 @@ def test_design_hash_depends_on_named_values_only() -> None:
         ({"mass:each:leg_*": [1.0]}, "each:leg_"),
     ],
 )
-def test_numbers_that_make_no_sense_are_refused(vary: dict[str, Any], message: str) -> None:
+def test_variables_out_of_range_or_unknown_are_refused(vary: dict[str, Any], message: str) -> None:
     with pytest.raises(pa.PupperAnalysisError, match=message):
         study(vary)
 
@@ -261,6 +262,7 @@ def bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
 
 
 def test_predictions_use_changed_gains_and_friction() -> None:
+    """Reference: steady state with kp passed as an argument."""
     robot, stand = load("v3"), stand_of("v3")
     other = with_gains(robot, 8.0, 0.3, {"kp:*_3": 1.5})
     kp = np.array([12.0 if name.endswith("_3") else 8.0 for name in robot.joint_names])
@@ -277,6 +279,7 @@ def test_predictions_use_changed_gains_and_friction() -> None:
 
 
 def test_design_has_the_values_of_its_variables() -> None:
+    """References: variant with payload, stand, statics and steady state by the public functions."""
     study_of = study({"leg_scale": [1.2], "torso_mass_scale": [1.5]})
     maker = DesignBuilder(study_of.source, pa.StandTask(roll=0.05), (0.02, 0.0, 0.1))
     numbers = {"leg_scale": 1.2, "torso_mass_scale": 1.5, "payload": 0.7, "kp": 9.0, "pitch": 0.1,

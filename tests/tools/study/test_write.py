@@ -1,4 +1,4 @@
-"""Designs as files: what is measured of them is what the study measured."""
+"""Designs written as files have the values that the study measured."""
 
 from __future__ import annotations
 

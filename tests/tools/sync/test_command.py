@@ -1,4 +1,4 @@
-"""``pupper-analysis sync``: exit status, what is printed, bad input."""
+"""The command ``sync``: exit status, printed text, and refusals."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ def test_sync_prints_the_written_values(folder: Path) -> None:
         (["--json", "robot.urdf/a.json"], "robot.urdf is not a folder"),
     ],
 )
-def test_bad_input_is_exit_status_2(folder: Path, arguments: list[str], said: str) -> None:
+def test_invalid_input_gives_exit_status_2_and_changes_no_file(
+    folder: Path, arguments: list[str], said: str
+) -> None:
     before = (folder / "robot.xml").read_bytes()
     result = run(folder, *arguments)
     assert (result.returncode, result.stdout) == (2, "")

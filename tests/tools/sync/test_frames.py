@@ -1,4 +1,4 @@
-"""Making files agree whose link frames, bases and zeros are not the same."""
+"""Synchronisation of files whose link frames, bases and joint zeros differ."""
 
 from __future__ import annotations
 

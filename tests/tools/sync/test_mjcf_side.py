@@ -1,4 +1,4 @@
-"""A mass is written into the body that has one, also where that has no joint of its own."""
+"""A mass is written into the MJCF body that has the mass, also if this body has no joint."""
 
 from __future__ import annotations
 

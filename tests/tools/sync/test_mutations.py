@@ -1,6 +1,6 @@
-"""Random numbers of one file are changed; what the other file says restores them, and no more.
-
-The files are changed as text, by regular expressions that share nothing with the package.
+"""Random numbers of one file are changed, and `sync` restores them from the other file and changes
+no other number. The test changes the files by regular expressions, which share no code with the
+package.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Making two files agree: what is written where, in whose words, and what is left."""
+"""Synchronisation of two files: selected differences, written values in the units of each file, and
+remaining differences.
+"""
 
 from __future__ import annotations
 
@@ -138,7 +140,9 @@ def test_directional_attributes_are_not_changed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("quaternion", ["0.9 0.1 -0.2 0.3", ""])
-def test_axes_of_an_inertia_are_a_quaternion(tmp_path: Path, quaternion: str) -> None:
+def test_inertia_is_written_as_moments_and_quaternion_if_the_file_has_these(
+    tmp_path: Path, quaternion: str
+) -> None:
     tensor = (0.002, 0.003, 0.004, 1e-4, -2e-4, 3e-4)
     files = pair(tmp_path, urdf=changed(ROBOT, "base", inertia=tensor))
     moments = 'diaginertia="0.002 0.003 0.004"' + (f' quat="{quaternion}"' if quaternion else "")
@@ -358,6 +362,7 @@ def test_joint_of_one_file_alone_is_not_changed(tmp_path: Path) -> None:
 
 
 def test_dry_run_shows_the_changes_without_writing(tmp_path: Path) -> None:
+    """Reference: the program `patch` with the printed difference."""
     files = pair(tmp_path, DIFFERENT)
     before = files.mjcf.read_text()
     result = sync(files, "urdf", dry_run=True)
@@ -467,7 +472,7 @@ while True:
 
 
 @pytest.mark.slow
-def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> None:
+def test_file_of_a_killed_process_is_the_old_or_the_new_one(tmp_path: Path) -> None:
     file = tmp_path / "robot.xml"
     contents = {b"1" * 4_000_000, b"2" * 4_000_001}
     choose = random.Random(0)

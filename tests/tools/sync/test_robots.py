@@ -1,4 +1,4 @@
-"""Files that others have published are made to agree, both ways."""
+"""Published pairs of files are made to agree, in both directions."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ other, and shapes are not written; Mini Cheetah's URDF states no efforts."""
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize("robot", PAIRS)
 def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path) -> None:
+    """Reference: comparison with strict tolerances; a second run changes nothing."""
     urdf, mjcf = (file(*place) for place in PAIRS[robot])
     shutil.copytree(mjcf.parent, tmp_path / "mjcf")
     files = shutil.copy(urdf, tmp_path), tmp_path / "mjcf" / mjcf.name

@@ -1,4 +1,4 @@
-"""A USD that cannot be read, or should not be, is refused in one line that names it."""
+"""USD files that are unreadable or unsafe are refused in one line with their name."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BODY = 'def Xform "b" ( prepend apiSchemas = ["PhysicsRigidBodyAPI"] )\n{\n}\n'
         ("world.usda", b'#usda 1.0\ndef Xform "a"\n{\n}\n', "usd-without-bodies"),
     ],
 )
-def test_file_without_a_robot_is_refused(
+def test_invalid_usd_is_refused_in_one_line_without_output(
     name: str, content: bytes, code: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / name
@@ -51,7 +51,7 @@ def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
             read_usd(path)
 
 
-def test_nesting_that_usd_would_die_of_is_refused(tmp_path: Path) -> None:
+def test_nesting_that_crashes_usd_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "deep.usda"
     depth = MAX_DEPTH + 1
     file.write_text(HEAD + 'def "a"\n{\n' * depth + "}\n" * depth)
@@ -172,7 +172,7 @@ def test_usd_is_refused_by_commands_that_need_xml(tmp_path: Path) -> None:
         read_model(usd.write(tmp_path))
 
 
-def test_without_the_library_the_extra_is_named(
+def test_missing_library_is_named_by_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pxr", None)

@@ -1,4 +1,4 @@
-"""What is wrong in a USD is found, at its prim."""
+"""Audit rules of USD: each fault is located at its prim."""
 
 from __future__ import annotations
 

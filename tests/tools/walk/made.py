@@ -1,4 +1,4 @@
-"""Policies that are made here: files of random networks, and a stand that balances by its gains."""
+"""Policies made for tests: files of random networks, and a stand that balances by its gains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""How far a robot may change, and which order of joints a policy is of: repeated, the same."""
+"""Changes of a robot that a walking policy tolerates, and the joint order of a policy; repeated
+runs give equal results.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Policy:
 
 
 @pytest.mark.slow
-def test_a_stand_falls_from_weak_motors_whatever_the_workers(still: Policy) -> None:
+def test_interval_of_motor_strength_does_not_depend_on_the_workers(still: Policy) -> None:
     robot = load("v3")
     found = [
         tracked_intervals(
@@ -49,6 +51,7 @@ def test_a_stand_falls_from_weak_motors_whatever_the_workers(still: Policy) -> N
 
 
 def test_changed_cases_have_the_changed_parameters(still: Policy) -> None:
+    """References: masses [kg] of MuJoCo's model, and its height [m] of the lowest foot geom."""
     stage = prepare_stage(load("v3"), still)
     base = stage.model.body("base_link").id
     heavy = make_changed_case(stage, "mass", 2.0, np.zeros(3), 0).model
@@ -212,6 +215,9 @@ def row(
 
 @pytest.mark.slow
 def test_measured_intervals_are_read_from_a_fit(still: Policy, tmp_path: Path) -> None:
+    """Reference by hand: the widest interval of all links, as a ratio to the nominal value, or as a
+    difference for CoM [m] and delay [s].
+    """
     robot = load("v3")
     path = fit_file(
         tmp_path,
@@ -248,13 +254,14 @@ def test_invalid_fit_file_is_refused_in_one_line(text: str, tmp_path: Path) -> N
     assert "\n" not in str(caught.value)
 
 
-def ranked(policy: Policy) -> Orders:
+def rank_trot_orders(policy: Policy) -> Orders:
+    """Return the ranked joint orders of a policy for the three commands of the trot."""
     return rank_orders(load("v3"), policy, commands=made.TROT, seconds=3)
 
 
 @pytest.fixture(scope="module")
 def own(trot: Policy) -> Orders:
-    return ranked(trot)
+    return rank_trot_orders(trot)
 
 
 @pytest.mark.slow
@@ -276,7 +283,7 @@ def test_exchanged_front_legs_are_found_by_walking(trot: Policy) -> None:
     names = load("v3").joint_names
     order = [3, 4, 5, 0, 1, 2, *range(6, 12)]
     wrong = trot.with_contract(joints=names).contract.reorder_joints(order)
-    found = ranked(replace(trot, contract=wrong))
+    found = rank_trot_orders(replace(trot, contract=wrong))
     assert not found.passed
     assert found.candidates[0].change == "limbs"
     assert found.candidates[0].joints == names
@@ -285,8 +292,8 @@ def test_exchanged_front_legs_are_found_by_walking(trot: Policy) -> None:
 @pytest.mark.slow
 def test_a_planted_sign_and_a_planted_scale_are_found(trot: Policy) -> None:
     signs = np.where(np.arange(12) == 4, -1.0, 1.0)
-    turned = ranked(trot.with_contract(signs=signs))
-    half = ranked(trot.with_contract(action_scale=0.5 * trot.contract.action_scale))
+    turned = rank_trot_orders(trot.with_contract(signs=signs))
+    half = rank_trot_orders(trot.with_contract(action_scale=0.5 * trot.contract.action_scale))
     assert not turned.passed
     assert not half.passed
     assert turned.candidates[0].flipped == ("leg_front_l_2",)
@@ -298,7 +305,7 @@ def test_candidates_that_walk_equally_are_not_determined(tmp_path: Path) -> None
     """A history in the reverse order delays the observations by a frame, and the robot walks as
     well."""
     policy = Policy.load(made.trot(tmp_path / "trot.json", history=2))
-    found = ranked(policy.with_contract(newest_first=True))
+    found = rank_trot_orders(policy.with_contract(newest_first=True))
     assert found.passed
     assert not found.determined
     alike = {(found.candidates[one].change, found.candidates[one].detail) for one in found.alike}

@@ -1,4 +1,4 @@
-"""``pupper-analysis walk``: what it prints and writes, its exit status, and bad input."""
+"""The command ``walk``: printed text, written files, exit status, and refusals."""
 
 from __future__ import annotations
 
@@ -47,7 +47,9 @@ def test_walk_reports_audit_errors(capfd: pytest.CaptureFixture[str], tmp_path: 
         assert said in out, err
 
 
-def test_bad_input(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_invalid_input_is_refused_in_one_line(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     policy = made.still(tmp_path / "still.json")
     words = ("walk", "v3", "--policy")
     for more, message in (

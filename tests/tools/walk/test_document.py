@@ -1,4 +1,4 @@
-"""The report of a walk."""
+"""The document of a walk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What studies measure of a policy is what `walk` says of it."""
+"""Metrics of policies in studies equal the results of `walk`."""
 
 from __future__ import annotations
 

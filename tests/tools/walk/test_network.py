@@ -1,4 +1,4 @@
-"""Networks are evaluated as by a second implementation, of plain loops, and by onnxruntime."""
+"""Networks of policies, compared with plain loops and with onnxruntime."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def read(layers: list[dict[str, Any]]) -> Network:
 
 
 @pytest.mark.parametrize("activation", BY_LOOPS)
-def test_dense_as_by_loops(activation: str) -> None:
+def test_dense_layers_equal_plain_loops(activation: str) -> None:
     draw = np.random.default_rng(1)
     sizes, layers = (7, 9, 4), []
     for one, two in itertools.pairwise(sizes):
@@ -59,12 +59,12 @@ def test_dense_as_by_loops(activation: str) -> None:
         assert out == pytest.approx(row, abs=ALIKE)
 
 
-def test_all_activations_are_tried() -> None:
+def test_each_activation_has_a_reference_function() -> None:
     assert set(ACTIVATIONS) == set(BY_LOOPS)
 
 
 @pytest.mark.parametrize("after", [True, False])
-def test_gru_as_by_loops(after: bool) -> None:
+def test_gru_equals_plain_loops(after: bool) -> None:
     """Gates z, r and the candidate; the reset acts after the state's product, or on the state."""
     draw, n, u = np.random.default_rng(2), 3, 4
     given, own = draw.normal(size=(n, 3 * u)), draw.normal(size=(u, 3 * u))
@@ -89,7 +89,8 @@ def test_gru_as_by_loops(after: bool) -> None:
         assert found[0] == pytest.approx(hidden, abs=ALIKE)
 
 
-def test_lstm_as_by_loops() -> None:
+def test_lstm_equals_plain_loops() -> None:
+    """Reference: the gates i, f, g, o of an LSTM, written as loops over units."""
     draw, n, u = np.random.default_rng(3), 3, 4
     given, own = draw.normal(size=(n, 4 * u)), draw.normal(size=(u, 4 * u))
     bias = draw.normal(size=4 * u)
@@ -147,7 +148,7 @@ def made_graphs() -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("kind", made_graphs())
-def test_onnx_as_by_onnxruntime(kind: str, tmp_path: Path) -> None:
+def test_onnx_graphs_equal_onnxruntime(kind: str, tmp_path: Path) -> None:
     runtime = pytest.importorskip("onnxruntime")
     data = made_graphs()[kind]
     network = read_graph(data, tmp_path)
@@ -207,7 +208,7 @@ def _saved(torch: Any, module: Any, path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
+def test_torchscript_equals_plain_loops(torch: Any, tmp_path: Path) -> None:
     layers = torch.nn.Linear(7, 9), torch.nn.ELU(), torch.nn.Linear(9, 4)
     path = _saved(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
     network, given = policy.build_torchscript_network(path), rows(5, 7)

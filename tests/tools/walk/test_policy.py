@@ -1,4 +1,4 @@
-"""What a policy's files state, and what is refused: one line, which names the key or the layer."""
+"""Contents of policy files, and refusals in one line with the key or the layer."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def onnx_policy(folder: Path, toml: str = TOML, metadata: dict[str, str] | None 
     return path
 
 
-def refusal(path: Path) -> str:
+def get_refusal(path: Path) -> str:
+    """Return the message of the error that loading a policy raises; it must be one line."""
     with pytest.raises(ModelError) as caught:
         Policy.load(path)
     assert "\n" not in str(caught.value)
@@ -60,7 +61,7 @@ def test_toml_takes_precedence_over_onnx_metadata(tmp_path: Path) -> None:
     assert contract.action_scale.tolist() == [0.5, 0.5]  # the TOML's
 
 
-def test_rtneural_of_pupper(tmp_path: Path) -> None:
+def test_rtneural_file_of_pupper_has_its_observations_and_rate(tmp_path: Path) -> None:
     contract = Policy.load(made.still(tmp_path / "p.json")).contract
     names = [term.name for term in contract.terms]
     assert names == [
@@ -92,7 +93,7 @@ def test_rtneural_of_pupper(tmp_path: Path) -> None:
 )
 def test_impossible_contract_is_refused(tmp_path: Path, old: str, new: str, text: str) -> None:
     assert old in TOML
-    assert text in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
+    assert text in get_refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,7 @@ def test_contract_refuses_values_that_are_not_finite_numbers(
     tmp_path: Path, old: str, new: str
 ) -> None:
     assert old in TOML
-    assert "made.toml" in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
+    assert "made.toml" in get_refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
 
 
 WRONG: tuple[Any, ...] = (
@@ -188,7 +189,7 @@ def test_rtneural_of_wrong_types_is_read_or_refused(tmp_path: Path) -> None:
     ],
 )
 def test_rtneural_layer_of_a_wrong_type_is_named(tmp_path: Path, layer: Any, text: str) -> None:
-    assert text in refusal(made.still(tmp_path / "p.json", layers=[layer]))
+    assert text in get_refusal(made.still(tmp_path / "p.json", layers=[layer]))
 
 
 @pytest.mark.slow
@@ -210,7 +211,7 @@ def test_onnx_states_of_huge_size_are_refused(tmp_path: Path) -> None:
     outputs = [made.value("act", 1, 4), made.value("hn", 1, 10**12)]
     path = tmp_path / "made.onnx"
     path.write_bytes(made.onnx(nodes, [], inputs, outputs))
-    assert "h: sizes do not fit" in refusal(path)
+    assert "h: sizes do not fit" in get_refusal(path)
 
 
 def test_onnx_values_that_grow_without_end_are_refused(tmp_path: Path) -> None:
@@ -219,7 +220,7 @@ def test_onnx_values_that_grow_without_end_are_refused(tmp_path: Path) -> None:
     data = made.onnx(nodes, [], [made.value("x0", 1, 4)], [made.value("x40", 1, 4)])
     path = tmp_path / "made.onnx"
     path.write_bytes(data)
-    assert "sizes do not fit" in refusal(path)
+    assert "sizes do not fit" in get_refusal(path)
 
 
 def test_half_precision_weights_stored_as_integers_keep_their_values(tmp_path: Path) -> None:
