@@ -253,7 +253,9 @@ def _limits() -> Iterator[None]:
 
 
 def problem_of(kind: Kind, data: bytes, folder: Path) -> str | None:
-    """Return what is wrong with how a file is read, or None."""
+    """Return the defect in the handling of a damaged file; None if the file is read, or refused in
+    one line with its name.
+    """
     path = folder / kind.name
     path.write_bytes(data)
     try:

@@ -35,9 +35,10 @@ ROUNDING = 1e-12
 equations."""
 
 CONES = 1e-7
-"""Relative tolerance of what Clarabel finds where friction limits or a peak is minimised: its gaps
-are 1e-11, and the position of a minimum is as inexact as their square root. The least peak
-itself is within 1e-11."""
+"""Relative tolerance of results of Clarabel if friction is a constraint, or a peak torque is
+minimised. Clarabel's gaps are 1e-11, and the position of a minimum has the square root of this
+error; the minimum itself is exact to 1e-11.
+"""
 
 EIGENVALUE = 1e-10
 """Relative tolerance of the least stiffness: with OpenBLAS kernels for other processors
@@ -230,7 +231,7 @@ JOBS = {
     ),
     "gain sweep": Job(gain_sweep, STEPPED, slow=True, same_engines=True, why=SIMULATED),
 }
-"""{name of a computation: how it is made and compared}."""
+"""{name of a computation: function and tolerances}."""
 
 
 def computed(name: str, job: str) -> dict[str, Any]:

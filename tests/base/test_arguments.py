@@ -108,7 +108,7 @@ def test_wrong_arguments_raise_errors_of_the_package(
 
 
 def _refusal(function: Callable[..., object], arguments: dict[str, Any]) -> str | None:
-    """What a function says of arguments; None if it takes them."""
+    """Return the message of the error that a call raises; None if it raises none."""
     try:
         function(**arguments)
     except pa.PupperAnalysisError as error:
@@ -117,7 +117,7 @@ def _refusal(function: Callable[..., object], arguments: dict[str, Any]) -> str 
 
 
 def _fits(junk: object, hint: str) -> bool:
-    """Whether a value may be right, so that a function would do its work for nothing."""
+    """Return True if a value may be valid, so that the function would run to its end."""
     if "Array" in hint:  # that of gains, which is looked at when servos are made
         return True
     kinds = {bool: "bool", int: "int", float: "float", str: "str"}

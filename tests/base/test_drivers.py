@@ -103,7 +103,7 @@ def diverge():
     mujoco.mj_step(model, data)
     print("warnings:", sum(one.number for one in data.warning))
 """
-"""A step whose warning MuJoCo writes to MUJOCO_LOG.TXT."""
+"""Code with a diverging step, for which MuJoCo writes a warning to MUJOCO_LOG.TXT."""
 COMMAND = (
     DIVERGES
     + """

@@ -1,4 +1,4 @@
-"""LAPACK routines that are called without ``scipy.linalg`` return what ``scipy.linalg`` returns."""
+"""LAPACK routines called without importing ``scipy.linalg``, compared with ``scipy.linalg``."""
 
 from __future__ import annotations
 

@@ -12,7 +12,9 @@ from tests.support import agreement, arm_features
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [None, 910, 903])
 def test_commands_agree_on_the_same_robot(seed: int | None, tmp_path: Path) -> None:
-    """Of a variant, of a random pair, and of a random URDF alone, which is converted, too."""
+    """Robots: a variant, a random pair of files, and a random URDF alone, which is converted as
+    well.
+    """
     name, files = "v3", ("v3",)
     if seed is not None:
         [(name, files)] = agreement.write_random_robots(seed, 1, tmp_path)

@@ -116,7 +116,7 @@ def test_no_color_option_takes_precedence_over_force_color(monkeypatch: pytest.M
 
 
 def test_the_shell_completes() -> None:
-    """As in docs/how-to/output.md: click answers to this environment variable."""
+    """Reference: click's protocol, an environment variable, as in docs/how-to/output.md."""
     done = subprocess.run(
         [str(Path(sys.executable).with_name("pupper-analysis"))],
         env={

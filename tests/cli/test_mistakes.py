@@ -53,11 +53,11 @@ def test_error_of_a_length_without_unit_suggests_millimetres(
 
 
 def test_a_direction_may_have_any_length() -> None:
-    """A plane's normal of (0, 0, 10) is that of (0, 0, 1)."""
-    ten, one = (parse_contact("contact", f"plane:0,0,45mm,0,0,{z}", "") for z in ("10", "1"))
-    assert ten.plane is not None
-    assert one.plane is not None
-    assert ten.plane.normal == pytest.approx(one.plane.normal) or ten.plane.normal == (0, 0, 10)
+    """Reference: distance of a point at 1 m height from a plane at 45 mm, 0.955 m."""
+    for z in ("10", "1"):
+        plane = parse_contact("contact", f"plane:0,0,45mm,0,0,{z}", "").plane
+        assert plane is not None
+        assert plane.signed_distance((0.3, 0.2, 1.0)) == pytest.approx(0.955)
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("fit", "v3", "--log", "stands.csv"): (*(("--weight", "3kg"), ("--added", "1kg")),),
 }
 IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMAND_NAMES}
-"""{command line: what does nothing in it}."""
+"""{command line: options that have no effect in it}."""
 
 
 @pytest.mark.parametrize("line", IDLE, ids=lambda line: " ".join(Path(one).name for one in line))

@@ -33,7 +33,7 @@ ARGUMENTS = {
     "file": ("robot.urdf",),
     "objective": ("margin",),
 }
-"""{argument of a command: what is given}."""
+"""{argument of a command: value in this test}."""
 
 OPTIONS = {
     "stance": "stance.toml",
@@ -58,7 +58,7 @@ MORE: dict[str, list[list[str]]] = {
     "sync": [["--dry-run"], ["--take", "urdf"]],
     "check": [[], ["--update-baseline"]],
 }
-"""{command: what else it needs, in each of its ways}."""
+"""{command: further words that it requires, for each of its modes}."""
 
 INSIDE = {
     "robot.xml": ("parts.xml", "feet/foot.stl", "skin.png"),
@@ -66,7 +66,7 @@ INSIDE = {
     "study.toml": ("robot.urdf", "robot.xml"),
     "pupper-analysis.toml": ("robot.urdf", "robot.xml", "known.txt"),
 }
-"""{file: what is read because of it}."""
+"""{file: files that are read with it}."""
 
 LINKS: dict[str, Callable[[Path, Path], Path]] = {
     "its name": lambda folder, file: file,
@@ -216,7 +216,7 @@ def aimed(
     option: click.Parameter,
     inside: Path | None,
 ) -> list[str]:
-    """Returns a command line one of whose outputs is an input."""
+    """Return a command line in which one output is an input."""
     if inside is not None:
         shutil.rmtree(folder / "into", ignore_errors=True)
         (folder / "into").mkdir()

@@ -50,7 +50,7 @@ def start(*command: str, **options: object) -> subprocess.Popen[str]:
 
 
 def status_of(command: click.Command, arguments: list[str]) -> object:
-    """With what it ends in this process."""
+    """Return the exit status of a command in this process."""
     with pytest.raises(SystemExit) as leaving:
         cli.run(command, arguments)
     return leaving.value.code

@@ -18,7 +18,7 @@ OURS = sorted({"stand", "workspace", "payload", "best", "path", "push"} & {*cli.
 
 
 def test_commands_share_their_options_of_robot_and_stance() -> None:
-    """Of the same name, kind, default and help: one list."""
+    """Name, type, default and help are equal in all commands."""
     own = {*RobotAndTask.__dataclass_fields__, *RobotOptions.__dataclass_fields__}
     names = {*own, *OPTION_FIELDS} - {"stance", "which", "fixed_base"}
     simulated = {

@@ -36,7 +36,9 @@ KP, KD = 20.0, 0.4
 
 
 def limited(way: str, limit: float, gear: float = 1.0) -> pa.Robot:
-    """v3, whose URDF says 3 N m, with another limit in its MJCF; ctrlrange: of torque motors."""
+    """Return v3, whose URDF has an effort of 3 N m, with another limit [N m] in one attribute of
+    its MJCF. With `ctrlrange` its actuators are torque motors.
+    """
     spec = load("v3").description.mjcf.copy()
     for actuator in spec.actuators:
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -55,7 +57,9 @@ def limited(way: str, limit: float, gear: float = 1.0) -> pa.Robot:
 
 
 def bare_height(robot: pa.Robot, seconds: float = 4.0) -> float:
-    """Where the file as it is holds the base up, a PD of one's own commanding its motors."""
+    """Return the height of the base [m] in bare MuJoCo after some seconds; torque motors are
+    commanded by a PD controller of the test.
+    """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     stand = stand_of("v3")
     robot.mj_convention.set_state(data, stand.qpos)
@@ -141,7 +145,9 @@ def test_effort_limit_is_the_smallest_stated_limit(
 
 
 def test_smaller_limit_counts_if_directions_differ() -> None:
-    """Statics count the lesser; servos give what MuJoCo gives."""
+    """Statics use the smaller limit, 0.5 N m. Reference of the servos: MuJoCo's `qfrc_actuator`,
+    -0.9 and 0.5 N m.
+    """
     spec = limited("forcerange", 0.9).description.mjcf.copy()
     for actuator in spec.actuators:
         actuator.forcerange = (-0.9, 0.5)

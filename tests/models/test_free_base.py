@@ -84,7 +84,7 @@ def test_base_joints_are_not_joined_if_held_or_driven(
 
 
 def test_slide_is_not_locked_without_limits(tmp_path: Path) -> None:
-    """TidyBot's cart: two slides and a hinge, whose URDF had limits of 0 to 0."""
+    """A cart on two slides and a hinge, as TidyBot's, whose URDF had limits of 0 to 0 m."""
     path = tmp_path / "cart.xml"
     inertial = '<inertial mass="2" pos="0 0 0.1" diaginertia="0.1 0.1 0.1"/>'
     path.write_text(

@@ -29,7 +29,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def make_clone(folder: Path) -> Path:
-    """Write a clone with one robot, whose file is that of v3, and a scene."""
+    """Write a clone with the robot unitree_go2, whose file is a copy of v3's, and a scene."""
     robot = folder / "unitree_go2"
     shutil.copytree(SOURCE.parent, robot)
     (robot / SOURCE.name).rename(robot / "go2.xml")

@@ -211,7 +211,9 @@ PARTS = """<robot xmlns:xacro="http://ros.org/wiki/xacro">
 
 
 def test_packages_and_arguments_of_xacro_are_resolved_without_ros(tmp_path: Path) -> None:
-    """The expansion is that of the package xacro, with the folder of the package as text."""
+    """The package xacro expands the file; the folder of the ROS package is found by its
+    package.xml.
+    """
     pytest.importorskip("xacro")
     clone = tmp_path / "rex-main"  # a clone whose folder has another name than the package
     (clone / "urdf").mkdir(parents=True)

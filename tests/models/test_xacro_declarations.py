@@ -29,7 +29,9 @@ HARMLESS = {
     "materials elsewhere": '<xacro:include filename="$(find my_cobot)/urdf/materials.xacro"/>',
     "transmissions elsewhere": '<xacro:include filename="robot.transmission.xacro"/>',
 }
-"""Of public files: the 84 URDFs of myCobot declare a width that they do not use."""
+"""Unused xacro elements of public files: for example, the 84 URDFs of myCobot declare an unused
+width.
+"""
 
 USED = {
     "macro called": '<xacro:leg n="1"/>',
@@ -66,7 +68,7 @@ def with_xacro(urdf: Path, content: str) -> int:
 
 @pytest.mark.parametrize("name", HARMLESS)
 def test_unused_xacro_is_ignored_with_a_note(files: Any, name: str) -> None:
-    """Masses and placements are those of the same file without xacro, by Pinocchio."""
+    """Reference: Pinocchio's model of the same file without xacro elements."""
     before = pin.buildModelFromXML(read_urdf(files.urdf).text)
     with_xacro(files.urdf, HARMLESS[name])
     file = read_urdf(files.urdf)

@@ -95,7 +95,9 @@ def _solimp(given: np.ndarray, size: float) -> np.ndarray:
 
 
 def numbers(robot: pa.Robot, mass: float, size: float = 1.0) -> dict[str, float]:
-    """What is asked of a stand, in the robot's own units: factors of its masses and lengths."""
+    """Return dimensionless results of stands: quantities divided by powers of the mass and size
+    factors.
+    """
     stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, roll=0.04))
     found: dict[str, float] = {"mass": robot.total_mass / mass, "height": stand.qpos[2] / size}
     for feet in ("pinned", "sliding"):

@@ -22,7 +22,7 @@ def load(pair: Pair) -> Robot:
 
 
 def with_springs(pair: Pair, joint: str) -> Pair:
-    """Puts a spring into every joint whose name ends so."""
+    """Add a spring to each joint whose name ends with `joint`."""
     text = pair.mjcf.read_text()
     spring = f'stiffness="{STIFFNESS}" springref="{REST}"'
     assert f'{joint}" axis=' in text
@@ -131,7 +131,9 @@ def test_gravity_compensation_takes_weight_off_motors_and_feet(
 
 @pytest.mark.slow
 def test_sag_of_a_quadruped_with_knee_springs_equals_the_simulation(tmp_path: Path) -> None:
-    """Reference: loss of height in MuJoCo, whose feet creep until no tangential force is left."""
+    """Reference: height loss [m] in MuJoCo after 8 s, in which the feet creep until tangential
+    forces vanish.
+    """
     robot = load(with_springs(quadruped(tmp_path), "_knee"))
     stand = pa.solve_stand(robot)
     sag = pa.steady_state(robot, stand, feet="sliding")  # MuJoCo's feet creep to where none pushes

@@ -36,7 +36,7 @@ def four_legs(folder: Path) -> Path:
 
 
 def two_legs(folder: Path) -> Path:
-    """A biped on soles of 60 mm x 60 mm, whose 49 vertices are level to 10 um."""
+    """Write a biped on soles of 60 mm x 60 mm with 49 vertices, which are level within 10 um."""
     places = np.linspace(-0.03, 0.03, 7)
     grid = np.array([(x, y) for x in places for y in places])
     bottom = -0.05 + 1e-5 * (grid**2).sum(axis=1) / (2 * 0.03**2)

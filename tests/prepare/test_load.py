@@ -78,8 +78,8 @@ def test_unknown_keyframe_is_refused_with_the_valid_names(tmp_path: Path) -> Non
         load(quadruped(tmp_path), keyframe="crouch")
 
 
-def test_the_contact_points_are_mujocos(tmp_path: Path) -> None:
-    """Where MuJoCo has the contacts of the robot in its stand."""
+def test_contact_points_equal_the_contacts_of_mujoco(tmp_path: Path) -> None:
+    """Horizontal positions within 10 um, and depths within 10 nm."""
     robot = load(biped(tmp_path))
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     data = mujoco.MjData(robot.mj_model)
@@ -166,9 +166,9 @@ def test_flat_feet_stand_on_steps_of_a_slope_and_one_is_lifted(tmp_path: Path) -
 def test_base_frame_on_the_ground_is_raised_to_the_com_of_the_base(
     tmp_path: Path, below: float, framed: bool
 ) -> None:
-    """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been.
-
-    Soles that are below it by rounding alone, as TIAGo's wheels are, are on the ground with it.
+    """As for Berkeley Humanoid Lite: with the frame at the CoM of the base, the stand has equal
+    joint positions and is 0.1 m higher. Also if soles are below the frame by rounding, as TIAGo's
+    wheels.
     """
     plain = load(biped(tmp_path))
     pair = from_the_ground(biped(tmp_path), below)
@@ -248,7 +248,7 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
 
 
 def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_path: Path) -> None:
-    """As Cassie's, whose left and right legs have bits of their own."""
+    """As for Cassie, whose left and right legs have separate contact bits."""
     foot = '<geom type="sphere" size="0.02" pos="0 0 -0.2" contype="2" conaffinity="4"/>'
     robot = load(quadruped(tmp_path, foot=foot))
     assert len(robot.contact_points) == 4
@@ -327,8 +327,9 @@ def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path:
 
 @pytest.mark.slow
 def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
-    """As for Pi Plus, whose knees have a one-sided range in the MJCF only, and NimbRo-OP2X, whose
-    URDF joints are continuous."""
+    """As for Pi Plus, whose knees have a one-sided range in the MJCF only, and for NimbRo-OP2X,
+    whose joints are continuous in the URDF.
+    """
     pair = quadruped(tmp_path, keyframe="")
     rewritten(pair.mjcf, ('range="-1.5 2.5"', 'range="-1.5 0.6"'))
     robot = load(pair)

@@ -204,7 +204,7 @@ def test_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) ->
 
 @pytest.mark.slow
 def test_robot_with_sleeping_enabled_is_judged(tmp_path: Path) -> None:
-    """MuJoCo does not differentiate a step of what may sleep."""
+    """MuJoCo does not differentiate steps of models with sleeping bodies; a note reports this."""
     asleep = _option('integrator="implicitfast"><flag sleep="enable"/></option>')
     robot = slipped(tmp_path, asleep)
     assert judged(robot).code is VerdictCode.HOLDS

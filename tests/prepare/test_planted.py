@@ -31,7 +31,7 @@ NEVER = {
     *("on-servos-made-up", "rests-on-placeholder-efforts", "on-balls-for-soles"),
     *("gravity-not-the-earths",),
 }
-"""Codes of what is seen, and is no cause."""
+"""Codes of observations, which are no causes."""
 
 CONSEQUENCES = {"motors-overloaded", "foot-buried", "joint-held-by-nothing"}
 """Codes of true consequences that may be reported beside the cause: overloaded motors, feet that
@@ -68,7 +68,7 @@ def joints(which: str, words: str) -> Edit:
 
 
 def block(words: str) -> Edit:
-    """A box of 3 cm where it lifts what stands on the left in front."""
+    """Return the edit that adds a box of 30 mm under the front left foot."""
     shape = '<geom type="box" size="0.6 0.6 0.015"/>'
     return make_replacement(
         "<worldbody>", f'<worldbody><body pos="0.6 0.6 0" {words}>{shape}</body>'
@@ -116,7 +116,9 @@ ODD: dict[str, tuple[str, ...]] = {
     "motors": ("own-run", "motors-commanded-angles"),
     "a keyframe's ctrl of zeros": ("own-run", "keyframe-commands-another-pose"),
 }
-"""{feature: what may be told of it}; ``own-run`` where its joint's drive or command is."""
+"""{feature: codes of causes that may be reported}; ``own-run`` if the reported joint has this drive
+or command.
+"""
 
 PLANTS: dict[str, tuple[Edit, str]] = {
     "a bias beside all servos": (general(bias=0.07), "servos-are-biased"),
@@ -182,11 +184,11 @@ PLANTS: dict[str, tuple[Edit, str]] = {
     "a foot that does not touch": (feet('contype="0" conaffinity="0"', 1), "limb-without-foot"),
     "a command elsewhere": (make_replacement('ctrl="0 0.6 -1.2', 'ctrl="0 0.6 -0.6', 1), ELSEWHERE),
 }
-"""{what else: (how it is planted, what may be told of it)}."""
+"""{fault: (edit that plants it, codes of causes that may be reported)}."""
 
 
 def causes(verdict: Verdict) -> list[str]:
-    """Returns what is told of a verdict's causes, the first first."""
+    """Return the codes of the causes in a verdict, the first cause first."""
     found = []
     for clause in verdict_clauses(verdict):
         code = clause.message.code
@@ -212,7 +214,7 @@ def judged(urdf: Path, mjcf: Path) -> Verdict:
 
 @silence_mujoco()
 def stands(mjcf: Path, seconds: float = 5.0) -> bool:
-    """Tells whether a file with a keyframe stays upright by itself, in bare MuJoCo."""
+    """Return True if a file with a keyframe stays upright in bare MuJoCo."""
     model = mujoco.MjModel.from_xml_path(str(mjcf))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -230,9 +232,8 @@ def right(
     allowed: tuple[str, ...],
     judged: Callable[[Path, Path], Verdict] = judged,
 ) -> bool | None:
-    """Tells whether what is told of a plant first is right; None if it does no harm.
-
-    Nothing else may be told of it, first or last.
+    """Return True if the first reported cause is one of the permitted causes, and None if the fault
+    does no harm. No other cause may be reported, except consequences of the fault.
     """
     try:
         verdict = judged(urdf, mjcf)
@@ -267,7 +268,7 @@ HARMLESS = {
     *("a tendon's spring", "a base without weight", "a margin of contacts"),
     *("a fluid", "a command elsewhere", "a range that cuts the pose"),
 }
-"""Those with which it stands in bare MuJoCo, too: nothing is told."""
+"""Faults with which the robot stands in bare MuJoCo as well: no cause is reported."""
 
 
 @pytest.mark.slow

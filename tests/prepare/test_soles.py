@@ -134,7 +134,9 @@ def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_nearly_level_sole_keeps_the_tilt_of_its_leg(tmp_path: Path) -> None:
-    """By a mesh's last digits: no roll of the foot can mend it."""
+    """The sole is tilted by 3 urad, the rounding of a mesh, which no joint of the leg can
+    correct.
+    """
     foot = BIPED_FEET["box"].replace("/>", ' euler="3e-6 0 0"/>')
     pair = held(biped(tmp_path, foot), "_yaw", "_tilt")
     verify_held_stand(load(pair), within=1e-2)
@@ -276,9 +278,8 @@ def distances_to_nearest(these: np.ndarray, those: np.ndarray) -> np.ndarray:
 
 
 def test_osculating_sphere_has_the_point_and_mean_curvature_of_the_support_function() -> None:
-    """Reference: finite differences of h(d) = max x.d, whose gradient is the point in d.
-
-    A support function's second derivative across d has the principal radii as eigenvalues.
+    """Reference: finite differences of h(d) = max x.d: its gradient is the point with the normal d,
+    and its second derivative across d has the principal radii [m] as eigenvalues.
     """
     half_axes, step = np.array([0.03, 0.02, 0.01]), 1e-4
     down = TILTED.apply([0.0, 0.0, -1.0])
@@ -310,7 +311,9 @@ def test_round_sole_touches_at_its_rim(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_sole_sinks_as_a_plane_that_carries_force_and_moment(tmp_path: Path) -> None:
-    """By unequal loads of the soles it tilts, and a corner lifts: 8e-4 off, and "not >= 0 m"."""
+    """Reference: simulation. Unequal loads tilt the soles; in the second stand a corner is lifted
+    by more than 0.1 mm.
+    """
     pair = biped(tmp_path)
     robot = pa.load_robot(*pair)
     tilted = verify_held_stand(robot, pa.StandTask(com=(0.06, 0.04)), within=1e-6)

@@ -38,7 +38,7 @@ def test_omitted_joints_are_at_zero_clipped_to_their_limits() -> None:
 def test_keyframe_without_a_stand_is_replaced_by_a_reachable_height(
     tmp_path: Path,
 ) -> None:
-    """The base would be 77 mm high, where nobody asked for it, and legs overlap."""
+    """In the keyframe the base would be 77 mm high, and legs overlap."""
     whole = load("v3").description
     straight = "1 0 0 0 " + " ".join(["0"] * 12)
     folded = "1 0 0 0 " + " ".join(["0 0 0.7", "0 0 -0.7"] * 2)
@@ -59,9 +59,8 @@ def test_keyframe_without_a_stand_is_replaced_by_a_reachable_height(
 def test_start_pose_allows_the_nominal_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a biped whose straight legs cannot move the com sideways, and bent ones can.
-
-    Where it may be anywhere inside, the legs reach lower than where it is in the centre.
+    """As for a biped that moves its CoM sideways only with bent legs. With the CoM anywhere inside
+    the support polygon, the legs reach lower than with the CoM at the centre.
     """
     files = biped(tmp_path)
     usual, least = pa.load_robot(*files).stand_height, 0.70

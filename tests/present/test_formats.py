@@ -47,7 +47,7 @@ TEXT = st.text(st.sampled_from("ab%:,\n\r=0A25D3C ") | st.characters(codec="utf-
 
 
 def shown(text: str) -> str:
-    """What is left of a text: ends of lines, and the numbers of what would act on a log."""
+    """Return a text with its control characters escaped, except for line ends."""
     return "".join(letter if letter in "\r\n" else escape_control(letter) for letter in text)
 
 

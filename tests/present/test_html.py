@@ -55,7 +55,7 @@ EVIL = (
 
 @cache
 def analysis() -> pa.analysis.Analysis:
-    """Of v3, which does not pass without feed-forward, and whose torques are known."""
+    """Return the analysis of v3 with known torques [N m], which fails without feed-forward."""
     one = pa.analyze_variant(load("v3"))
     return replace(
         one,
@@ -85,7 +85,7 @@ def written(results: object, *, robots: bool = True, language: str = "en") -> st
 
 @cache
 def comparison() -> pa.analysis.Comparison:
-    """Of a URDF whose base is heavier, and whose knee is stronger, than the MJCF's."""
+    """Return the comparison of a URDF with a heavier base and stronger knee than the MJCF."""
     with tempfile.TemporaryDirectory() as folder:
         urdf, mjcf = pa.pupper.write_variant(
             pa.pupper.VariantSpec(base="v3", leg_scale=1.1), folder

@@ -38,7 +38,7 @@ def browser() -> Iterator[Any]:
 
 
 class Opened:
-    """A report in a browser without a network, and what it complains of."""
+    """Report in a browser without a network, with the recorded error messages."""
 
     def __init__(self, browser: Any, file: Path, script: str = "", **options: Any) -> None:
         self.context = browser.new_context(offline=True, **options)

@@ -14,7 +14,7 @@ from pupper_analysis.tools.study.measures import METRICS
 from tests.base.diagnostics.test_diagnostic import HAN, TERMS, TEXTS, made_calls, uses, written
 
 SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\b")
-"""What is the same in both languages."""
+"""Parts of a text that are equal in both languages."""
 
 
 @pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])
@@ -41,7 +41,7 @@ def test_catalogue_has_no_unused_text() -> None:
 
 
 def begun() -> Iterator[str]:
-    """Beginnings of keys whose end is a value, as of `text(f"walk-quantity-{name}")`."""
+    """Yield the beginnings of keys that end with a value, as in `text(f"walk-quantity-{name}")`."""
     for _, node in made_calls():
         one = node.args[0] if node.args and getattr(node.func, "id", "") == "text" else None
         if isinstance(one, ast.JoinedStr) and isinstance(one.values[0], ast.Constant):

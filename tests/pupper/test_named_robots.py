@@ -16,7 +16,7 @@ from tests.support.commands import answer
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "v3-heavy"])
 def test_load_robot_accepts_the_name_of_a_variant(name: str) -> None:
-    """Mass and feet are those of ``load_variant``."""
+    """Reference: mass [kg], feet and initial configuration of ``load_variant``."""
     robot, expected = pa.load_robot(name, fixed_base=True), pa.load_variant(name, fixed_base=True)
     assert robot.name == name
     assert robot.total_mass == expected.total_mass

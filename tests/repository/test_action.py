@@ -39,7 +39,7 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def environment(checkout: Path, **inputs: str) -> dict[str, str]:
-    """What GitHub gives a step of a composite action."""
+    """Return the environment variables that GitHub sets for a step of a composite action."""
     given = {name: spec["default"] for name, spec in ACTION["inputs"].items()} | inputs
     names = {k: v for k, v in os.environ.items() if not k.startswith(("GITHUB_", "PYTHON", "PIP_"))}
     environment = names | {
@@ -196,7 +196,7 @@ for name in ("placo", "matplotlib", "clarabel", *{more}):
 from pupper_analysis.__main__ import main
 main()
 """
-"""Where a module is None, its import fails."""
+"""Code of a process in which some packages cannot be imported."""
 
 V3 = [str(ROOT / "urdf" / "pupper_v3.urdf"), str(ROOT / "mjcf" / "pupper_v3.xml")]
 

@@ -1,4 +1,4 @@
-"""The benchmarks run, their answers are exact, and their tables say what was measured."""
+"""Benchmarks run with exact results, and their tables contain the measured values."""
 
 from __future__ import annotations
 

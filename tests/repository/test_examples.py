@@ -63,11 +63,11 @@ SEEN: dict[str, tuple[tuple[object, ...], object, tuple[str, ...]]] = {
         ),
     ),
 }
-"""{example: what it is given, its exit status, what it prints}."""
+"""{example: (arguments, exit status, printed lines)}."""
 
 
 class Shown:
-    """Runs an example as its user does, and returns what it prints."""
+    """Function that runs an example with arguments and returns the printed text."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
         self._capsys, self._monkeypatch = capsys, monkeypatch

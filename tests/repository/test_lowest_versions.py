@@ -1,4 +1,4 @@
-"""The lowest versions that are tested are those that pyproject.toml allows."""
+"""The lowest versions in the tests equal the lower bounds of pyproject.toml."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ NOTEBOOK = ROOT / "examples" / "first_look.ipynb"
 
 
 def outputs(cell: dict[str, Any]) -> Iterator[str]:
-    """MIME types of what a cell shows."""
+    """Yield the MIME types of the outputs of a cell."""
     for output in cell.get("outputs", ()):
         assert output["output_type"] != "error", output
         yield from output.get("data", ())

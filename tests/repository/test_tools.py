@@ -35,7 +35,7 @@ ALSO = ("diff", "workspace", "crosscheck", "audit")
 
 
 def known_to() -> dict[str, set[str]]:
-    """{tool: the tools that it knows}, as pyproject.toml allows it."""
+    """Return {tool: tools that pyproject.toml allows it to import}."""
     text = (ROOT / "pyproject.toml").read_text()
     pairs = re.findall(
         r'"pupper_analysis\.tools\.(\w+)\.\*\* -> pupper_analysis\.tools\.(\w+)\.', text

@@ -24,7 +24,7 @@ CONTRACT = (ROOT / "docs/how-to/contract.md").read_text("utf-8")
 
 
 def install(folder: Path, package: str, files: dict[str, str], stated: str) -> Path:
-    """Writes what pip installs of a package: its files, and the entry points of its project."""
+    """Write the files and entry points of a package as pip installs them."""
     (folder / package).mkdir()
     for name, text in ({"__init__.py": ""} | files).items():
         (folder / package / name).write_text(text, encoding="utf-8")
@@ -46,8 +46,10 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return install(tmp_path_factory.mktemp("site"), "inertia_tool", files, PARTS["pyproject.toml"])
 
 
-def run(site: Path | None, folder: Path, *words: object, status: int = 0) -> str:
-    """Runs a command where what is in a folder is installed; returns what it prints."""
+def run_command_with_packages(
+    site: Path | None, folder: Path, *words: object, status: int = 0
+) -> str:
+    """Run a command with the packages of a folder installed; return the printed text."""
     paths = os.pathsep.join(str(path) for path in (site, ROOT) if path is not None)
     done = subprocess.run(
         [sys.executable, "-m", "pupper_analysis", *map(str, words)],
@@ -69,7 +71,7 @@ def test_example_tool_has_at_most_60_lines() -> None:
 
 
 def test_help_lists_an_installed_tool_without_importing_it(installed: Path, tmp_path: Path) -> None:
-    said = run(installed, tmp_path, "--help")
+    said = run_command_with_packages(installed, tmp_path, "--help")
     assert re.search(r"^  inertia +Rotational inertia of a robot about its base\.$", said, re.M)
     assert re.search(r"^  payload ", said, re.M)
     code = (
@@ -86,9 +88,9 @@ def test_help_lists_an_installed_tool_without_importing_it(installed: Path, tmp_
 @pytest.mark.slow
 def test_installed_tool_has_options_page_json_and_markdown(installed: Path, tmp_path: Path) -> None:
     """Moments of inertia satisfy the triangle inequality, and are printed with five digits."""
-    assert "about its base" in run(installed, tmp_path, "inertia", "--help")
+    assert "about its base" in run_command_with_packages(installed, tmp_path, "inertia", "--help")
     words = ("inertia", "v3", "--json", "inertia.json", "--report", "inertia.html")
-    said = run(installed, tmp_path, *words, "--format", "markdown")
+    said = run_command_with_packages(installed, tmp_path, *words, "--format", "markdown")
     moments = json.loads((tmp_path / "inertia.json").read_text())["moments"]
     assert len(moments) == 3
     assert 0 < moments[0] < moments[1] < moments[2] < moments[0] + moments[1]
@@ -108,9 +110,13 @@ def test_format_of_another_package_is_audited_and_compared(tmp_path: Path) -> No
     for name, text in (("sound", sound), ("heavy", heavy)):
         (tmp_path / f"{name}.urdfz").write_bytes(gzip.compress(text))
     mjcf = str(ROOT / "mjcf/pupper_v3.xml")
-    run(tmp_path, tmp_path, "audit", "sound.urdfz")
-    assert "AGREE" in run(tmp_path, tmp_path, "crosscheck", "sound.urdfz", mjcf)
-    assert "mass-not-positive" in run(tmp_path, tmp_path, "audit", "heavy.urdfz", status=1)
+    run_command_with_packages(tmp_path, tmp_path, "audit", "sound.urdfz")
+    assert "AGREE" in run_command_with_packages(
+        tmp_path, tmp_path, "crosscheck", "sound.urdfz", mjcf
+    )
+    assert "mass-not-positive" in run_command_with_packages(
+        tmp_path, tmp_path, "audit", "heavy.urdfz", status=1
+    )
 
 
 @pytest.mark.slow
@@ -127,11 +133,11 @@ def test_reader_of_the_guide_is_used_by_contract(tmp_path: Path) -> None:
     install(site, "our_firmware", {"limits.py": reader[1]}, project[1])
     (tmp_path / "motors.limits").write_text("leg_front_r_1,3.0\nleg_front_r_2,4.5\n")
     words = ("contract", ROOT / "urdf/pupper_v3.urdf", "motors.limits", "--no-stand")
-    said = run(site, tmp_path, *words, status=1)
+    said = run_command_with_packages(site, tmp_path, *words, status=1)
     assert "motors.limits:2" in said
     assert "leg_front_r_1" not in said
     assert re.search(r"effort of joint leg_front_r_2: 4.5 .* 3 N m", said)
-    said = run(None, tmp_path, *words, status=2)
+    said = run_command_with_packages(None, tmp_path, *words, status=2)
     assert "motors.limits: it is of no kind that is read" in said
 
 
@@ -154,6 +160,6 @@ def test_a_metric_without_a_meaning_is_listed_by_its_name(tmp_path: Path) -> Non
     site = tmp_path / "site"
     site.mkdir()
     install(site, "inertia_tool", files, PARTS["pyproject.toml"])
-    printed = run(site, tmp_path, "study", "--list-metrics")
+    printed = run_command_with_packages(site, tmp_path, "study", "--list-metrics")
     assert re.search(r"own_margin\W+m\W+own_margin", printed)
     assert "com_margin" in printed

@@ -76,7 +76,9 @@ def hinged(pair: Pair) -> Pair:
 
 
 def without_loops(robot: Robot, qpos: np.ndarray, forces: dict[str, np.ndarray]) -> np.ndarray:
-    """What each joint would hold in a tree (nu,): g - J^T f, by MuJoCo's kinematics alone."""
+    """Return the joint torques of the tree without loops, shape (nu,) [N m]: g - J^T f by MuJoCo's
+    kinematics.
+    """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_fwdPosition(model, data)
@@ -287,8 +289,10 @@ def test_constraint_opening_equals_mujoco_at_rest(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", [belts, four_bars])
-def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
-    """Where MuJoCo's feet have crept to, without tangential forces."""
+def test_sag_with_closed_loops_equals_mujoco(pair, tmp_path: Path) -> None:
+    """Reference: base height and torques after 20 s of MuJoCo, when tangential forces have
+    vanished.
+    """
     robot = load(pair(tmp_path))
     stand = pa.solve_stand(robot)
     sag = pa.steady_state(robot, stand, feet="sliding")

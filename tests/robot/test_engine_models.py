@@ -341,7 +341,7 @@ def test_each_stand_of_a_sequence_has_commands() -> None:
 
 @pytest.mark.slow
 def test_visualizer_of_pinocchio_shows_both_models_at_q_pin() -> None:
-    """The place of each shape is that of MuJoCo's geom."""
+    """Reference: position of MuJoCo's geom for each shape."""
     pytest.importorskip("viser")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of MeshCat's packages, which this import loads

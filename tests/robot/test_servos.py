@@ -34,7 +34,7 @@ IN_PARENT = '<motor jointinparent="{0}" ctrlrange="-30 30"/>'
 
 
 def with_motors(pair: Pair, element: str, joints: str = "") -> Pair:
-    """Other actuators at the joints whose names begin so, in place of motors of 30 N m."""
+    """Replace the motors of 30 N m at joints whose names begin with `joints` by another element."""
 
     def other(match: re.Match[str]) -> str:
         return element.format(match[1]) if match[1].startswith(joints) else match[0]
@@ -46,7 +46,7 @@ def with_motors(pair: Pair, element: str, joints: str = "") -> Pair:
 
 @pytest.mark.parametrize(("element", "controls"), [(PID, 15), (DC, 18)])
 def test_motors_of_several_controls_are_read(element: str, controls: int, tmp_path: Path) -> None:
-    """There are more controls than motors in MuJoCo's model; each is counted by itself."""
+    """Reference: counts of MuJoCo's model, with more controls than actuators."""
     pair = with_motors(quadruped(tmp_path), element, "FL")
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     assert (model.nu, model.nactuator) == (controls, 12)
@@ -211,7 +211,7 @@ def test_invalid_simulation_options_are_refused(asked: dict[str, Any], message: 
 
 
 GEARS = np.array([2.0, -1.5, 0.4] * 4)
-"""Of each leg's joints; one turns the other way."""
+"""Gears of the joints of each leg; one is negative."""
 
 
 def geared(name: str, *, force: float | None = None) -> pa.Robot:

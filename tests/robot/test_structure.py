@@ -32,14 +32,14 @@ QUANTITIES: dict[str, Callable[[pa.Configuration], object]] = {
 }
 
 
-def looked_at(config: pa.Configuration, order: np.ndarray) -> dict[str, np.ndarray]:
-    """All quantities of a configuration, asked for in some order."""
+def evaluate_quantities(config: pa.Configuration, order: np.ndarray) -> dict[str, np.ndarray]:
+    """Return all quantities of a configuration, evaluated in the given order."""
     names = list(QUANTITIES)
     return {names[i]: np.array(QUANTITIES[names[i]](config)) for i in order}
 
 
-def same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
-    """To the last bit: what is left in a workspace must not matter at all."""
+def assert_equal_quantities(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
+    """Assert equality to the last bit: content that remains in a workspace must have no effect."""
     for name in QUANTITIES:
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
@@ -49,12 +49,12 @@ def test_results_are_not_views_of_a_workspace(any_robot: pa.Robot) -> None:
     changes no other result.
     """
     config = pa.Configuration(any_robot, *random_state(any_robot, 1))
-    before = looked_at(config, np.arange(len(QUANTITIES)))
+    before = evaluate_quantities(config, np.arange(len(QUANTITIES)))
     kept = {name: quantity(config) for name, quantity in QUANTITIES.items()}
     del config
     other = pa.Configuration(any_robot, *random_state(any_robot, 2))
-    looked_at(other, np.arange(len(QUANTITIES)))
-    same({name: np.array(value) for name, value in kept.items()}, before)
+    evaluate_quantities(other, np.arange(len(QUANTITIES)))
+    assert_equal_quantities({name: np.array(value) for name, value in kept.items()}, before)
     # ... and who changes a result changes that alone.
     rotation, expected = other.base_rotation(), other.base_rotation()
     rotation[:] = 0.0
@@ -68,13 +68,13 @@ def test_copied_configuration_keeps_its_values(any_robot: pa.Robot) -> None:
     """
     config = pa.Configuration(any_robot, *random_state(any_robot, 7))
     order = np.arange(len(QUANTITIES))
-    before, twin = looked_at(config, order), copy.copy(config)
+    before, twin = evaluate_quantities(config, order), copy.copy(config)
     del config
     gc.collect()
     others = [pa.Configuration(any_robot, *random_state(any_robot, seed)) for seed in range(3)]
     for other in others:
-        looked_at(other, order)
-    same(looked_at(twin, order), before)
+        evaluate_quantities(other, order)
+    assert_equal_quantities(evaluate_quantities(twin, order), before)
 
 
 @pytest.mark.slow
@@ -83,7 +83,7 @@ def test_configurations_are_not_changed_by_other_threads(any_robot: pa.Robot) ->
     random order."""
     states = [random_state(any_robot, seed) for seed in range(6)]
     order = np.arange(len(QUANTITIES))
-    expected = [looked_at(pa.Configuration(any_robot, *state), order) for state in states]
+    expected = [evaluate_quantities(pa.Configuration(any_robot, *state), order) for state in states]
     shared = [pa.Configuration(any_robot, *state) for state in states]
 
     def work(seed: int) -> None:
@@ -91,14 +91,16 @@ def test_configurations_are_not_changed_by_other_threads(any_robot: pa.Robot) ->
         for _ in range(20):
             index = int(own.integers(len(states)))
             for config in (shared[index], pa.Configuration(any_robot, *states[index])):
-                same(looked_at(config, own.permutation(order)), expected[index])
+                assert_equal_quantities(
+                    evaluate_quantities(config, own.permutation(order)), expected[index]
+                )
 
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(work, range(4)))
 
 
-def test_rates_of_joints_in_another_order(tiny: pa.Robot) -> None:
-    """Rows and columns of what gravity and a foot's wrench do, against differences of both."""
+def test_static_load_derivative_equals_differences_if_joint_orders_differ(tiny: pa.Robot) -> None:
+    """Reference: differences of gravity torques and of a wrench on a foot."""
     rng = np.random.default_rng(4)
     config = pa.Configuration(tiny, integrate_step(tiny.neutral(), 0.3 * rng.normal(size=tiny.nv)))
     wrenches = {foot: rng.normal(size=6) for foot in tiny.contact_points}

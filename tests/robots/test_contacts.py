@@ -15,7 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.problem import default_contact_position
 from tests.robots.test_real_robots import LAB, MJCF, URDF, file
-from tests.stance.test_welds import least
+from tests.stance.test_welds import compute_least_torque
 from tests.support.variants import load
 
 Contacts = Mapping[str, pa.Contact | pa.Weld]
@@ -180,7 +180,7 @@ def test_weld_wrenches_of_public_robots_equal_a_cone_program(
     touched = stand.check(of)
     which = "minimum tangential" if pressing else "minimum torque"
     ours = pa.stance.stand_statics(touched, stand, distribution=which)
-    _, torques = least(touched, stand, pressing=pressing)
+    _, torques = compute_least_torque(touched, stand, pressing=pressing)
     # Where the weld can bear all, what is left is what each programme adds to be regular.
     rounding = 1e-6 * of.total_mass * 9.81  # N m: of the weight on a lever of a metre
     np.testing.assert_allclose(ours.joint_torques, torques, atol=rounding)

@@ -350,7 +350,7 @@ CONVERTED = {
 
 
 LOST = {"mini cheetah", "hyqreal2, on a floating joint"}
-"""Those whose collision meshes are not beside them: all else of them agrees and stands."""
+"""Robots without their collision meshes; all else agrees, and the robots stand."""
 
 
 @pytest.mark.slow

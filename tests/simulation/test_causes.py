@@ -25,7 +25,9 @@ from tests.support.legged import quadruped
 def test_ground_that_pushes_in_pulses_is_named_as_a_cause(
     option: str, says: str, tmp_path: Path
 ) -> None:
-    """As under a Booster K1 on a slope, whose foot forces were off by 1.3 %, at any gains."""
+    """States whose base height alternates by 2 mm, as in the simulation of a Booster K1 on a
+    slope.
+    """
     pair = quadruped(tmp_path, actuators="position")
     text = pair.mjcf.read_text()
     pair.mjcf.write_text(text.replace("<worldbody>", f"{option}<worldbody>", 1))

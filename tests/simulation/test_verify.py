@@ -94,8 +94,10 @@ def height_on(feet: np.ndarray) -> float:
 
 
 @pytest.mark.slow
-def test_sag_is_explained(variant: str) -> None:
-    """A servo gives way by tau / kp; on legs so bent the base is so much lower."""
+def test_servo_sag_follows_from_torque_over_stiffness(variant: str) -> None:
+    """Closed form: each servo yields by tau / kp [rad]; the base height [m] follows from forward
+    kinematics.
+    """
     robot, stand, result = load(variant), stand_of(variant), verified(variant, False)
     assert not result.feedforward
     assert result.height_loss == pytest.approx(stand.qpos[2] - result.base_height, abs=1e-12)
@@ -260,7 +262,7 @@ def test_servos_of_a_joint_without_motor_are_refused(tiny: pa.Robot) -> None:
 
 
 def test_stability_of_each_sweep_cell_equals_stand_stability() -> None:
-    """As ``stand_stability`` does of them."""
+    """Reference: ``stand_stability`` with the gains of the cell."""
     robot, stand = load("original"), stand_of("original")
     result = pa.simulation.sweep_gains(robot, stand, kp=[1.5, 20.0], kd=[0.2, 0.5], duration=2.0)
     for row, column in np.ndindex(2, 2):

@@ -46,15 +46,15 @@ def ground_distances(robot: pa.Robot, qpos: np.ndarray) -> Iterator[float]:
             for obstacle in shapes_of(robot, 0):
                 if model.geom_type[obstacle] == mujoco.mjtGeom.mjGEOM_PLANE.value:
                     normal = data.geom_xmat[obstacle].reshape(3, 3)[:, 2]
-                    yield lowest(model, data, part, normal, data.geom_xpos[obstacle])
+                    yield compute_lowest_height(model, data, part, normal, data.geom_xpos[obstacle])
                 else:
                     yield distance(model, data, part, obstacle)
 
 
-def lowest(
+def compute_lowest_height(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, normal: np.ndarray, point: np.ndarray
 ) -> float:
-    """How high a geom's lowest point is above a plane, in closed form."""
+    """Return the height of a geom's lowest point above a plane [m], in closed form."""
     size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
     local = data.geom_xmat[geom].reshape(3, 3).T @ normal
     reach = {

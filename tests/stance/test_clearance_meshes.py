@@ -28,8 +28,10 @@ SHELL = [
 ROD = [*itertools.product((-0.012, 0.01), (-0.009, 0.011)), (0.0, 0.0)]
 
 
-def obj(points: list[tuple[float, ...]]) -> str:
-    """A surface through all points, each in some triangle; what matters is their hull."""
+def format_obj(points: list[tuple[float, ...]]) -> str:
+    """Return an OBJ mesh in which each point belongs to a triangle; only its convex hull
+    matters.
+    """
     lines = [f"v {x} {y} {z}" for x, y, z in points]
     count = len(points)
     faces = [f"f {i + 1} {(i + 1) % count + 1} {(i + 3) % count + 1}" for i in range(count)]
@@ -37,10 +39,12 @@ def obj(points: list[tuple[float, ...]]) -> str:
 
 
 def meshed(folder: Path, more: str = "") -> Pair:
-    """A quadruped whose trunk and legs are meshes in the MJCF, and nothing in the URDF."""
+    """Write a quadruped whose trunk and legs are meshes in the MJCF and have no shapes in the
+    URDF.
+    """
     rod = [(x, y, z) for x, y in ROD[:4] for z in (-0.17, -0.01)]
-    (folder / "shell.obj").write_text(obj(SHELL))
-    (folder / "rod.obj").write_text(obj([*rod, (0.02, 0.0, -0.1)]))
+    (folder / "shell.obj").write_text(format_obj(SHELL))
+    (folder / "rod.obj").write_text(format_obj([*rod, (0.02, 0.0, -0.1)]))
     feet = '<geom type="sphere" size="0.02" pos="0 0 -0.2"/><geom type="mesh" mesh="rod"/>'
     pair = quadruped(folder, foot=feet, floor=True, actuators="position")
     text = pair.mjcf.read_text()
@@ -72,8 +76,8 @@ def touching(model: mujoco.MjModel) -> Iterator[int]:
             yield geom
 
 
-def above_ground(robot: pa.Robot, qpos: np.ndarray) -> float:
-    """MuJoCo's least distance between the ground and what is no foot (m)."""
+def compute_ground_distance(robot: pa.Robot, qpos: np.ndarray) -> float:
+    """Return MuJoCo's smallest distance [m] between the ground and geoms other than feet."""
     model, data = robot.mj_model, evaluate_mujoco(robot, qpos)
     floor = int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value)[0])
     geoms = set(touching(model)) - set(robot.foot_geoms)
@@ -164,7 +168,7 @@ def test_requested_clearance_is_kept_and_its_limit_equals_mujoco(robot: pa.Robot
         pa.solve_stand(robot, pa.StandTask(ground_clearance=0.5))
     limit = caught.value.limits["ground_clearance"]["ground_clearance"]
     typed = pa.solve_stand(robot, pa.StandTask(ground_clearance=limit))
-    assert limit <= above_ground(robot, typed.qpos) + 1e-9 < limit * 1.01
+    assert limit <= compute_ground_distance(robot, typed.qpos) + 1e-9 < limit * 1.01
     with pytest.raises(pa.StanceUnreachableError):
         pa.solve_stand(robot, pa.StandTask(ground_clearance=1.01 * limit), explain=False)
 
@@ -186,8 +190,9 @@ def test_excluded_link_pairs_have_no_clearance(tmp_path: Path) -> None:
 
 
 def test_clearance_is_refused_without_shapes_beside_the_feet(tmp_path: Path) -> None:
-    """A robot whose only collision shapes are the feet: ground clearance is None, and a required
-    one is refused."""
+    """A robot whose only collision shapes are the feet has no ground clearance, and a required
+    clearance is refused.
+    """
     pair = quadruped(tmp_path, floor=True)
     text = pair.mjcf.read_text()
     pair.mjcf.write_text(text.replace(TRUNK, ""))

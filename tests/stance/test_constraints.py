@@ -34,8 +34,10 @@ TASK = pa.StandTask(
 )
 
 
-def moved(robot: pa.Robot, qpos: np.ndarray, velocity: np.ndarray, time: float) -> np.ndarray:
-    """Where a motion leads to: the base turns about its own axes."""
+def integrate_motion(
+    robot: pa.Robot, qpos: np.ndarray, velocity: np.ndarray, time: float
+) -> np.ndarray:
+    """Return qpos after a motion with constant velocity; the base rotates about its own axes."""
     x, y, z, w = (
         pin.Quaternion(qpos[[4, 5, 6, 3]]) * pin.Quaternion(pin.exp3(time * velocity[3:6]))
     ).coeffs()
@@ -70,7 +72,7 @@ def test_constraint_jacobians_equal_finite_differences(com: str | tuple[float, f
         if one.is_presatisfied:  # every configuration that is tried fulfils it
             continue
         ends = [
-            one.residual(goal, shapes.move_to(moved(robot, qpos, velocity, time)))
+            one.residual(goal, shapes.move_to(integrate_motion(robot, qpos, velocity, time)))
             for time in (1e-6, -1e-6)
         ]
         rates = one.jacobian(goal, pa.Configuration(robot, qpos)) @ velocity

@@ -43,7 +43,7 @@ def armed(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
 
 
 def roof(degrees: float, friction: float | None = None) -> dict[str, pa.Contact]:
-    """v3's feet on a roof whose ridge is above the x axis."""
+    """Return contacts of v3's feet on a roof whose ridge is above the x axis."""
     s, c = math.sin(math.radians(degrees)), math.cos(math.radians(degrees))
     left, right = (pa.Plane((0, 0, 0.045), (0, side * s, c), friction) for side in (1, -1))
     return {f: pa.Contact(left if f[1] == "L" else right) for f in ("FL", "FR", "RL", "RR")}
@@ -54,9 +54,8 @@ def table(friction: float | None = None, **more: object) -> dict[str, pa.Contact
 
 
 def gripping(of: pa.Robot, grip: float = 30.0, beyond: float = -0.02) -> pa.StandTask:
-    """A quadruped whose hand is closed around a bar that is across, in front of and above it.
-
-    Its com is so far (m) beyond its hind feet, which are put forward.
+    """Return the task of a quadruped whose hand grips a bar across, in front of and above it. The
+    CoM is `beyond` [m] behind the hind feet, which are moved forward.
     """
     bar = pa.Bar((0.4, 0, 0.45), (0, 1, 0), 0.01)
     hand = pa.Contact(bar, place=(0.35, 0, 0.45), grip=grip)
@@ -141,7 +140,9 @@ def contact_rows(robot: pa.Robot, stand: pa.Stand) -> tuple[mujoco.MjData, list[
 
 
 def in_mujoco(robot: pa.Robot, stand: pa.Stand) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """J^T of the contact points, what motors and contacts add up to, and rows of the cones."""
+    """Return J^T of the contact points, the generalised load of motors and contacts, and the rows
+    of the friction cones, by MuJoCo.
+    """
     (data, rows), points = contact_rows(robot, stand), list(stand.stance_feet)
     pushed = np.vstack(rows)[:, robot.mj_convention.qvel_index].T
     load = data.qfrc_bias[robot.mj_convention.qvel_index]
@@ -553,7 +554,9 @@ def sloped(friction: float) -> dict[str, pa.Contact]:
 
 
 def given(name: str) -> Callable[[Any], pa.Contact]:
-    """Returns what reads the contact that would be in reach, as it is said and typed back."""
+    """Return a function that reads the nearest reachable contact from an error, and parses its
+    printed text.
+    """
 
     def read(error: Any) -> pa.Contact:
         limits = error.limits["contacts"]["contacts"]
@@ -566,7 +569,7 @@ def given(name: str) -> Callable[[Any], pa.Contact]:
 
 
 def stated(error: Any) -> Any:
-    """Returns the values of a refusal: what is wrong with a field, or why there is no balance."""
+    """Return the diagnostic in a refusal: the defect of a field, or the reason for no balance."""
     return getattr(error, "problem", None) or error.diagnostic.values["detail"]
 
 

@@ -29,7 +29,7 @@ def asked(field: Field) -> Any:
 
 
 def numbers_of(value: Any) -> Any:
-    """A value as what ``approx`` compares: of feet, that of the one there is."""
+    """Return a value for ``approx``; of values per foot, the value of the single foot."""
     if isinstance(value, dict):
         ((foot, one),) = value.items()
         assert foot == "FL"
@@ -49,8 +49,8 @@ def task_with(field: Field) -> pa.StandTask:
     return pa.StandTask().with_values({**others, field.name: asked(field)})
 
 
-def said_of(field: Field) -> str:
-    """How one types it."""
+def format_typed(field: Field) -> str:
+    """Return the text of a field's test value as a user types it."""
     if field.axes or field.choices:
         text = "12.3mm,-3.45cm"
     else:
@@ -125,7 +125,7 @@ def test_value_below_a_permitted_lower_bound_is_refused_by_the_bound(field: Fiel
 def test_each_field_is_an_option_with_the_same_value(field: Field) -> None:
     """Reference: the value of the field; without an option, the default task."""
     command = cli.find_command("stand")
-    context = command.make_context("stand", [f"--{field.option}", said_of(field)])
+    context = command.make_context("stand", [f"--{field.option}", format_typed(field)])
     typed = {name: context.params[name] for name in OPTION_FIELDS}
     assert near(make_task(typed).values()[field.name], asked(field))
     unasked = command.make_context("stand", [])

@@ -83,7 +83,7 @@ def test_a_variant_loaded_twice_is_independent_of_changes_to_the_first() -> None
 
 
 def test_com_margin_equals_the_distance_that_shapely_computes() -> None:
-    """Of points in general position, on lines, and some in one place."""
+    """Random contacts: in general position, on lines, and partly equal."""
     rng = np.random.default_rng(1)
     for _ in range(300):
         places = rng.normal(size=(rng.integers(3, 9), 3))

@@ -87,7 +87,9 @@ def test_foot_on_its_own_plane_touches_at_the_given_place() -> None:
 
 
 def test_equal_planes_of_all_feet_are_equivalent_to_a_slope() -> None:
-    """Of the same plane the same stand, torques and sag; only a foot's place is another point."""
+    """Reference: stand, margin and sag of the slope; only the definition of a foot's place
+    differs.
+    """
     robot, angle, uphill = load("v3"), 0.2, 0.7
     slope = pa.Ground(slope=angle, uphill=uphill)
     one = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=slope))
@@ -122,8 +124,10 @@ def test_sag_between_two_planes_equals_mujoco() -> None:
         )
 
 
-def in_balance(points: np.ndarray, cones: list[np.ndarray], place: np.ndarray) -> bool:
-    """Whether a com is in balance, by a linear programme on edges of friction cones."""
+def is_in_balance(points: np.ndarray, cones: list[np.ndarray], place: np.ndarray) -> bool:
+    """Return True if forces on the edges of friction cones balance a CoM position, by a linear
+    program.
+    """
     count = len(cones[0])
     edges = np.vstack(cones).T  # (3, k)
     at = np.repeat(points, count, axis=0)
@@ -159,7 +163,7 @@ def search_region(
     for x, y in low - 0.2 * size + shares * (high - low + 0.4 * size):
         margin = margin_of_position((float(x), float(y)), corners)
         if abs(margin) > near * size:
-            assert in_balance(points, cones, np.array([x, y])) is (margin > 0)
+            assert is_in_balance(points, cones, np.array([x, y])) is (margin > 0)
             tried[margin > 0] += 1
     return tried[0], tried[1]
 

@@ -52,7 +52,7 @@ def inertial(mass: float, at: str, shape: str) -> str:
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
-    """An arm of three joints, whose file has its base in the world."""
+    """Load an arm of three joints with a fixed base."""
     file = tmp_path_factory.mktemp("arm") / "arm.urdf"
     text = ARM.format(
         box=inertial(2.0, "0 0 0.05", '<box size="0.2 0.2 0.1"/>'),
@@ -72,7 +72,9 @@ def armed(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
 
 
 def on_table(of: pa.Robot, height: float = 0.25, **more: float) -> pa.StandTask:
-    """The arm, its wrist on a table where it comes with its joints turned so."""
+    """Return the task of an arm with its wrist on a table, at the height that the wrist has with
+    bent joints.
+    """
     table = pa.Plane((0, 0, height), (0, 0, 1), 0.5)
     place = (0.45, 0.0, height)
     wrist = pa.Contact(table, place, (0.0, 0.0, 0.05), **more)
@@ -80,7 +82,9 @@ def on_table(of: pa.Robot, height: float = 0.25, **more: float) -> pa.StandTask:
 
 
 def under(of: pa.Robot) -> pa.StandTask:
-    """The same, its wrist at a ceiling, which only presses it down: it does best to bear none."""
+    """Return the task of an arm with its wrist under a ceiling, which can only press it down: the
+    best contact force is zero.
+    """
     wrist = pa.Contact(pa.Plane((0, 0, 0.4), (0, 0, -1), 0.5), (0.45, 0, 0.4), (0.0, 0.0, 0.05))
     return replace(on_table(of), contacts={**BOLTED, "wrist": wrist})
 
@@ -95,10 +99,12 @@ def verify_in_mujoco(robot: pa.Robot, stand: pa.Stand) -> pa.StandVerification:
     return found
 
 
-def least(robot: pa.Robot, stand: pa.Stand, *, pressing: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Forces (n, 3) and torques of least squared torque, by Clarabel on MuJoCo's Jacobians.
-
-    Of forces in the friction cones, or of those that only press; a weld bears what is left.
+def compute_least_torque(
+    robot: pa.Robot, stand: pa.Stand, *, pressing: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return forces, shape (n, 3) [N], and torques [N m] of least squared torque, by Clarabel on
+    MuJoCo's Jacobians. Forces are inside the friction cones, or normal if `pressing`; a weld
+    carries the remaining load.
     """
     model, points = robot.mj_model, list(stand.stance_feet)
     (data, rows), order = contact_rows(robot, stand), robot.mj_convention.qvel_index
@@ -227,7 +233,7 @@ def test_weld_wrenches_equal_an_independent_cone_program(
         robot = stand.check(robot)
         which = "minimum tangential" if pressing else "minimum torque"
         ours = pa.stance.stand_statics(robot, stand, distribution=which)
-        forces, torques = least(robot, stand, pressing=pressing)
+        forces, torques = compute_least_torque(robot, stand, pressing=pressing)
         np.testing.assert_allclose(ours.joint_torques, torques, atol=2e-5)
         if pressing:
             for point, force in zip(stand.stance_feet, forces, strict=True):
@@ -425,8 +431,8 @@ def test_stated_hand_force_shifts_the_com_region(armed: pa.Robot) -> None:
     for corner in wanted:
         assert np.linalg.norm(found - corner, axis=1).min() < 1e-3
     assert found[:, 0].max() == pytest.approx(wanted[:, 0].max(), abs=1e-3)
-    least = pa.stance.stand_statics(armed, stand).com_margin
-    assert least == pytest.approx(stand.com_margin, abs=1e-9)
+    compute_least_torque = pa.stance.stand_statics(armed, stand).com_margin
+    assert compute_least_torque == pytest.approx(stand.com_margin, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -574,7 +580,7 @@ def test_four_welded_feet_hold_the_robot_in_equilibrium() -> None:
 
 
 DROOPING = ARM.replace('<axis xyz="1 0 0"/>{limit}', '<axis xyz="1 0 0"/>{tip}')
-"""The arm with a range of the last joint whose middle is not at zero."""
+"""Arm whose last joint has a range with a middle other than zero."""
 
 
 @pytest.fixture(scope="module")

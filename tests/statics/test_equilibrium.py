@@ -1,4 +1,6 @@
-"""What the motors hold, checked by hand, by Newton and Euler, and by MuJoCo's inverse dynamics."""
+"""Motor torques and contact forces of robots at rest, compared with closed forms, with Newton and
+Euler, and with MuJoCo's inverse dynamics.
+"""
 
 import math
 from dataclasses import replace
@@ -141,7 +143,7 @@ def null_space(result: pa.statics.GravityCompensation) -> np.ndarray:
 
 
 def jacobians(config: pa.Configuration, result: pa.statics.GravityCompensation) -> list[np.ndarray]:
-    """Those of the points that touch (3, nv)."""
+    """Return the Jacobians, shape (3, nv), of the contact points with forces."""
     frames, points = config.robot.contact_frames, result.contact_points
     return [config.point_jacobian(frames[foot], points[foot]) for foot in result.contact_forces]
 
@@ -310,7 +312,9 @@ def test_minimum_tangential_forces_equal_the_lever_arm_shares() -> None:
 
 @pytest.mark.parametrize("name", ["long-leg", "v3"])
 def test_minimum_tangential_forces_let_all_feet_creep_as_one_body(name: str) -> None:
-    """On a slope f_t = c (v + omega x r): the feet's velocities are those of a rigid motion."""
+    """Reference: rigid motion. With f_t = c v the velocities v of the feet on a slope are those of
+    one rigid body.
+    """
     robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.01})
     task = pa.StandTask(ground=ground, com="inside", offset=None, com_margin=0.02)
     stand = pa.solve_stand(robot, task)
@@ -516,7 +520,9 @@ def forces_exist(
     friction: float,
     normals: dict[str, np.ndarray],
 ) -> bool:
-    """Whether forces in pyramids inside the friction cones balance a unit weight, by HiGHS."""
+    """Return True if forces in pyramids inside the friction cones balance a unit weight, by
+    HiGHS.
+    """
     wrenches = []
     for foot, point in points.items():
         normal = normals[foot]

@@ -34,7 +34,7 @@ def with_com_at(robot: pa.Robot, qpos: np.ndarray, place: np.ndarray) -> pa.Robo
 
 
 def is_in_balance(robot: pa.Robot, qpos: np.ndarray, friction: float | None = None) -> bool:
-    """Whether forces in the friction cones with motors below 100 % exist."""
+    """Return True if forces in the friction cones exist with motors below 100 %."""
     try:
         statics = pa.gravity_compensation(
             pa.Configuration(robot, qpos), friction=friction, distribution="min-max torque"

@@ -59,8 +59,8 @@ class Answer(NamedTuple):
 
     @property
     def right(self) -> bool:
-        """Whether ``diff`` reports an edit that changes a rollout, with its line, and only such an
-        edit.
+        """Return True if ``diff`` reports the edit with its line if and only if the edit changes a
+        rollout.
         """
         if self.truth > FELT * BAND:
             return self.felt and self.placed

@@ -103,7 +103,7 @@ def calls() -> Iterator[tuple[str, str, set[str] | None]]:
 
 
 def assigned(node: ast.Assign) -> Iterator[tuple[ast.expr, ast.expr]]:
-    """What is assigned to what, also where several are in one line."""
+    """Yield target and value of an assignment; of a tuple, each pair."""
     (target,) = node.targets
     if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
         yield from zip(target.elts, node.value.elts, strict=True)

@@ -26,12 +26,12 @@ OWN_PAGES = {
     *("Analysis", "Stance", "Hold", "PushedStance", "PathThere", "FilesCompared", "Audit"),
     "StudyOutcome",
 }
-"""Results that have pages of their own: their fields are not listed with what they mean."""
+"""Results with documentation pages of their own; the table of meanings omits their fields."""
 
 
 @cache
 def documented(kind: type) -> dict[str, str]:
-    """{field: what the class's own docstring says of it, marks of code left out}."""
+    """Return {field: text of the class docstring, without code marks}."""
     said = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
     found: dict[str, str] = {}
     for names, words in re.findall(r"^    ([\w, ]+): (.*(?:\n {8}.*)*)", said, flags=re.M):

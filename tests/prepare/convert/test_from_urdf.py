@@ -11,8 +11,8 @@ from pupper_analysis.prepare.convert.from_urdf import MjcfXml
 from tests.support.robots import arm, urdf_text
 
 
-def test_a_mimic_without_a_multiplier_turns_as_much(tmp_path: Path) -> None:
-    """As the URDF's documentation has it, multiplier 1 and offset 0."""
+def test_mimic_without_multiplier_and_offset_has_1_and_0(tmp_path: Path) -> None:
+    """Reference: the defaults of the URDF specification."""
     source, out, texts = tmp_path / "arm.urdf", tmp_path / "arm.xml", []
     joint = '<joint name="push" type="prismatic">'
     assert joint in urdf_text(arm())
@@ -26,7 +26,7 @@ def test_a_mimic_without_a_multiplier_turns_as_much(tmp_path: Path) -> None:
 
 
 def test_geoms_without_mesh_use_no_mesh() -> None:
-    """The used meshes are those of mesh geoms; a sphere adds no name, and not None either."""
+    """A sphere adds no name to the used meshes, in particular not None."""
     geoms = '<geom type="sphere" size="1"/><geom type="mesh" mesh="toe"/>'
     root = etree.fromstring(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
     assert MjcfXml(root).used_meshes == {"toe"}

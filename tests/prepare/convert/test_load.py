@@ -192,7 +192,7 @@ def test_tendon_servo_is_commanded_to_its_current_length(tmp_path: Path) -> None
 
 
 def _chain(first: str) -> str:
-    """Two hinges in a row; what the first link weighs is given."""
+    """Return a URDF of two hinges in series, with the given inertial of the first link."""
     joints = format_joint("one", "base", "a", AXIS), format_joint("two", "a", "b", AXIS)
     return format_urdf(
         format_link("base", ""), format_link("a", first), format_link("b", ""), *joints

@@ -43,7 +43,7 @@ def claim_vertices(count: int) -> bytes:
 
 
 def share_triangles(primitives: int) -> bytes:
-    """Return a glTF binary whose primitives all have the same 100,000 triangles."""
+    """Return a glTF binary whose primitives share 100,000 triangles."""
     points = struct.pack("<9f", 0, 0, 0, 0.1, 0, 0, 0, 0.1, 0)
     data = points + bytes([0, 1, 2]) * 100_000
     views = [{"buffer": 0, "byteOffset": 0, "byteLength": 36}]
@@ -74,7 +74,7 @@ def nest_nodes(levels: int, *, shape: trimesh.Trimesh = BOX) -> str:
 
 
 def hostile(folder: Path) -> dict[str, str]:
-    """{a mesh file that is made in the folder: why it is left out}."""
+    """Write hostile mesh files, and return {file: reason for leaving it out}."""
     BOX.export(folder / "box.obj")
     with zipfile.ZipFile(folder / "box.zip", "w") as archive:
         archive.write(folder / "box.obj", "box.obj")
@@ -104,7 +104,7 @@ def hostile(folder: Path) -> dict[str, str]:
 
 
 def with_shapes(folder: Path, shapes: str) -> Conversion:
-    """Converts an arm whose base has some shapes."""
+    """Convert an arm with the given shapes on its base."""
     path = folder / "arm.urdf"
     path.write_text(urdf_text(arm(), ()).replace("</link>", f"{shapes}</link>", 1))
     return pa.convert_model(path, folder / "arm.xml", force=True)
@@ -170,7 +170,7 @@ def test_small_files_with_large_meshes_are_refused_before_memory_is_allocated(
 
 
 def test_instances_of_collada_nodes_are_all_converted(tmp_path: Path) -> None:
-    """The volume is that of eight boxes."""
+    """Reference: eight times the volume of the box [m^3]."""
     (tmp_path / "eight.dae").write_text(nest_nodes(3))
     whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
     assert whole.volume == pytest.approx(8 * BOX.volume)

@@ -28,7 +28,9 @@ def _changed(folder: Path, *changes: tuple[str, str]) -> Path:
 
 
 def _drift(mjcf: Path, but: str = "") -> float:
-    """How far joints but one (rad) and base (m) go in 3 s from the keyframe, in MuJoCo alone."""
+    """Return the largest displacement of the joints (except `but`) and of the base height,
+    orientation included, after 3 s of bare MuJoCo from the keyframe.
+    """
     model = compile_file(mjcf)
     data, start = simulate_from_keyframe(model)
     gone = np.abs(data.qpos - start)
@@ -67,8 +69,9 @@ def test_free_base_is_refused_if_its_root_link_is_named_world(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_meshes_with_equal_names_stay_distinct(tmp_path: Path) -> None:
-    """Reference: the lengths of both boxes, whose DAE files have equal names in two folders and are
-    rewritten."""
+    """Reference: lengths of the boxes [m], whose DAE files have equal names in two folders and are
+    rewritten.
+    """
     for folder, size in (("a", 0.1), ("b", 0.3)):
         (tmp_path / folder).mkdir()
         trimesh.creation.box((size, 0.02, 0.02)).export(tmp_path / folder / "part.dae")
@@ -94,7 +97,9 @@ def test_meshes_with_equal_names_stay_distinct(tmp_path: Path) -> None:
 
 
 def _with_arm(folder: Path, mimic: str) -> Path:
-    """A link with a joint on the trunk, and one on it whose joint mimics."""
+    """Return a URDF with two links in series on the trunk; the joint of the second has the given
+    mimic.
+    """
     arm = ""
     for number, (parent, extra) in enumerate((("trunk", ""), ("a1", mimic)), start=1):
         arm += (

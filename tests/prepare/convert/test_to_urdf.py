@@ -29,7 +29,9 @@ FINGERS = """
 
 
 def converted(folder: Path, equality: str) -> tuple[list[ElementTree.Element], list[str]]:
-    """The joints that mimic others, and the codes of what is left."""
+    """Return the joints of the URDF with a mimic, and the codes of elements that were not
+    converted.
+    """
     source, out = folder / "fingers.xml", folder / "fingers.urdf"
     source.write_text(FINGERS.format(equality))
     result = pa.convert_model(source, out)

@@ -49,7 +49,9 @@ def drawn(folder: Path, seed: int) -> Path:
 
 
 def both(urdf: Path, folder: Path) -> tuple[pa.Robot, mujoco.MjModel, Path]:
-    """A URDF's robot as it is loaded, and what is written of it."""
+    """Return the robot loaded from a URDF, MuJoCo's model of the MJCF that `convert` writes, and
+    the file of this MJCF.
+    """
     output = folder / f"{urdf.stem}_written.xml"
     assert pa.convert_model(urdf, output).passed
     return pa.load_robot(urdf), mujoco.MjModel.from_xml_path(str(output)), output

@@ -54,7 +54,9 @@ def only(explanation: Explanation) -> Difference:
 
 
 def swing(folder: Path, **values: Any) -> tuple[Explanation, np.ndarray, np.ndarray]:
-    """A pendulum whose MJCF has other values; and the angles and velocities it was judged at."""
+    """Return the explanation of a pendulum whose MJCF has other values, and the angles [rad] and
+    velocities [rad/s] of the evaluation.
+    """
     robot = robot_of(folder, pendulum(), pendulum(**values), free=False)
     states = random_states(robot, 10, seed=0)
     return explain_differences(robot), states.qpos[:, 0], states.qvel[:, 0]

@@ -62,7 +62,7 @@ def workspaces(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def in_pinocchio(robot: pa.Robot, values: MultibodyTree, states: States) -> dict[str, np.ndarray]:
-    """What `Behaviour` evaluates, by Pinocchio's algorithms."""
+    """Return the quantities of `Behaviour`, computed by Pinocchio."""
     model, base = to_pinocchio(values), robot.nv - robot.nu
     convention = PinocchioConvention.from_model(model, robot.joint_names)
     own = replace(robot, pin_model=model, pin_convention=convention, contact_frames={})
@@ -89,7 +89,7 @@ def in_pinocchio(robot: pa.Robot, values: MultibodyTree, states: States) -> dict
 @pytest.mark.parametrize("name", ["v3", "original"])
 @pytest.mark.parametrize("fixed", [False, True], ids=["free", "fixed"])
 def test_behaviour_of_a_tree_in_mujoco_equals_pinocchio(name: str, fixed: bool) -> None:
-    """What differences are judged by is MuJoCo's alone; this is the second way."""
+    """Differences are judged by MuJoCo alone; Pinocchio is the independent reference here."""
     robot = load(name, fixed_base=fixed)
     tree, states = kinematic_trees(robot)[0], random_states(robot, 5, seed=1)
     behaviour = Behaviour(robot, states)

@@ -234,8 +234,7 @@ PASSIVE = {
         belt('stiffness="{}" springlength="-0.1 0.1"', hip0=1, knee2=-0.5),
     ),
 }
-"""{what acts: the kind of the difference, where (an element's name, or a text), what is put there}.
-"""
+"""{passive element: (kind of difference, element or text in the MJCF, inserted text)}."""
 
 
 def acting(kind: str, size: str, text: str) -> str:
@@ -273,7 +272,9 @@ SILENT = {
     ),
     "a free site": (AFTER, f'<site name="there"/>{AFTER}'),
 }
-"""What does nothing to the unconstrained robot, or only changes how something else acts."""
+"""Edits without effect on the unconstrained robot, or that only change the effect of another
+element.
+"""
 
 
 def accelerations(text: str, seed: int) -> np.ndarray:
@@ -473,7 +474,9 @@ def test_mocap_body_adds_no_mass_to_a_fixed_base(inertial: str, tmp_path: Path) 
 def test_equality_between_robot_and_object_is_a_difference(
     extra: str, kind: str, tmp_path: Path
 ) -> None:
-    """The object is taken out of the scene to compare; what held the robot must not vanish."""
+    """The comparison removes the object from the scene, and must not lose the constraint force on
+    the robot.
+    """
     text = mjcf_text(quadruped(), scene=BALL + MOCAP, extra=extra)
     comparison = pair(tmp_path, text)
     assert [difference.kind for difference in comparison.differences] == [kind]

@@ -74,7 +74,9 @@ Expected = tuple[set[str], set[str]]  # kinds, elements: of the first difference
 Mutation = Callable[[Files], Expected | None]
 Values = list[float]
 Change = Callable[[Values, random.Random], Values | None]
-"""What becomes of an attribute's numbers; None where that would be no difference."""
+"""Function that changes the numbers of an attribute; returns None if that would be no
+difference.
+"""
 
 
 def numbers(element: Element, name: str, default: str = "0 0 0") -> Values:

@@ -19,7 +19,7 @@ import attributes
 import one_slip
 
 OWN = [name for name in one_slip.BASES if name not in ("go1", "anymal", "hyq")]
-"""Robots whose files need nothing that may not be installed."""
+"""Robots whose files require no optional package."""
 
 
 @pytest.mark.slow

@@ -314,7 +314,7 @@ def test_mapping_takes_precedence_over_equal_names(tmp_path: Path) -> None:
 def test_unknown_name_in_a_mapping_is_refused_with_the_valid_names(
     tmp_path: Path, one: str, other: str, file: str
 ) -> None:
-    """A joint is no frame: what makes no sense is refused, not passed over."""
+    """A name of a frame in place of a joint is refused as well."""
     wrong = other if file == "xml" else one
     with pytest.raises(
         UnknownNameError, match=rf"robot.{file}: no joint .*'{wrong}'; there are: hip0"

@@ -1,4 +1,4 @@
-"""What servos make of soles at rest: a sole is one body, and may pivot before it rests."""
+"""Soles at rest on servos: a sole is one rigid body, and may pivot before it rests."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def load_biped(tmp_path_factory: pytest.TempPathFactory) -> Load:
 def bare_height(
     robot: pa.Robot, stand: pa.Stand, kp: float, qpos: np.ndarray | None = None, nudge: float = 0.0
 ) -> float:
-    """Where MuJoCo leaves the base that is let go, commanded the stand's pose alone, after 6 s."""
+    """Return the height of the base [m] after 6 s of bare MuJoCo with the position commands of the
+    stand.
+    """
     robot = build_on_ground(robot, stand.task.ground, stand.foot_targets)
     drive = model_with_servos(robot, kp, 0.03 * kp, "implicitfast")
     data, qvel = mujoco.MjData(drive.model), np.zeros(robot.nv)
@@ -71,11 +73,9 @@ def test_steady_state_of_legs_without_yaw_is_that_of_mujoco_if_soles_pivot(
 def test_steady_state_of_irregular_bipeds_equals_mujoco_at_rest_and_in_creep(
     seed: int, load_biped: Load
 ) -> None:
-    """Reference: MuJoCo, released at the predicted equilibrium; its height after 6 s is that of the
-    steady state with ``seconds=6``.
-
-    Twisted soles turn by a millimetre within tenths of a second, which may lower the base by 4 %
-    (seeds 0 and 5).
+    """Reference: height after 6 s of MuJoCo, released at the predicted equilibrium, for the steady
+    state with ``seconds=6``. Twisted soles turn by 1 mm within tenths of a second, which may lower
+    the base by 4 % (seeds 0 and 5).
     """
     robot, random = load_biped(seed), np.random.default_rng(seed)
     weight = robot.total_mass * 9.81

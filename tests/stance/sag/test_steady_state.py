@@ -151,7 +151,9 @@ def test_creep_in_time(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "heavy"])
 def test_reported_slip_margin_agrees_with_simulation(name: str) -> None:
-    """Against simulations: with margin to spare the height is exact, and below zero it is not."""
+    """Reference: simulations. The height is exact within 10 um above the margin, and wrong below
+    zero.
+    """
     robot = load(name)
     seen = set()
     for y in np.linspace(0.0, 0.055, 6):

@@ -50,7 +50,7 @@ class Edit(NamedTuple):
 
 
 class Case(NamedTuple):
-    """One slip: in which format, of which element, and what is on the line that is reported."""
+    """One planted fault: rule, format, element, and the text on the reported line."""
 
     rule: str
     format: str

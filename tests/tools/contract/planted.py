@@ -68,7 +68,7 @@ def robot_of(name: str, folder: Path) -> Robot:
 
 
 class _Text:
-    """A text that knows on which line it put which number."""
+    """Text that records the line of each number."""
 
     def __init__(self) -> None:
         self.rows: list[str] = []
@@ -188,11 +188,11 @@ KINDS: dict[str, tuple[str, Callable[[Robot, Path], Lines]]] = {
     "RTNeural": ("policy.json", _rtneural),
     "ONNX": ("policy.onnx", _onnx),
 }
-"""{kind of source: (file, what writes it)}."""
+"""{kind of source: (file name, function that writes it)}."""
 
 BESIDE = {"mjlab": "deploy", "legged_gym": "ros2", "deploy": "legged_gym", "ros2": "ONNX",
           "RTNeural": "mjlab", "ONNX": "ros2"}  # fmt: skip
-"""{kind of source: the kind that it is held against}."""
+"""{kind of source: kind of the source that it is compared with}."""
 
 SLIPS = ("order", "sign", "scale", "default", "kp", "limit", "unit")
 LIMITS = {"mjlab": "effort", "deploy": "effort", "ros2": "lower limit", "RTNeural": "upper limit"}
@@ -201,7 +201,7 @@ CASES = [(robot, kind, slip) for robot in ("v3", "quadruped") for kind in KINDS 
 
 
 def plant(robot: Robot, kind: str, slip: str, seed: int) -> tuple[Robot, str, str]:
-    """Returns a robot with a slip, of which quantity it is, and a joint whose number is changed."""
+    """Return a robot with a planted mistake, its quantity, and a joint whose number is changed."""
     at = np.random.default_rng(seed)
     angles = robot.numbers["default angle"]
     joint = str(at.choice(robot.order))
@@ -243,13 +243,13 @@ def write(robot: Robot, kind: str, folder: Path) -> tuple[Path, Lines]:
 
 
 def place_of(path: Path, lines: Lines, quantity: str, joint: str) -> str:
-    """Returns where a number stands: its line, or which of a policy's metadata."""
+    """Return the place of a number: its line, or the key of a policy's metadata."""
     if path.suffix == ".onnx":
         return f"{path}:<{_METADATA.get(quantity, 'joint_names')}>"
     return f"{path}:{lines[quantity, joint]}"
 
 
 def limit_line(urdf: Path, joint: str) -> int:
-    """Returns the line of a URDF on which a joint's limits are."""
+    """Return the line of a joint's limits in a URDF."""
     text = urdf.read_text()
     return text[: text.index("<limit", text.index(f'<joint name="{joint}"'))].count("\n") + 1

@@ -45,7 +45,7 @@ def contract(*paths: str | Path) -> Contract:
 def test_isaac_lab_lists_are_ordered_by_depth_if_left_and_right_agree(
     sources: dict[str, Path], angles: list[float], kinds: set[str]
 ) -> None:
-    """Of Isaac Lab's policies; a list that no order makes alike is not read."""
+    """As in policies of Isaac Lab; a list without left-right symmetry in any order is not read."""
     path = sources["policy.json"]
     text = path.read_text()
     path.write_text(text.replace(listed(ANGLES), listed(angles)))
@@ -391,7 +391,7 @@ def default_config() -> config_dict.ConfigDict:
 
 
 def test_a_flat_table_that_a_function_makes_is_a_trainer(sources: dict[str, Path]) -> None:
-    """As MuJoCo Playground has it: no class, no joint's name."""
+    """As in MuJoCo Playground: neither a class nor names of joints."""
     path = sources["gym_cfg.py"].with_name("joystick.py")
     path.write_text(PLAYGROUND)
     found = contract(path, sources["deploy.yaml"])

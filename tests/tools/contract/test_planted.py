@@ -23,7 +23,7 @@ from tests.tools.contract.planted import (
 )
 
 LOOKS = {"order": "order", "sign": "sign", "unit": "unit"}
-"""{slip: what it is called}; an order of names alone too."""
+"""{planted mistake: name of the probable mistake}; also for an order of names alone."""
 
 
 @pytest.mark.slow

@@ -13,14 +13,14 @@ from pupper_analysis.tools.contract.python_values import Evaluator
 
 
 def worked_out(tmp_path: Path, text: str) -> Node:
-    """Returns the name ``x`` of a module."""
+    """Return the evaluated name ``x`` of a module."""
     path = tmp_path / "settings.py"
     path.write_text(text)
     return Evaluator().load_module(path)["x"]
 
 
 def plain(node: Node) -> object:
-    """Returns a value without its places; of what is not known, its text in brackets."""
+    """Return a value without its places; of an unknown value, its text in brackets."""
     value = node.value
     if isinstance(value, list):
         return [plain(one) for one in value]

@@ -125,7 +125,7 @@ def test_mimic_joints_are_converted_to_couplings(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:.*Scene.dump:DeprecationWarning")  # yourdfpy's
 def test_shape_poses_equal_those_of_yourdfpy(tmp_path: Path) -> None:
-    """Against yourdfpy's scene of the URDF and of the URDF that is made of the MJCF again."""
+    """Reference: yourdfpy's scene of the URDF, and of the URDF converted back from the MJCF."""
     import yourdfpy
 
     folder = tmp_path / "parts"
@@ -343,7 +343,7 @@ def test_invalid_command_line_is_refused_in_one_line(
 
 
 def hand(folder: Path, count: int = 3) -> Path:
-    """A palm with fingers that point up: as many limbs as a tripod has."""
+    """Write a palm with fingers that point upwards, with as many limbs as a tripod."""
     parts: Parts = {"palm": Part("palm", mass=0.5, com=(0.0, 0.0, 0.01))}
     for finger in range(count):
         turn = 2 * math.pi * finger / count

@@ -41,7 +41,9 @@ def pair(folder: Path, mjcf: Parts) -> Files:
 
 
 def with_euler(text: str, order: str, compiler: str) -> str:
-    """The quaternions of bodies as Euler angles in an order; and what the compiler says of it."""
+    """Return an MJCF with Euler angles of a sequence in place of quaternions, and the given
+    compiler attributes.
+    """
 
     def euler(match: re.Match[str]) -> str:
         quaternion = [float(word) for word in match[1].split()]
@@ -235,7 +237,7 @@ def test_moved_body_is_one_difference_with_its_axis(tmp_path: Path) -> None:
 
 
 def geared(text: str, gears: tuple[float, ...]) -> str:
-    """An MJCF whose motors have gears, and what the URDF says for a range before them."""
+    """Return an MJCF whose motors have gears."""
     names = [f"{kind}{leg}" for leg in range(4) for kind in ("hip", "knee")]
     for name, gear in zip(names, gears, strict=True):
         text = text.replace(f'joint="{name}" ctrlrange', f'joint="{name}" gear="{gear}" ctrlrange')

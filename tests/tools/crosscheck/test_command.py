@@ -17,7 +17,7 @@ def run(folder: Path, *arguments: str) -> Answer:
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a URDF, an MJCF that agrees, and what is no model."""
+    """Write a folder with a URDF, an equal MJCF, and a text that is no model."""
     folder = tmp_path_factory.mktemp("models")
     robot = quadruped()
     write_parts(folder, robot, robot)
@@ -68,7 +68,7 @@ BAD: dict[str, tuple[list[str], str]] = {
 def test_invalid_input_is_refused_in_one_line(
     models: Path, tmp_path: Path, case: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """What C++ prints is captured as well."""
+    """Output of C++ libraries is captured as well; no file is written or changed."""
     arguments, message = BAD[case]
     before = {path: path.stat().st_mtime_ns for path in models.rglob("*")}
     output = [] if "--json" in arguments else ["--json", str(tmp_path / "all.json")]

@@ -34,7 +34,7 @@ from tests.support.robots import (
 
 
 def rotor(leg: int, on: str, place: tuple[float, float, float], mass: float = 0.089) -> Part:
-    """A small link on a fixed joint, turned so that its axes are nobody's."""
+    """Return a small link on a fixed joint, whose axes are parallel to none of its parent."""
     quaternion = tuple(
         np.array([1.0, 0.3, -0.2, 0.1 * leg]) / np.linalg.norm([1, 0.3, 0.2, 0.1 * leg])
     )
@@ -60,8 +60,8 @@ def without(parts: Parts, *endings: str) -> Parts:
     return {name: part for name, part in parts.items() if not name.endswith(endings)}
 
 
-def the_cause(comparison: Comparison, kind: str) -> str:
-    """Returns the message of the one cause of a kind."""
+def get_cause_message(comparison: Comparison, kind: str) -> str:
+    """Return the message of the single cause of a kind."""
     assert comparison.complete
     assert not comparison.agree
     (cause,) = (cause for cause in comparison.causes if cause.kind == kind)
@@ -81,7 +81,7 @@ def test_missing_links_are_one_cause_and_the_first(lacks: str, folder: Path) -> 
     if lacks == "URDF":
         full, bare = urdf_text(without(geared(), "_rotor")), mjcf_text(geared())
     comparison = compared(write(folder, full, bare))
-    message = the_cause(comparison, "links")
+    message = get_cause_message(comparison, "links")
     assert message.startswith(f"the {lacks} lacks mass that the ")
     assert "0.712 kg in all, that of 8 *_rotor of 0.089 kg each" in message
     assert headline(comparison) == f"DISAGREE: {message}"
@@ -92,12 +92,12 @@ def test_missing_links_are_one_cause_and_the_first(lacks: str, folder: Path) -> 
 def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
     bare = without(geared(), "thigh0_rotor", "thigh1_rotor", "hip2_rotor")
     comparison = compared(write(folder, urdf_text(geared()), mjcf_text(bare)))
-    assert "that of 3 *_rotor of 0.089 kg each" in the_cause(comparison, "links")
+    assert "that of 3 *_rotor of 0.089 kg each" in get_cause_message(comparison, "links")
 
 
 def test_missing_link_is_found_despite_rotated_frames(folder: Path) -> None:
     files = write(folder, urdf_text(geared()), turned_frames(without(geared(), "_rotor"), seed=3))
-    assert "8 *_rotor of 0.089 kg each" in the_cause(compared(files), "links")
+    assert "8 *_rotor of 0.089 kg each" in get_cause_message(compared(files), "links")
 
 
 @pytest.mark.slow
@@ -112,7 +112,7 @@ def test_decimal_point_error_is_found_in_folded_links(inertia: bool, folder: Pat
     parts = {n: tenfold(p) if n.endswith("_rotor") else p for n, p in geared().items()}
     parts = {**parts, **{f"hip{leg}_rotor": geared()[f"hip{leg}_rotor"] for leg in range(4)}}
     comparison = compared(write(folder, urdf_text(parts), mjcf_text(geared())))
-    message = the_cause(comparison, "scaled links")
+    message = get_cause_message(comparison, "scaled links")
     assert message.startswith("mass and inertia of" if inertia else "the mass of")
     for leg in range(4):
         assert f"thigh{leg}_rotor (0.89 kg in the URDF, 0.089 kg in the MJCF)" in message
@@ -144,10 +144,12 @@ def test_dropped_products_are_found_if_the_base_has_fixed_links(folder: Path) ->
         for name, part in geared().items()
     }
     comparison = compared(write(folder, urdf_text(geared()), mjcf_text(mjcf)))
-    message = the_cause(comparison, "products")
+    message = get_cause_message(comparison, "products")
     assert message.startswith("all products of inertia are 0 in the MJCF, of 18 bodies")
     comparison = compared(write(folder, urdf_text(mjcf), mjcf_text(geared())))
-    assert the_cause(comparison, "products").startswith("all products of inertia are 0 in the URDF")
+    assert get_cause_message(comparison, "products").startswith(
+        "all products of inertia are 0 in the URDF"
+    )
 
 
 @pytest.mark.slow

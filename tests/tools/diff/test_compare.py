@@ -396,7 +396,7 @@ RUNS = {
     "diff.external": "touch {}",
     "core.pager": "touch {}",
 }
-"""What a repository's configuration may have git run."""
+"""Commands that the configuration of a repository may let git execute."""
 
 
 def test_no_code_of_a_repository_is_executed(repository: Path, tmp_path: Path) -> None:

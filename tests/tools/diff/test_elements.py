@@ -208,7 +208,9 @@ def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str) -
 
 
 def test_fused_links_keep_their_position(tmp_path: Path) -> None:
-    """It is a change if a contact is softer on the heavier body; what is seen alone has none."""
+    """Fusing changes contacts, which are softer on the heavier body; visual changes alone are
+    none.
+    """
     old, new = tmp_path / "old.xml", tmp_path / "new.xml"
     text = """<mujoco>
       <compiler angle="radian"/>
@@ -238,7 +240,7 @@ def test_fused_links_keep_their_position(tmp_path: Path) -> None:
 
 
 def test_added_ground_is_at_the_lowest_vertex_of_a_robot_that_begins_deep() -> None:
-    """Reference: the vertices of a pyramid, whose bounding box is not centred at the geom."""
+    """Reference: vertices of a pyramid, whose bounding box has another centre than the geom."""
     corners = "0.1 0.05 0 -0.1 0.05 0 -0.1 -0.05 0 0.1 -0.05 0 0 0 0.3"
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><asset><mesh name="pyramid" vertex="{corners}"/></asset><worldbody>'

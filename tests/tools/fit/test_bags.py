@@ -92,7 +92,7 @@ def states(
 
 
 def commands() -> list[Message]:
-    """Each fourth sample's position is asked for, and that of hip and knee in the other order."""
+    """Return a command for each fourth sample, with hip and knee in the other order."""
     return [
         ("/command", ARRAY, now, array(POSITION[row, ::-1]))
         for row, now in enumerate(TIME.tolist())

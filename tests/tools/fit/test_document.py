@@ -37,7 +37,9 @@ STD = np.array([0.004, 0.002, 0.005, 0.0034])
 
 
 def posterior() -> Posterior:
-    """Knee and hip are off against each other by 0.8; the com is told in part, the slope hardly."""
+    """Return a posterior with a correlation of -0.8 between knee and hip, a partly determined CoM,
+    and a nearly undetermined slope.
+    """
     correlation = np.eye(4)
     correlation[0, 1] = correlation[1, 0] = -0.8
     return Posterior(

@@ -48,7 +48,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="module")
 def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four stands on all feet, the last with 200 g on the base."""
+    """Write a plan of four stands on all feet, the last with 200 g on the base."""
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     stands = []
     for number, (height, roll, pitch) in enumerate(
@@ -150,7 +150,9 @@ def test_joint_that_moves_against_its_command_is_not_accepted(robot: Robot) -> N
 
 
 class Faulty(SimulatedRobot):
-    """One whose knee's servo stops to follow or to push, which is not heard, or is pushed (s)."""
+    """Simulated robot with faults at given times [s]: a servo that stops following or has no
+    torque, lost messages, a push, and a pressed key.
+    """
 
     stuck = off = key = slip = math.inf
     lost = (math.inf, math.inf)
@@ -182,7 +184,7 @@ class Faulty(SimulatedRobot):
 
 @pytest.fixture(scope="module")
 def sound(robot: Robot, plan: Path, tmp_path_factory: pytest.TempPathFactory) -> Array:
-    """What is read of a robot that does as it is commanded."""
+    """Return the recorded positions of a robot without faults."""
     path, one = tmp_path_factory.mktemp("sound") / "stands.csv", SimulatedRobot(robot, 3)
     assert record_stands(robot, plan, path, one, one).complete
     return read_stands(path).position

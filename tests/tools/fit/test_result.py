@@ -25,7 +25,7 @@ KP = Parameter("kp", "knee", "", 4.0, 2.0)
 def fitted(
     parameters: tuple[Parameter, ...], rows: Array, values: Array, noise: float
 ) -> Posterior:
-    """Fits what rows (m, n) of the parameters were measured to be (m,), with a noise."""
+    """Return the fit of linear measurements rows @ x = values, with the given noise."""
     table = ParameterTable(parameters)
 
     def linearise(x: Array, _: Array) -> LinearisedResiduals:

@@ -34,7 +34,9 @@ MIDDLE = np.array([1.3, 0.1, -0.7, 0.2])  # of the arm, in actuator order
 
 
 def table(robot: Robot, joints: tuple[str, ...], damping: float = 2.0) -> ParameterTable:
-    """Mass and com of the joints' links, and what the joints have."""
+    """Return parameters of joints: mass and CoM of the link, gains, friction, offset; and the servo
+    delay.
+    """
     links = MovingBodies(robot, robot.mj_model)
     found = []
     for name in joints:

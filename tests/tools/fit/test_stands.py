@@ -78,12 +78,16 @@ def planted(robot: Robot) -> Robot:
 
 @pytest.fixture(scope="module")
 def stands(robot: Robot, planted: Robot) -> MeasuredStands:
-    """What encoders of 14 bits would read of the planted robot: predicted by other equations."""
-    return taken(robot, planted, 10)
+    """Return readings of encoders with 14 bits for the planted robot, predicted by other equations
+    than those of the fit.
+    """
+    return predict_readings(robot, planted, 10)
 
 
-def taken(robot: Robot, planted: Robot, count: int, seed: int = 5) -> MeasuredStands:
-    """Predicts stands; from the seventh on a hind foot is in the air."""
+def predict_readings(robot: Robot, planted: Robot, count: int, seed: int = 5) -> MeasuredStands:
+    """Return predicted readings of `count` stands; from the seventh on a hind foot is in the
+    air.
+    """
     rng, size = np.random.default_rng(seed), robot.stand_height
     command, position, swing = [], [], []
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
@@ -140,8 +144,8 @@ PLACE = (0.02, -0.01, 0.05)
 
 @pytest.fixture(scope="module")
 def with_mass(robot: Robot, planted: Robot, stands: MeasuredStands) -> MeasuredStands:
-    """The same robot, on which 250 g were put for eight further stands."""
-    loaded = taken(robot, with_payload(planted, 0.25, PLACE), 8, seed=6)
+    """Return readings of the same robot with 250 g on it in eight further stands."""
+    loaded = predict_readings(robot, with_payload(planted, 0.25, PLACE), 8, seed=6)
     loads = np.zeros((len(stands) + len(loaded), 4))
     loads[len(stands) :] = (0.25, *PLACE)
     return joined(stands, loaded, added={robot.base: loads})
@@ -438,7 +442,7 @@ def test_friction_share_of_the_load_equals_mujoco(robot: Robot, stands: Measured
 def test_doubled_weight_is_reported_as_far_from_the_file(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
-    """No residual shows it, and no parameter by itself is far from the file."""
+    """No residual and no single parameter shows the doubled weight."""
     fit = fit_stands(robot, stands, weight=2 * planted.total_mass)
     (said,) = fit.failures
     assert said.code == "scale-far-from-the-file"
@@ -500,7 +504,7 @@ def test_rotated_stands_distinguish_slope_from_com(robot: Robot, planted: Robot)
         down = size * np.array([way * math.sin(slope), 0.0, -math.cos(slope)])
         model.gravity.linear = down
         tilted = replace(planted, pin_model=model)
-        runs.append(taken(robot, tilted, 6, seed=7 + way))
+        runs.append(predict_readings(robot, tilted, 6, seed=7 + way))
     heading = np.repeat([0.0, math.pi], [len(one) for one in runs])
     fit = fit_stands(robot, joined(*runs, heading=heading), priors=["kp=0"])
     (said,) = (one for one in fit.failures if one.code == "ground-slopes")
@@ -769,7 +773,9 @@ WIDTH = math.radians(0.2)
 
 
 def measured(parameters: tuple[Parameter, ...], values: Array, noise: float) -> Posterior:
-    """Returns what is known once each was measured, with noise in parts of the prior's width."""
+    """Return the posterior of independent measurements, with noise as a fraction of the prior
+    width.
+    """
     table = ParameterTable(parameters)
     n, information = len(parameters), 1 / noise**2
     share = 1 / (1 + information)

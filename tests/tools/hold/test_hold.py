@@ -138,7 +138,7 @@ COUPLED = 'joint1="b_slide" joint2="elbow" polycoef="0.02 {ratio} 0 0"'
 def test_torque_of_a_leading_joint_includes_its_follower(
     tmp_path: Path, ratio: str, rate: float
 ) -> None:
-    """By virtual work; MuJoCo's coupling is soft, and how far it opens is predicted."""
+    """Closed form by virtual work; the opening of MuJoCo's soft coupling is predicted."""
     coupling = f"<equality><joint {COUPLED.format(ratio=ratio)}/></equality></mujoco>"
     servo = f'<position joint="b_slide" kp="{STIFFNESS["b_slide"]}" kv="20"/>'
     text = by_hand.MJCF.replace("</mujoco>", coupling).replace(servo, "")

@@ -106,7 +106,7 @@ ODD = {
     "joint damping -30": ("joints-damped-negatively", "rests-on-made-up"),
     "a thruster": ("motors-elsewhere-push",),
 }
-"""{feature of an arm: what may be told of it}."""
+"""{feature of an arm: codes of causes that may be reported}."""
 
 
 @pytest.mark.slow

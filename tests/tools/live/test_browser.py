@@ -34,7 +34,7 @@ PATIENCE = 180.0
 """s: a machine without graphics, shared with other tests, draws a picture in one or two."""
 
 KNOWN = ("GPU stall", "THREE.Clock", "WebGL")
-"""What chromium and viser say of software rendering and of themselves."""
+"""Parts of messages that chromium and viser print about software rendering."""
 
 
 def wait_for(condition: Callable[[], object], what: str) -> None:
@@ -57,7 +57,7 @@ def served() -> Iterator[Page]:
 
 
 class Opened:
-    """A live page in a browser, and what it complains of."""
+    """Live page in a browser, with the recorded error messages."""
 
     def __init__(self, browser: Any, address: str) -> None:  # noqa: F811
         # Small and coarse: every pixel is drawn by the processor.
@@ -118,7 +118,7 @@ class Opened:
         return [float(text) for text in cells]
 
     def takes(self, stand: pa.Stand) -> None:
-        """Waits until the page's torques are those of a stand, by the Python interface."""
+        """Wait until the torques on the page equal those of a stand, by the Python functions."""
         expected = pa.stance.stand_statics(load("v3"), stand).joint_torques
 
         def same() -> bool:

@@ -21,7 +21,7 @@ from tests.support.robots import arm, urdf_text
 
 
 class Drawn:
-    """In place of viser's scene: keeps what is drawn, by its name."""
+    """Stub of viser's scene that keeps the drawn objects by name."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, Any] = {}

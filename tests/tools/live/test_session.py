@@ -36,7 +36,7 @@ def wait_for(condition: Callable[[], object], what: str) -> None:
 
 
 class Browser:
-    """What a session needs of a browser, from viser's server; remembers what it is told."""
+    """Parts of a browser that a session uses, by viser's server; saved files are recorded."""
 
     def __init__(self, server: Any) -> None:
         self.gui, self.scene, self.atomic = server.gui, server.scene, server.atomic
@@ -47,7 +47,7 @@ class Browser:
 
 
 class Open:
-    """A session, and what its page says."""
+    """Session with access to the texts of its page."""
 
     def __init__(self, server: Any) -> None:
         self.browser = Browser(server)
@@ -190,7 +190,7 @@ def test_simulation_is_compared_with_the_prediction_of_its_commands(page: Open) 
 
 
 class Hand:
-    """What viser says of a control that somebody moves."""
+    """Event of viser for a control that a user moves."""
 
     client = object()
 
@@ -199,7 +199,7 @@ class Hand:
 
 
 def move(control: Any, value: object) -> None:
-    """Moves a control as a hand does, which calls what listens to it."""
+    """Set a control as a user does, and call its listeners."""
     control.value = value
     for call in control._impl.update_cb:
         call(Hand(control))

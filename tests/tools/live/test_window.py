@@ -36,7 +36,7 @@ def test_a_dropped_robot_falls_lands_and_holds(dropped: viewer.Drop) -> None:
 
 
 def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> None:
-    """By the semi-implicit Euler method, which runs ahead by half a step."""
+    """Closed form g t (t + h) / 2 of the semi-implicit Euler method with the step h."""
     time = dropped.time[dropped.time < 0.17]  # it lands after 0.18 s
     fallen = dropped.height[0] - dropped.height[: len(time)]
     np.testing.assert_allclose(fallen, GRAVITY / 2 * time * (time + dropped.time[1]), atol=1e-6)
@@ -54,7 +54,9 @@ def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> No
 def test_only_a_robot_upright_on_its_feet_is_stable_after_a_drop(
     variant: str, tilt: float, touching: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """All three are at rest after 6 s; tilt and contacts are those of bare MuJoCo's last state."""
+    """Reference: tilt and contacts of bare MuJoCo's last state. All three robots are at rest after
+    6 s.
+    """
     robot = load(variant)
     model, data = robot.mj_model, viewer.make_home_data(robot)
     mujoco.mj_step(model, data, round(viewer.DROP_SECONDS / model.opt.timestep))

@@ -42,7 +42,9 @@ STIFF = {"kp": 60.0, "kd": 0.8}
 
 
 def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analysis.PayloadLimit:
-    """With 0.97 of a payload ``stand`` holds, and with 1.03 it does not."""
+    """Assert that ``stand`` holds with 97 % of a payload limit and fails with 103 %; return the
+    limit.
+    """
     limit = payload_limit(robot, None, point, **gains)
     if not limit.passed:
         empty = study_stance(robot, pa.StandTask(), **gains)
@@ -315,7 +317,7 @@ tried, and stood; with the second to none."""
 
 @pytest.fixture(scope="module")
 def biped(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
-    """A biped whose soles tip soon to some sides."""
+    """Load a biped whose soles tip early in some directions."""
     return pa.load_robot(*written(irregular_biped(3), tmp_path_factory.mktemp("biped")))
 
 

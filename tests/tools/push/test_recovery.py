@@ -108,7 +108,7 @@ def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
 
 
 class Bench:
-    """A robot that survives what the test says."""
+    """Stub of the simulation: a push is survived if `survives` returns True."""
 
     def __init__(self, survives: Callable[[int, float], bool]) -> None:
         self.axes = np.zeros((2, 2))

@@ -25,7 +25,7 @@ ASKED = ["peak_utilisation", "servo_sag", "com_margin", "stands"]
 
 @cache
 def outcome() -> pa.study.StudyOutcome:
-    """Of 18 designs, a third of which are out of reach."""
+    """Return the outcome of 18 designs, a third of which are out of reach."""
     import tempfile
 
     study = pa.Study("v3", VARY, ASKED)

@@ -53,7 +53,7 @@ def test_a_stretched_box_is_the_longer_box() -> None:
 
 
 def test_pupper_by_patterns_is_pupper_by_scale() -> None:
-    """``leg_scale`` goes through yourdfpy and MjSpec, by code of its own."""
+    """Reference: ``leg_scale``, which uses separate code with yourdfpy and MjSpec."""
     source = Variants(get_variant_spec("v3"))
     expected = source.robot({"leg_scale": 1.3})
     found = scale_robot(source.robot({}), {"length:*_2": 1.3, "length:*_3": 1.3})
@@ -75,7 +75,9 @@ def test_pupper_by_patterns_is_pupper_by_scale() -> None:
 
 @pytest.fixture(scope="module", params=["straight", "irregular"])
 def own(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    """Legs of others: four of two links, or a biped's of five, whose frames are turned."""
+    """Load a quadruped with two links per leg, or a biped with five links per leg and rotated
+    frames.
+    """
     folder = tmp_path_factory.mktemp("own")
     straight = request.param == "straight"
     pair = quadruped(folder) if straight else written(irregular_biped(7), folder)
@@ -83,7 +85,7 @@ def own(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def with_length(robot: Robot) -> list[str]:
-    """Returns the joints whose links have a length."""
+    """Return the joints whose links have a length."""
     found = []
     for joint in robot.joint_names:
         with contextlib.suppress(pa.ConfigurationError):
@@ -93,7 +95,9 @@ def with_length(robot: Robot) -> list[str]:
 
 
 def placed(robot: Robot, joint: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns where a joint's link is, by Pinocchio and by MuJoCo, at angles that are not zero."""
+    """Return the position of a joint's link by Pinocchio and by MuJoCo, at angles other than
+    zero.
+    """
     qpos = robot.make_qpos(np.linspace(-0.2, 0.3, robot.nu))
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)

@@ -124,7 +124,7 @@ def assert_same_table(one: pd.DataFrame, other: pd.DataFrame) -> None:
 
 
 class Backwards(Executor):
-    """Does what it is given at once, in this thread; forgets where chunks were meant to end."""
+    """Executor that runs each chunk at once, in reverse order, in this thread."""
 
     def submit(self, function: Any, chunk: Chunk, /, *_: Any, **__: Any) -> Future[Any]:  # type: ignore[override]
         future: Future[Any] = Future()
@@ -329,9 +329,8 @@ def slow_study() -> pa.Study:
 
 
 def start(*words: object) -> subprocess.Popen[str]:
-    """Start Python in a session of its own, which receives SIGINT also if this process ignores it.
-
-    A shell that runs the tests in the background has them ignore SIGINT; children inherit that.
+    """Start Python in a new session with the default action of SIGINT, which children of background
+    shells ignore otherwise.
     """
     return subprocess.Popen(
         [sys.executable, *map(str, words)],
@@ -352,7 +351,7 @@ def rows_of(folder: Path) -> int:
 
 
 def members(session: int) -> list[int]:
-    """The processes of a session that are alive."""
+    """Return the ids of live processes of a session."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -365,7 +364,7 @@ def members(session: int) -> list[int]:
 
 
 def left_over(session: int) -> list[int]:
-    """Those that are there for good: they may take a moment to see that the first has gone."""
+    """Return processes of a session that are alive after up to 20 s."""
     deadline = time.monotonic() + 20
     while members(session) and time.monotonic() < deadline:
         time.sleep(0.05)

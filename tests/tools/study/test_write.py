@@ -28,7 +28,7 @@ def written(
 
 @pytest.fixture(scope="module")
 def heavy(tmp_path_factory: pytest.TempPathFactory) -> WrittenDesign:
-    """A v3 of longer legs, heavier hips and stiffer servos: the second of two designs."""
+    """Write a v3 with longer legs, heavier hips and stiffer servos: the second of two designs."""
     vary = {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}
     return written("v3", vary, tmp_path_factory.mktemp("study"), 2)
 
@@ -62,7 +62,9 @@ def test_bare_engines_read_the_design(heavy: WrittenDesign) -> None:
 
 @pytest.mark.slow
 def test_written_design_includes_payload_and_stance(tmp_path: Path) -> None:
-    """Payload and a tilted stance are in what is written; the payload is a link of both files."""
+    """Reference: total mass [kg] of MuJoCo's model with 0.5 kg more; the payload is a link of both
+    files, and the stance file has the tilt.
+    """
     pair = quadruped(tmp_path)
     files = {"urdf": str(pair.urdf), "mjcf": str(pair.mjcf)}
     found = written(

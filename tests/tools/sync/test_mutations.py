@@ -149,7 +149,7 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
 
 
 def role(text: str, start: int, tag: str) -> str:
-    """What a tag is: an origin is that of an inertial, or of a joint that is fixed or not."""
+    """Return the kind of a tag; of an origin, its parent, and whether the joint is fixed."""
     if tag != "origin":
         return {"general": "motor"}.get(tag, tag)
     before = text[:start]
@@ -198,7 +198,7 @@ def mutated(pair: Pair, choose: random.Random) -> Mutated | None:
 
 
 def changed_attributes(before: str, after: str) -> int:
-    """How many attributes differ; all else must be the same, byte by byte."""
+    """Return the number of attributes that differ; all other bytes must be equal."""
     spans = [list(ATTRIBUTE.finditer(text)) for text in (before, after)]
     assert len(spans[0]) == len(spans[1])
     blank = [ATTRIBUTE.sub(lambda found: f"{found[1]}=", text) for text in (before, after)]
@@ -207,7 +207,9 @@ def changed_attributes(before: str, after: str) -> int:
 
 
 def restored(pair: Pair, seed: int) -> str | None:
-    """Makes a mutation and mends it; returns what it was, None if it was none."""
+    """Make a mutation and restore it by `sync`; return its description, or None if the mutation has
+    no effect.
+    """
     choose = random.Random(seed)
     mutation = mutated(pair, choose)
     if mutation is None:

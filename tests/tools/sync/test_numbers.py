@@ -51,7 +51,7 @@ def differences(files: Files) -> set[tuple[str, str]]:
 
 
 def in_urdf(path: Path, link: str) -> pin.Inertia:
-    """What Pinocchio reads of a link and all that is fixed to it."""
+    """Return Pinocchio's inertia of a link with all links fixed to it."""
     model = pin.buildModelFromXML(path.read_text(), pin.JointModelFreeFlyer())
     frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
     return frame.placement.actInv(model.inertias[frame.parentJoint])
@@ -64,7 +64,7 @@ def other_lines(one: Path, two: Path) -> int:
 
 @pytest.fixture
 def turned(tmp_path: Path) -> Files:
-    """A pair whose MJCF has other frames than the URDF, and geared servos."""
+    """Write a pair whose MJCF has other link frames than the URDF, and geared servos."""
     text = turned_frames(quadruped(), 4).replace("<motor", SERVO)
     return write(tmp_path, urdf_text(quadruped()), text)
 

@@ -428,7 +428,7 @@ def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> 
 
 @pytest.fixture
 def urdf(tmp_path: Path) -> Path:
-    """A file of a repository, as it is committed, and with what a repository may have git run."""
+    """Write a committed URDF in a repository whose configuration lets git execute commands."""
     git(tmp_path, "init")
     file = tmp_path / "robot.urdf"
     file.write_text(urdf_text(ROBOT))

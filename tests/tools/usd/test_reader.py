@@ -114,7 +114,7 @@ def test_a_gain_per_radian_is_57_times_too_large(tmp_path: Path) -> None:
     [("float physics:mass = 2000\n", "\n"), ("physics:centerOfMass = (1", "physics:velocity = (1")],
 )
 def test_usd_body_with_mass_from_shapes_is_refused(tmp_path: Path, change: tuple[str, str]) -> None:
-    """What a converter wrote of a link without <inertial>: 2 kg became 30 kg."""
+    """A converter omitted the mass of a link without <inertial>: 2 kg became 30 kg."""
     for pair in ((usd.write_urdf(tmp_path), usd.write(tmp_path, change)),
                  (usd.write(tmp_path, change), usd.write(tmp_path, name="old.usda"))):  # fmt: skip
         with pytest.raises(

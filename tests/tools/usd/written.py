@@ -15,12 +15,12 @@ USD, URDF = ((Path(__file__).parent / f"leg.{end}").read_text() for end in ("usd
 
 
 def write(folder: Path, *changes: tuple[str, str], name: str = "leg.usda", after: str = "") -> Path:
-    """Writes the USD with some of its text replaced, once each, beyond another text."""
+    """Write the USD with replaced texts, each once, after the text `after`."""
     return _changed(folder / name, USD, changes, after)
 
 
 def write_urdf(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Writes the URDF, likewise."""
+    """Write the URDF with replaced texts, each once."""
     return _changed(folder / "leg.urdf", URDF, changes)
 
 

@@ -68,7 +68,7 @@ FRAME = 36
 
 
 def still(path: Path, **changed: Any) -> Path:
-    """A policy for Pupper: it stands in its default pose, and meets leans by its hips."""
+    """Write a policy for Pupper that stands in its default pose and reacts to tilt by its hips."""
     weights = np.zeros((FRAME, 12))
     weights[4, [1, 4, 7, 10]] = 0.2  # leans to the side are met by the hips
     weights[0, [1, 4, 7, 10]] = 0.02  # and damped
@@ -94,16 +94,15 @@ def still(path: Path, **changed: Any) -> Path:
 
 
 TROT = ((0.13, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.8))
-"""What ``trot`` is commanded: forward, to the left, turning."""
+"""Commands of ``trot``: forward [m/s], to the left [m/s], and turning [rad/s]."""
 
 _ROLL, _PITCH_RATE = 0.2, 0.02
 
 
 def trot(path: Path, **changed: Any) -> Path:
-    """A policy for Pupper that trots: diagonal legs by a phase, each command by a gate of its own.
-
-    relu(cos + g (c / asked - 1)) is relu(cos) where c is what is asked, and 0 where it is 0: so two
-    layers swing the legs forward, to the side or about the vertical, and lift them by the sine.
+    """Write a policy for Pupper that trots: diagonal legs by a phase, each command by a gate.
+    relu(cos + g (c / c0 - 1)) is relu(cos) for the command c = c0, and 0 for c = 0: two layers
+    swing the legs forward, sideways or about the vertical, and lift them by the sine.
     """
     angular, gravity, command, phase = 0, 3, 6, 21  # where they begin; 12 joint positions between
     units: list[tuple[dict[int, float], float]] = []

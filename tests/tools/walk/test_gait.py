@@ -162,9 +162,8 @@ def test_policy_with_unknown_joints_is_refused(still: Policy) -> None:
 
 
 def test_stance_torques_equal_the_energy_gradient(tmp_path: Path) -> None:
-    """On two feet, by Pinocchio: the joints' share in lifting the weight, less what feet carry.
-
-    tau = d(m g z - sum n_i z_i)/dq, with the weight n shared as a lever on the line of the feet.
+    """Reference: finite difference of tau = d(m g z - sum n_i z_i)/dq by Pinocchio, on two feet,
+    with the weight n_i shared as a lever on the line of the feet.
     """
     robot = load("v3")
     stage = prepare_stage(robot, Policy.load(made.trot(tmp_path / "trot.json")))
