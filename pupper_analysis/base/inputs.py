@@ -10,15 +10,18 @@ are relative to the current folder.
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 import stat
 import sys
 import tomllib
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError
 from pupper_analysis.base.files import describe_os_error
 from pupper_analysis.base.runs import register_input
@@ -31,6 +34,14 @@ MAX_FILE_BYTES: Final = 500_000_000
 
 _CHUNK_BYTES: Final = 1 << 20
 """Number of bytes per read operation."""
+
+_MAX_COMPARED_NAMES: Final = 2000
+"""Maximum number of files of a folder whose names are compared with that of a missing file. Chosen,
+not tuned."""
+
+_MIN_SIMILARITY: Final = 0.75
+"""Smallest ratio of `difflib.SequenceMatcher` of a file name that is suggested for the name of a
+missing file. Chosen: one wrong letter of four, or two exchanged letters of five."""
 
 _MAX_KEY_LENGTH: Final = 500
 """Maximum number of characters of a TOML key. Error messages contain the key."""
@@ -59,7 +70,7 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError) as error:  # ValueError: a zero byte
-        raise InputError(path, diagnose("no-such-file")) from error
+        raise InputError(path, describe_missing_file(path)) from error
     except OSError as error:
         raise InputError(
             path, diagnose("file-not-read", message=str(describe_os_error(error)))
@@ -72,6 +83,31 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
         raise InputError(path, diagnose("file-too-large", most=most / 1e6))
     if not rewritten:
         register_input(path)
+
+
+def describe_missing_file(path: Path) -> Diagnostic:
+    """Return the message about a missing file, with similar names of files in its folder.
+
+    Args:
+        path: The missing file.
+    """
+    return diagnose("no-such-file", alike=[str(file) for file in find_similar_files(path)])
+
+
+def find_similar_files(path: Path) -> list[Path]:
+    """Return up to three files in the folder of a missing file that have similar names.
+
+    The most similar name is the first. Hidden files are left out.
+
+    Args:
+        path: The missing file.
+    """
+    names: list[str] = []
+    with suppress(OSError, ValueError):
+        entries = islice(os.scandir(path.parent), _MAX_COMPARED_NAMES)
+        names = [one.name for one in entries if not one.name.startswith(".") and one.is_file()]
+    similar = difflib.get_close_matches(path.name, names, cutoff=_MIN_SIMILARITY)
+    return [path.parent / name for name in similar]
 
 
 def is_input(path: Path) -> bool:

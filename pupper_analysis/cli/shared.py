@@ -9,6 +9,7 @@ the terminal, Markdown, JSON and HTML files, and the exit status.
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
@@ -84,6 +85,9 @@ class OutputPath(click.Path):
     def check_suffix(self, option: str, path: Path, kind: Kind) -> None:
         """Check that the suffix of an output file does not belong to another format.
 
+        Figures and pages have one of their own suffixes, or none, because programs choose by the
+        suffix how to open them.
+
         Args:
             option: Name of the option, for errors.
             path: Output file.
@@ -93,13 +97,18 @@ class OutputPath(click.Path):
             ConfigurationError: If the suffix belongs to another format.
         """
         suffix = path.suffix.lower()
-        if kind.suffixes and suffix in FORMAT_SUFFIXES and suffix not in kind.suffixes:
+        drawn = kind in (kinds.PICTURE_KIND, kinds.PAGE_KIND)
+        is_other = bool(suffix) if drawn else suffix in FORMAT_SUFFIXES
+        if kind.suffixes and is_other and suffix not in kind.suffixes:
             message = diagnose("output-suffix", file=path.name, suffixes=kind.suffixes)
             raise ConfigurationError(option, message)
 
 
 FORMAT_SUFFIXES: Final = frozenset(
-    (".docx", ".gif", ".htm", ".html", ".jpeg", ".jpg", ".md", ".pdf", ".png", ".svg", ".xlsx")
+    (
+        *(".csv", ".docx", ".gif", ".htm", ".html", ".jpeg", ".jpg", ".json", ".md", ".mjcf"),
+        *(".pdf", ".png", ".svg", ".toml", ".urdf", ".xlsx", ".xml", ".yaml", ".yml"),
+    )
 )
 """Suffixes by which programs select a format: no other format is written under them."""
 
@@ -117,10 +126,18 @@ class Command(click.Command):
     """Command that checks, before running, that all results may and can be written.
 
     A command with results has the option ``--force``.
+
+    Args:
+        meanings: {name of an argument: its meaning}, for the error about a missing argument.
+        *args: Arguments of ``click.Command``.
+        **options: Keyword arguments of ``click.Command``.
     """
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    def __init__(
+        self, *args: Any, meanings: Mapping[str, str] | None = None, **options: Any
+    ) -> None:
         super().__init__(*args, **options)
+        self._meanings = meanings or {}
         self._has_force = any(option.name == "force" for option in self.params)
         if self.outputs and not self._has_force:
             self.params.append(click.Option(["--force"], is_flag=True, help=FORCE_HELP))
@@ -143,6 +160,13 @@ class Command(click.Command):
         ctx.meta[TYPED_WORDS] = tuple(args)
         try:
             return super().parse_args(ctx, args)
+        except click.MissingParameter as error:
+            if isinstance(error.param, click.Argument):
+                raise self.make_missing_error(ctx, str(error.param.name)) from error
+            raise
+        except click.BadOptionUsage as error:
+            error.ctx = error.ctx or ctx
+            raise
         except click.NoSuchOption as error:
             words = set(error.option_name.strip("-").split("-"))
             known = (name for option in self.params for name in option.opts)
@@ -150,6 +174,23 @@ class Command(click.Command):
             if matching and error.possibilities is not None:
                 error.possibilities[:] = matching
             raise
+
+    def make_missing_error(self, ctx: click.Context, name: str) -> click.UsageError:
+        """Return the error about a missing argument: its meaning, and the form of the command.
+
+        Args:
+            ctx: Context of the command.
+            name: Name of the argument.
+        """
+        arguments = [one for one in self.params if isinstance(one, click.Argument)]
+        shown = {one.name: one.make_metavar(ctx).strip("[]") for one in arguments}
+        message = diagnose(
+            "argument-missing",
+            argument=shown[name],
+            meaning=self._meanings.get(name, ""),
+            usage=" ".join((ctx.command_path, *shown.values())),
+        )
+        return click.UsageError(str(message), ctx)
 
     def invoke(self, context: click.Context) -> Any:
         """Check that the output files of the command can be written, and run the command."""
@@ -361,6 +402,9 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     """Return a URDF and an MJCF in this order, in whatever order they were typed.
 
     Files of other formats, and files that cannot be read, keep the typed order.
+
+    Raises:
+        ConfigurationError: If both files are URDFs, or both are MJCFs.
     """
     from pupper_analysis.base.errors import ModelError
     from pupper_analysis.models.published import find_file
@@ -372,6 +416,11 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
             tags.append(parse_xml(find_file(path))[1].tag)
         except ModelError:
             return one, other
+    kinds_by_tag = {"robot": "URDF", "mujoco": "MJCF"}
+    if tags[0] == tags[1] and tags[0] in kinds_by_tag:
+        given, missing = kinds_by_tag[tags[0]], kinds_by_tag[{*kinds_by_tag}.difference(tags).pop()]
+        problem = diagnose("both-of-one-format", given=given, missing=missing)
+        raise ConfigurationError(f"{one}, {other}", problem)
     return (other, one) if tags == ["mujoco", "robot"] else (one, other)
 
 
@@ -455,8 +504,32 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
     """
     name, separator, value = text.partition("=")
     if not (name and separator and value):
-        raise ConfigurationError(option, diagnose("not-of-the-form", given=text, form="NAME=VALUE"))
+        form = _find_assignment_form(option)
+        raise ConfigurationError(option, diagnose("not-of-the-form", given=text, form=form))
     return name, value
+
+
+def _find_assignment_form(option: str) -> str:
+    """Return the form of an option's value from its help: ``FOOT=LENGTH, e.g. FR=30mm``.
+
+    ``NAME=VALUE`` if the running command has no such option.
+
+    Args:
+        option: Name of the option, with or without ``--``.
+    """
+    context = click.get_current_context(silent=True)
+    for parameter in () if context is None else context.command.params:
+        names = [name.lstrip("-") for name in parameter.opts]
+        if isinstance(parameter, click.Option) and option.lstrip("-") in names:
+            form = parameter.metavar or ""
+            if "=" in form:
+                example = _ASSIGNMENT_EXAMPLE.search(parameter.help or "")
+                return form if example is None else f"{form}, e.g. {example[1]}"
+    return "NAME=VALUE"
+
+
+_ASSIGNMENT_EXAMPLE = re.compile(r"e\.g\. '?([^ ']*=[^ ']*?)'?[.;]?(?: |$)")
+"""Example of a value with an equals sign in the help of an option, such as ``e.g. FR=30mm.``"""
 
 
 def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
@@ -469,8 +542,20 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
     try:
         return name, float(value)
     except ValueError as error:
-        message = diagnose("part-is-no-number", part=value, given=text)
+        given = text.removeprefix("*=")  # added for a number without pattern
+        message = diagnose(
+            "part-is-no-number",
+            part=value,
+            given="" if given == value else given,
+            point=_write_decimal_point(value),
+        )
         raise ConfigurationError(option, message) from error
+
+
+def _write_decimal_point(text: str) -> str:
+    """Return a number with a decimal comma (``12,5cm``) with a point; empty for another text."""
+    match = re.fullmatch(r"([+-]?\d+),(\d+)([^\d,]*)", text)
+    return "" if match is None else f"{match[1]}.{match[2]}{match[3]}"
 
 
 def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
@@ -513,7 +598,14 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
     with suppress(ValueError):
         if is_millimetres(kind, float(text)):
             return diagnose("length-without-unit", length=text)
-    return diagnose("part-is-no-quantity", part=text, given=given, kind=Term(kind), units=units)
+    return diagnose(
+        "part-is-no-quantity",
+        part=text,
+        given=given,
+        kind=Term(kind),
+        units=units,
+        point=_write_decimal_point(text),
+    )
 
 
 def show_progress(what: str) -> AbstractContextManager[object]:

@@ -77,6 +77,8 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
     try:
         root = etree.fromstring(blank_late_declaration(text.encode()), parser)
     except etree.XMLSyntaxError as error:
+        if not text.lstrip("\ufeff \t\r\n").startswith("<"):
+            raise make_file_error(Place(path, 1), diagnose("file-is-no-xml")) from error
         errors = parser.error_log
         line, message = (errors[0].line, errors[0].message) if errors else (1, str(error))
         problem = diagnose("xml-not-well-formed", message=one_line(message))

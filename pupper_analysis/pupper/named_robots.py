@@ -13,12 +13,25 @@ from pupper_analysis.pupper.variants import (
     VariantSpec,
     find_model_folder,
     get_variant_spec,
+    list_similar_variants,
 )
 
 
 def is_variant(word: object) -> bool:
     """Return True if a word is the name of a variant, and not of a file in the current folder."""
     return isinstance(word, str) and word in VARIANTS and not Path(word).exists()
+
+
+def refuse_unknown_variant(word: str) -> None:
+    """Raise an error if a word without suffix names no file, and is similar to that of a variant.
+
+    Raises:
+        VariantError: If this is so; the message lists the similar variants.
+    """
+    path = Path(word)
+    may_be_variant = not path.suffix and len(path.parts) == 1 and not path.exists()
+    if may_be_variant and word not in VARIANTS and list_similar_variants(word):
+        get_variant_spec(word)
 
 
 @contextmanager

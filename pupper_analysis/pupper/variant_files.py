@@ -8,6 +8,7 @@ the base model in memory, and cached until a base file changes. `load_variant` r
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +22,7 @@ from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, VariantError
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.inputs import STANDARD_INPUT, is_input
+from pupper_analysis.base.inputs import STANDARD_INPUT, find_similar_files, is_input
 from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models import mjcf
@@ -36,6 +37,7 @@ from pupper_analysis.pupper.variants import (
     VariantSpec,
     find_model_folder,
     get_variant_spec,
+    list_similar_variants,
 )
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
@@ -218,7 +220,11 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
     files = (word,) if is_input(Path(word)) else tuple(word.split(_PAIR_SEPARATOR))
     if all(map(_names_file, files)):
         return files
-    raise VariantError("name", word, diagnose("known-robots", variants=VARIANTS))
+    with suppress(OSError, ValueError):  # for example a name that is too long
+        if Path(word).is_dir():
+            raise VariantError("name", word, diagnose("file-is-folder"))
+    similar = [*list_similar_variants(word), *map(str, find_similar_files(Path(word)))]
+    raise VariantError("name", word, diagnose("known-robots", alike=similar, variants=VARIANTS))
 
 
 def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:

@@ -7,6 +7,7 @@ torso mass. ``VARIANTS`` lists the variants with names. The files are derived by
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -151,8 +152,18 @@ def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
     if isinstance(variant, VariantSpec):
         return variant
     if not isinstance(variant, str) or variant not in VARIANTS:
-        raise VariantError("name", variant, diagnose("known-variants", variants=VARIANTS))
+        similar = list_similar_variants(variant) if isinstance(variant, str) else []
+        problem = diagnose("known-variants", alike=similar, variants=VARIANTS)
+        raise VariantError("name", variant, problem)
     return VARIANTS[variant]
+
+
+def list_similar_variants(word: str) -> list[str]:
+    """Return the names of up to three variants that are similar to a word, the most similar first.
+
+    Upper and lower case are not distinguished.
+    """
+    return difflib.get_close_matches(word.lower(), VARIANTS)
 
 
 @cache

@@ -78,6 +78,9 @@ def test_error_of_a_unit_after_a_blank_suggests_one_word(arguments: tuple[str, .
         ("--json", "x.html", ".json"),
         ("--csv", "x.xlsx", ".csv"),
         ("--figure", "x.svg", ".png"),
+        ("--figure", "x.foo", ".png"),
+        ("--report", "x.txt", ".html"),
+        ("--json", "x.csv", ".json"),
     ],
 )
 def test_a_result_is_not_written_under_another_formats_suffix(
@@ -87,6 +90,64 @@ def test_a_result_is_not_written_under_another_formats_suffix(
     assert f"{option}: {name}: " in message
     assert f"ends with {suffix}" in message
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "suggested"),
+    [
+        (("audit", "v3x"), "did you mean v3?"),
+        (("crosscheck", "V3-heavi"), "did you mean v3-heavy"),
+        (("stand", "v3-longleg"), "did you mean v3-long-leg"),
+        (("stand", "robot.udrf"), "did you mean robot.urdf?"),
+        (("stand", "zebra.urdf"), "zebra.urdf: there is no such file\n"),
+        (("stand", "folder"), "it is a folder; give the path of a file"),
+        (("stand", "deploy.yaml"), "the file does not begin with <"),
+    ],
+    ids=str,
+)
+def test_error_of_a_wrong_robot_names_the_nearest(
+    arguments: tuple[str, ...], suggested: str, tmp_path: Path
+) -> None:
+    shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "robot.urdf")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "deploy.yaml").write_text("kp: 5\n")
+    assert suggested in refusal(*arguments, folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("diff", "a.urdf"), "argument NEW is missing: the new version, of the same format"),
+        (("sync", "a.urdf"), "argument MJCF is missing: the MJCF to compare and change; type"),
+        (("crosscheck",), "argument URDF is missing: a URDF, or the name of a variant such as v3"),
+        (("study",), "argument FILE is missing: a TOML file that describes the study"),
+        (("study", "none.toml"), "none.toml: there is no such file"),
+        (("study", "v3", "-o", "out"), 'write robot = "v3" into it'),
+        (("crosscheck", "a.urdf", "a.urdf"), "both files are URDFs; one URDF and one MJCF"),
+        (("stand", "v3", "--height"), " stand --help)"),
+    ],
+    ids=str,
+)
+def test_error_of_a_wrong_argument_says_which_is_expected(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "a.urdf")
+    assert message in refusal(*arguments, folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--height", "12,5cm"), "write 12.5cm"),
+        (("--kp", "5,5"), "kp: '5,5' is not a number; write 5.5"),
+        (("--kp", "five"), "kp: 'five' is not a number"),
+        (("--swing", "FL=2,5cm"), "write 2.5cm"),
+        (("--swing", "FL"), "'FL' is not of the form FOOT=LENGTH, e.g. FR=30mm"),
+    ],
+    ids=str,
+)
+def test_error_of_a_wrong_value_shows_a_valid_one(arguments: tuple[str, ...], message: str) -> None:
+    assert message in refusal("stand", "v3", *arguments)
 
 
 @pytest.mark.slow

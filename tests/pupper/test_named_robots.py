@@ -60,7 +60,7 @@ def test_audit_and_crosscheck_accept_the_name_of_a_variant(name: str, tmp_path: 
 def test_crosscheck_of_one_file_names_the_missing_argument() -> None:
     done = answer("crosscheck", "robot.urdf")
     assert done.returncode == 2
-    assert "Missing argument" in done.stderr
+    assert "argument MJCF is missing" in done.stderr
 
 
 def test_variant_accepts_visuals_without_effect() -> None:

@@ -81,7 +81,11 @@ def command(
     from pupper_analysis.base.diagnostics import Severity
     from pupper_analysis.present import formats
     from pupper_analysis.present.document import NextStep
-    from pupper_analysis.pupper.named_robots import is_variant, variant_model_files
+    from pupper_analysis.pupper.named_robots import (
+        is_variant,
+        refuse_unknown_variant,
+        variant_model_files,
+    )
     from pupper_analysis.tools.audit import document as audit_report
     from pupper_analysis.tools.audit.audit import audit_model
 
@@ -93,6 +97,7 @@ def command(
         raise ConfigurationError("--yes", diagnose("yes-without-fix"))
     if file is None:
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
+    refuse_unknown_variant(str(file))
     folders = shared.parse_packages(packages)
     if fix and (is_variant(str(file)) or not file.is_file()):
         raise ConfigurationError("--fix", diagnose("nothing-to-fix", file=str(file)))

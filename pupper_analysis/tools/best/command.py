@@ -15,7 +15,7 @@ from pupper_analysis.cli.stance_options import (
 )
 
 
-@shared.command("best")
+@shared.command("best", meanings={"objective": "what to optimise"})
 @click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
 @robot_argument
 @robot_and_task

@@ -9,7 +9,9 @@ import click
 from pupper_analysis.cli import shared
 
 
-@shared.command("contract")
+@shared.command(
+    "contract", meanings={"sources": "a model, and the files of trainer, deployment or policy"}
+)
 @click.argument("sources", nargs=-1, required=True, type=click.Path())
 @click.option(
     "--map",

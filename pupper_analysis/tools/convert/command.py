@@ -24,7 +24,7 @@ _USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIO
 """Parameters of the command that are used, for each suffix of the output file."""
 
 
-@shared.command("convert")
+@shared.command("convert", meanings={"source": "the URDF, MJCF or USD to convert"})
 @click.argument("source", type=shared.MODEL_FILE)
 @shared.output_option(
     "-o",

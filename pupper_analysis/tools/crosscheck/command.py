@@ -15,7 +15,13 @@ from pupper_analysis.cli.shared import (
 )
 
 
-@shared.command("crosscheck")
+@shared.command(
+    "crosscheck",
+    meanings={
+        "urdf": "a URDF, or the name of a variant such as v3",
+        "mjcf": "the MJCF to compare with the URDF",
+    },
+)
 @click.argument("urdf", type=shared.MODEL_FILE)
 @click.argument("mjcf", type=shared.MODEL_FILE, required=False)
 @map_option
@@ -76,7 +82,11 @@ def command(
     1 the files differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
-    from pupper_analysis.pupper.named_robots import is_variant, variant_model_files
+    from pupper_analysis.pupper.named_robots import (
+        is_variant,
+        refuse_unknown_variant,
+        variant_model_files,
+    )
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.crosscheck.crosscheck import compare_models
     from pupper_analysis.tools.crosscheck.document import make_comparison_annotations
@@ -85,7 +95,8 @@ def command(
     if mjcf is None and is_variant(str(urdf)):
         urdf, mjcf = context.with_resource(variant_model_files(str(urdf)))
     elif mjcf is None:
-        raise click.MissingParameter(ctx=context, param=context.command.params[1])
+        refuse_unknown_variant(str(urdf))
+        raise command.make_missing_error(context, "mjcf")
     else:
         urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
     names = parse_name_map(pairs)

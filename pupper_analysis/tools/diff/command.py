@@ -10,7 +10,13 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.shared import change_tolerances, fine_tolerance_option
 
 
-@shared.command("diff")
+@shared.command(
+    "diff",
+    meanings={
+        "old": "the old version, a URDF or MJCF, or REVISION:PATH",
+        "new": "the new version, of the same format as the old one",
+    },
+)
 @click.argument("old", type=click.Path())
 @click.argument("new", type=click.Path())
 @shared.package_option

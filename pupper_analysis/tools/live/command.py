@@ -230,14 +230,11 @@ def _open_walk(
     """Serve the page of a walking policy until Ctrl-C."""
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.walking import WalkPage
-    from pupper_analysis.tools.walk.gait import check_command
+    from pupper_analysis.tools.walk.gait import parse_walking_command
     from pupper_analysis.tools.walk.policy import Policy
 
     import_viser()  # before anything is loaded
-    command, loaded_policy = (
-        check_command(shared.parse_point("command", command_text, 3)),
-        Policy.load(policy, contract),
-    )
+    command, loaded_policy = parse_walking_command(command_text), Policy.load(policy, contract)
     robot = load_walking_robot(selection, "text", everything=False)
     with shared.show_progress("making the page"):
         page = WalkPage(robot, loaded_policy, command, **server_options)

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.base import kinds
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 
 if TYPE_CHECKING:
@@ -33,15 +35,14 @@ _STUDY_FOLDER = kinds.Folder(
 """File by which the folder of a study is recognised."""
 
 
-@shared.command("study")
+@shared.command("study", meanings={"file": "a TOML file that describes the study"})
 @click.argument("file", type=click.Path(path_type=Path))
 @shared.output_option(
     "-o",
     "--output",
     "folder",
-    required=True,
     holds=_STUDY_FOLDER,
-    help="Folder of the results; an interrupted run is resumed.",
+    help="Folder of the results; an interrupted run is resumed.  [required]",
 )
 @click.option(
     "--workers",
@@ -83,7 +84,7 @@ _STUDY_FOLDER = kinds.Folder(
 @shared.verbose_option
 def command(
     file: Path,
-    folder: Path,
+    folder: Path | None,
     workers: int | None,
     minimise: tuple[str, ...],
     maximise: tuple[str, ...],
@@ -122,11 +123,16 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.cli.next_step import print_next_step
     from pupper_analysis.present.document import NextStep
+    from pupper_analysis.pupper.named_robots import is_variant
     from pupper_analysis.tools.study.document import progress_bar
     from pupper_analysis.tools.study.outcome import check_objectives, study_outcome
     from pupper_analysis.tools.study.study import Study
 
+    if is_variant(str(file)):
+        raise ConfigurationError("FILE", diagnose("study-of-variant", variant=str(file)))
     study = Study.read(file)
+    if folder is None:  # after the file, so that a wrong name is reported first
+        raise click.UsageError("Missing option '-o' / '--output'.", click.get_current_context())
     check_objectives(study, minimise, maximise)
     with progress_bar() as show:
         _run_study(study, folder, workers, show)

@@ -7,6 +7,7 @@ number}, in SI units. Other tools contribute metrics, such as the payload limit,
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib
 import inspect
@@ -282,7 +283,8 @@ def make_metric(requested: str | MetricFunction) -> Metric:
     if isinstance(requested, str):
         if (metric := METRICS.get(requested.partition(":")[0])) is not None:
             return _bind_file(metric, requested)
-        finding = diagnose("metric-unknown", name=requested, known=METRICS)
+        alike = difflib.get_close_matches(requested, METRICS)
+        finding = diagnose("metric-unknown", name=requested, alike=alike, known=METRICS)
         raise ConfigurationError("measure", finding)
     if not callable(requested):
         raise ConfigurationError("measure", diagnose("metric-no-function", given=repr(requested)))

@@ -16,7 +16,13 @@ from pupper_analysis.cli.shared import (
 )
 
 
-@shared.command("sync")
+@shared.command(
+    "sync",
+    meanings={
+        "urdf": "the URDF to compare and change",
+        "mjcf": "the MJCF to compare and change",
+    },
+)
 @click.argument("urdf", type=click.Path(path_type=Path))
 @click.argument("mjcf", type=click.Path(path_type=Path))
 @click.option(

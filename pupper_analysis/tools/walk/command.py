@@ -111,7 +111,7 @@ def command(
         refuse_idle("--orders", "command_text", "seeds", "vary", "fitted")
     if vary is None:
         refuse_alone(["--vary"], "fitted")
-    from pupper_analysis.tools.walk.gait import simulate_walk
+    from pupper_analysis.tools.walk.gait import parse_walking_command, simulate_walk
     from pupper_analysis.tools.walk.intervals import (
         QUANTITIES,
         read_measured_intervals,
@@ -120,7 +120,7 @@ def command(
     from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy
 
-    checked_command = shared.parse_point("command", command_text, 3)
+    checked_command = parse_walking_command(command_text)
     loaded_policy = Policy.load(policy, contract)
     source = which.select_robot(words) or "v3"
     robot = load_walking_robot(source, style, everything=everything)

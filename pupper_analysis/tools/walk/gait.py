@@ -199,6 +199,25 @@ def check_command(command: ArrayLike) -> Array:
     return checked
 
 
+def parse_walking_command(text: str) -> Array:
+    """Parse the text of a command, ``0.5,0,0``, into an array of shape (3,).
+
+    Args:
+        text: Forward speed [m/s], speed to the left [m/s] and turning rate to the left [rad/s].
+
+    Raises:
+        ConfigurationError: If the text is not three numbers with magnitudes of at most 100.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 3:
+        form = "FORWARD,LEFT,TURN (m/s, m/s, rad/s), e.g. 0.5,0,0"
+        raise ConfigurationError("command", diagnose("not-of-the-form", given=text, form=form))
+    return check_command(values)
+
+
 def check_runs(seeds: int, seconds: float, warm_up: float) -> None:
     """Check the number of runs, the duration [s] and the warm-up [s].
 

@@ -137,10 +137,11 @@ def _run_policy_mode(
 
     ``name`` is the command: ``push`` accepts several robots, others accept one.
     """
+    from pupper_analysis.tools.walk.gait import parse_walking_command
     from pupper_analysis.tools.walk.intervals import tracked_intervals
     from pupper_analysis.tools.walk.policy import Policy
 
-    command = shared.parse_point("command", command_text, 3)
+    command = parse_walking_command(command_text)
     loaded_policy = Policy.load(policy, contract)
     is_push = name == "push"
     sources = (which.select_robots(words) if is_push else [which.select_robot(words) or "v3"]) or [

@@ -17,7 +17,7 @@ from tests.support.repository import ROOT
         ([str(ROOT)], "folder"),
         ([str(ROOT / "README.md")], "not well-formed"),
         ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--disable", "frob"], "no rule 'frob'"),
-        ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--package", "x"], "NAME=VALUE"),
+        ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--package", "x"], "NAME=DIR"),
     ],
 )
 def test_invalid_input_is_refused_in_one_line(arguments: list[str], message: str) -> None:

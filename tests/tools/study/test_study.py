@@ -160,7 +160,8 @@ def local_function(robot: pa.Robot, stand: pa.Stand, more: float) -> float:
 @pytest.mark.parametrize(
     ("metric", "message"),
     [
-        ("sagging", "there is no metric 'sagging'; there are total_mass, peak_utilisation"),
+        ("sagging", "there is no metric 'sagging'; did you mean sag\\? study --list-metrics"),
+        ("xyz", "there is no metric 'xyz'; there are total_mass, peak_utilisation"),
         ("nowhere:f", "there is no metric 'nowhere:f'"),
         (lambda robot, stand: 1.0, "define it at a module's top"),
         (local_function, r"no function of \(robot, stand\)"),

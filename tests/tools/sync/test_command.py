@@ -47,7 +47,7 @@ def test_sync_prints_the_written_values(folder: Path) -> None:
     ("arguments", "said"),
     [
         (["--take", "urdf:tail"], "no difference is called 'tail'"),
-        (["--map", "a"], "'a' is not of the form NAME=VALUE"),
+        (["--map", "a"], "'a' is not of the form URDF=MJCF"),
         (["--tolerance", "mass=0"], "mass=0.0 is not positive"),
         (["--package", "a=/nowhere"], "/nowhere is not a folder"),
         (["--json", "robot.urdf/a.json"], "robot.urdf is not a folder"),
