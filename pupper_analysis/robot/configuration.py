@@ -519,20 +519,36 @@ class Configuration(Pictured):
         Returns:
             Shape (nv, nv).
         """
-        structure, n = self._structure, self._structure.nv
+        structure = self._structure
         workspace = structure.acquire_workspace()
         rates = pin.computeGeneralizedGravityDerivatives(self._model, workspace.data, self._q)
         changed = structure.sort_matrix(np.atleast_2d(rates))
+        changed -= self.wrenches_derivative(jacobians, wrenches)
+        if self.robot.acts_at_rest:
+            with borrow(self.robot, AtRest) as springs:
+                changed -= springs.force_derivative(self.qpos)
+        return changed
+
+    def wrenches_derivative(self, jacobians: Array, wrenches: Array) -> Array:
+        """Return the derivative of the generalised force of constant wrenches on moving points.
+
+        The differentiated force is sum J^T w. Column i is the derivative by a step along qvel[i].
+
+        Args:
+            jacobians: As in `loaded_points_derivative`, shape (n, 6, nv).
+            wrenches: As in `loaded_points_derivative`, shape (n, 6) [N, N m].
+
+        Returns:
+            Shape (nv, nv).
+        """
+        structure, n = self._structure, self._structure.nv
         turned = cross_matrices(wrenches.reshape(-1, 3)).reshape(-1, 6, 3) @ jacobians[:, 3:]
         pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
         combined = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
         # Derivative of the columns of J: a joint nearer the base rotates the column, and a joint
         # farther from the base moves the foot.
-        changed -= np.where(structure.carried, combined, pushed.T)
-        if self.robot.acts_at_rest:
-            with borrow(self.robot, AtRest) as springs:
-                changed -= springs.force_derivative(self.qpos)
-        return changed
+        result: Array = np.where(structure.carried, combined, pushed.T)
+        return result
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
         """Return the acceleration qacc (nv,) under a generalised force.

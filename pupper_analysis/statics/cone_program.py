@@ -493,11 +493,11 @@ class TangentialMetric:
             return (self._diagonal * forces.T).T
         return self._scale_tangential(self._weights, forces)
 
-    def _apply_inverse(self, forces: Array) -> Array:
+    def apply_inverse(self, forces: Array) -> Array:
         """Return W^-1 @ forces with the weights W of this class; forces (size,) or (size, k)."""
         if len(forces) > self._normals.size:
             contacts, others = np.split(forces, [self._normals.size])
-            return np.concatenate([self._apply_inverse(contacts), others])
+            return np.concatenate([self.apply_inverse(contacts), others])
         if self._diagonal is not None:
             return (forces.T / self._diagonal).T
         return self._scale_tangential(1 / self._weights, forces)
@@ -525,10 +525,10 @@ class TangentialMetric:
             return None
         padded = np.zeros(size)
         padded[:count] = right
-        triangle, found, _ = lapack.dgels(self._apply_inverse(rows.T).T, padded)
+        triangle, found, _ = lapack.dgels(self.apply_inverse(rows.T).T, padded)
         if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _MIN_RECIPROCAL_CONDITION:
             return None
-        return self._apply_inverse(found.ravel())
+        return self.apply_inverse(found.ravel())
 
 
 def _to_csc(matrix: Array) -> SimpleNamespace:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.base.frozen import FrozenDict
@@ -356,6 +357,68 @@ def distribute_loads(
         forces.append(found[: carrying.normals.size].reshape(-1, 3))
         torques.append(problem.joint_load - problem.joint_rows @ found)
     return np.array(forces), np.array(torques)
+
+
+_EQUAL_FORCES_RTOL = 1e-6
+"""Largest difference between contact forces and the minimum-norm forces of the balance equations,
+relative to the largest component, up to which `differentiate_torques` treats them as equal. Forces
+on the boundary of a friction cone differ by more. Chosen, not tuned."""
+
+
+def differentiate_torques(
+    config: Configuration, carrying: Contacts, forces: Array, motions: Array
+) -> Array | None:
+    """Compute the derivatives of the minimum-tangential joint torques by motions of the robot.
+
+    The contact forces f minimise |W f| subject to A f = b. W contains the weights of
+    `TangentialMetric`, A is the base part of the transposed contact Jacobian J^T, and b is the base
+    part of the static load l. With Lagrange multipliers m, the differential of the optimality
+    conditions W^T W f = A^T m and A f = b is
+
+        W^T W df = dA^T m + A^T dm,    A df = db - dA f.
+
+    The derivative of the torques is the joint part of dl - dJ^T f - J^T df.
+
+    Args:
+        config: State of a robot with a free base and without closed loops, welds and grips.
+        carrying: Contacts that carry load.
+        forces: Contact forces of `ForceDistribution.MIN_TANGENTIAL`, shape (n, 3) [N].
+        motions: A velocity per column, in the order of ``qvel``, shape (nv, k). Normals and
+            penetrations of the contacts must be constant in these motions.
+
+    Returns:
+        Derivatives of the motor torques, shape (nu, k) [N m per unit of the motion]. None if
+        ``forces`` are not the minimum-norm forces of the balance equations. This is the case if a
+        friction cone or a unilateral limit is active, or normal forces are prescribed.
+    """
+    free, metric = carrying.free, carrying.metric
+    transposed = carrying.transposed_jacobian(config)
+    rows = transposed[:free]
+    weighted = metric.apply_inverse(metric.apply_inverse(rows.T))  # (W^T W)^-1 A^T
+    try:
+        inverse = np.linalg.inv(rows @ weighted)
+    except np.linalg.LinAlgError:
+        return None
+    multipliers = inverse @ config.static_load()[:free]
+    difference = np.abs(weighted @ multipliers - forces.ravel()).max()
+    if not difference < _EQUAL_FORCES_RTOL * np.abs(forces).max():
+        return None
+    twists = config.foot_twist_jacobians(carrying.feet)
+    wrenches = np.hstack([forces, np.cross(carrying.offsets, forces)])
+    load_rates = config.loaded_points_derivative(twists, wrenches) @ motions  # dl - dJ^T f
+    # A^T m are the velocities of the contact points if the base moves with the twist m.
+    rotation = config.base_rotation()
+    spin = rotation @ multipliers[3:]  # constant in base axes
+    spin_rates = -cross_matrices(spin) @ rotation @ motions[3:6]
+    levers = carrying.points(config) - config.qpos[:3]
+    lever_rates = twists[:, :3] @ motions - motions[:3]
+    velocity_rates = cross_matrices(spin) @ lever_rates - cross_matrices(levers) @ spin_rates
+    flat_rates = velocity_rates.reshape(forces.size, -1)  # dA^T m
+    multiplier_rates = inverse @ (load_rates[:free] - weighted.T @ flat_rates)
+    force_rates = metric.apply_inverse(metric.apply_inverse(flat_rates))
+    force_rates += weighted @ multiplier_rates
+    result: Array = load_rates[free:] - transposed[free:] @ force_rates
+    return result
 
 
 def check_loops(config: Configuration, left: Array) -> None:

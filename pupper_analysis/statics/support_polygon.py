@@ -280,3 +280,42 @@ def polygon_sides(contacts: Array, count: int = 0) -> Array:
         for x, y, along_x, along_y, length in sides
     ]
     return np.array(rows + rows[-1:] * ((count or len(contacts)) - len(rows)))
+
+
+def differentiate_side_distances(
+    contacts: Array, contact_rates: Array, point: Array, point_rates: Array
+) -> Array:
+    """Compute the derivatives of the distances from the polygon's sides to a point.
+
+    With corners p and q of a side and the point c, the distance is (q - p) x (c - p) / |q - p|.
+
+    Args:
+        contacts: Shape (k, 2) or (k, 3) [m]; as for `polygon_sides`.
+        contact_rates: Derivatives of the contacts by n variables, shape (k, 2, n).
+        point: Shape (2,) [m].
+        point_rates: Derivatives of the point, shape (2, n).
+
+    Returns:
+        Shape (k, n); rows in the order of ``polygon_sides(contacts)``.
+    """
+    corners = [_corner(contact) for contact in contacts]
+    sides = _hull_sides(tuple(corners))
+    starts = np.array([corners.index((x, y)) for x, y, *_ in sides])
+    ends = np.roll(starts, -1)
+    places = np.array(corners)
+    along, levers = places[ends] - places[starts], point - places[starts]
+    along_rates = contact_rates[ends] - contact_rates[starts]
+    lever_rates = point_rates - contact_rates[starts]
+    length = np.hypot(along[:, 0], along[:, 1])[:, None]
+    area = (along[:, 0] * levers[:, 1] - along[:, 1] * levers[:, 0])[:, None]
+    area_rates = (
+        along_rates[:, 0] * levers[:, 1:]
+        - along_rates[:, 1] * levers[:, :1]
+        + along[:, :1] * lever_rates[:, 1]
+        - along[:, 1:] * lever_rates[:, 0]
+    )
+    length_rates = np.einsum("ki,kin->kn", along, along_rates) / length
+    rates = area_rates / length - area / length**2 * length_rates
+    repeated = np.repeat(rates[-1:], len(contacts) - len(rates), axis=0)
+    result: Array = np.concatenate([rates, repeated])
+    return result

@@ -24,12 +24,13 @@ from pupper_analysis.base.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.base.progress import report_progress
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import Place, find_place
-from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.equilibrium import peak_utilisation
+from pupper_analysis.statics.equilibrium import differentiate_torques, peak_utilisation
 from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasible_mass
 from pupper_analysis.tools.best.space import JOINT_LIMIT_OVERSHOOT, StanceSlack, StanceSpace
 
@@ -63,7 +64,8 @@ _DESCENT_ITERATIONS = 25
 
 _INDEPENDENT_FEET_ITERATIONS = 10
 """SLSQP iterations of a descent with independent feet from a continued descent. An iteration
-evaluates several stances per coordinate (14 coordinates with four feet). Chosen."""
+evaluates a stance per coordinate (14 with four feet) if derivatives are not known in closed form.
+Chosen."""
 
 _MIN_RELATIVE_GAIN = 3e-4
 """Smallest decrease of the level (scaled objective) by a descent, relative to the level, with which
@@ -74,8 +76,8 @@ _SLSQP_FTOL = 1e-5
 a descent ends. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-6
-"""Finite-difference step of the constraint Jacobian, relative to the interval between the bounds.
-Chosen."""
+"""Finite-difference step of the constraint Jacobian, relative to the interval between the bounds,
+if derivatives are not known in closed form (`StanceSearch.differentiate_rows`). Chosen."""
 
 _SLACK_REDUCTION = 1e-6
 """Amount by which the nonlinear program reduces the slacks of its constraints [1, rad, 0.1 m],
@@ -298,6 +300,36 @@ class StanceSearch:
         signed = np.concatenate([utilisation, -utilisation])
         return float(signed.max()), np.column_stack([-signed, np.ones(len(signed))])
 
+    def differentiate_rows(self, stance: EvaluatedStance) -> Array | None:
+        """Compute the derivatives of the constraints a + b level of a stance by its coordinates.
+
+        Returns:
+            Derivatives of a, shape (k, n); b is constant. None if these are not known in closed
+            form: for the payload, on a slope, for stances with penetrations or active friction
+            cones, and for robots with redundant joints in the legs, closed loops or welds.
+        """
+        if self.objective is Objective.PAYLOAD or stance.rows[-1, 0] < 0:
+            return None
+        robot, stand = self.robot, stance.stand
+        config = Configuration(robot, stand.qpos)
+        motions = self.space.compute_motions(stand, config)
+        if motions is None:
+            return None
+        slack_rates = self.space.differentiate_slack(stand, config, motions)
+        if slack_rates is None:
+            return None
+        if self.objective is Objective.MARGIN:
+            count = len(stance.rows) - len(slack_rates)
+            edge_rates = slack_rates[-1 - count : -1] / 10  # see StanceSlack.to_vector
+            return np.vstack([edge_rates / self.scale, slack_rates])
+        carrying, statics = stand_contacts(robot, stand), stand_statics(robot, stand)
+        forces = np.array([statics.contact_forces[foot] for foot in carrying.feet])
+        torque_rates = differentiate_torques(config, carrying, forces, motions)
+        if torque_rates is None:
+            return None
+        rates = torque_rates[self.bears] / self.limits[self.bears, None] / self.scale
+        return np.vstack([-rates, rates, slack_rates])
+
     def _compute_payload_level(self, stand: Stand) -> tuple[float, Array]:
         """Compute the level (scaled objective) of a stand for the objective "payload".
 
@@ -407,9 +439,10 @@ class StanceSearch:
         def derivative(values: Array) -> Array:
             """Return the Jacobian of the constraint functions a + b level, shape (k, size + 1).
 
-            a and b are the columns of ``evaluate_rows``. The first columns of the Jacobian are
-            one-sided differences with step ``_DIFFERENCE_STEP`` in each scaled coordinate (0 to 1).
-            Such a column is zero if neither side has a stand. The last column, b, is the exact
+            a and b are the columns of ``evaluate_rows``. The first columns of the Jacobian are the
+            derivatives in closed form (`differentiate_rows`), if these are known. Otherwise they
+            are one-sided differences with step ``_DIFFERENCE_STEP`` in each scaled coordinate (0 to
+            1); such a column is zero if neither side has a stand. The last column, b, is the exact
             derivative with respect to the level.
 
             Args:
@@ -420,6 +453,10 @@ class StanceSearch:
                 evaluate_rows(share),
                 self.evaluate(subspace.compute_coordinates(share)),
             )
+            exact = None if stance is None else self.differentiate_rows(stance)
+            if exact is not None:
+                rates = exact @ (subspace.directions * subspace.width)
+                return np.column_stack([rates, current[:, 1]])
             near = None if stance is None else stance.stand
             columns = []
             for index in range(len(share)):

@@ -25,7 +25,7 @@ from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
 from pupper_analysis.stance.workspace import find_interval
-from pupper_analysis.statics.support_polygon import polygon_sides
+from pupper_analysis.statics.support_polygon import differentiate_side_distances, polygon_sides
 
 Array = NDArray[np.float64]
 
@@ -67,6 +67,15 @@ JOINT_LIMIT_OVERSHOOT = 1e-4
 """Tolerance [rad] with which the reserve at the joint limits may be violated, since a descent along
 the reserve slightly violates it. It is also the smallest reserve if the initial stand has less than
 `JOINT_RESERVE`, so that the violation stays inside the limits, where stands exist. Chosen."""
+
+MIN_MOTION_RCOND = 1e-6
+"""Smallest singular value of the Jacobians of the contact points by the joints, relative to the
+largest, at which `StanceSpace.compute_motions` determines motions. Chosen, not tuned."""
+
+MAX_MOTION_RESIDUAL = 1e-9
+"""Largest velocity of a contact point relative to the required velocity, per unit of a coordinate
+[m/m or m/rad], in `StanceSpace.compute_motions`. Feet with redundant equations (soles) satisfy
+these to rounding. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,6 +302,96 @@ class StanceSpace:
             penetration=-added,
         )
 
+    def compute_motions(self, stand: Stand, config: Configuration) -> Array | None:
+        """Compute the derivatives of a stand's configuration by the coordinates.
+
+        The coordinates determine the pose of the base and the positions of the feet. The positions
+        of the joints follow from J dq = dp - J_base dx with the Jacobians of all contact points.
+        Joints that move no contact point keep their positions.
+
+        Args:
+            stand: Stand of this space.
+            config: Configuration of the stand.
+
+        Returns:
+            A velocity per coordinate, in the order of ``qvel``, shape (nv, n). None if the contact
+            points do not determine the joints (redundant or singular legs), or if the robot or the
+            task has closed loops, hands, welds or contacts with separate planes.
+        """
+        robot, task = self.robot, stand.task
+        if robot.closure is not None or robot.hands or robot.welds or task.contacts:
+            return None
+        points, count = robot.contact_points, len(BASE_COORDINATES)
+        shifts = np.zeros((len(points), 3, len(self.names)))
+        normal = task.ground.normal()
+        along = np.vstack([np.eye(2), -normal[:2] / normal[2]])  # horizontal steps along the slope
+        for index, foot in enumerate(self.free):
+            column = count + 2 * index
+            rows = [points.index(point) for point in robot.feet[foot]]
+            shifts[rows, :, column : column + 2] = along
+        motions = np.zeros((robot.nv, len(self.names)))
+        bearing = [points.index(point) for point in stand.stance_feet]
+        motions[:3] = shifts[bearing].mean(axis=0)
+        motions[[2, 0, 1], [0, 1, 2]] += 1.0  # height, x, y
+        motions[3:6, 3:6] = _differentiate_orientation(task.roll, task.pitch)
+        jacobians = np.concatenate([*config.foot_jacobians().values()])
+        rates = shifts.reshape(3 * len(points), -1) - jacobians[:, :6] @ motions[:6]
+        moving = 6 + np.flatnonzero(np.abs(jacobians[:, 6:]).max(axis=0) > 0)
+        columns = jacobians[:, moving]
+        motions[moving], _, rank, _ = np.linalg.lstsq(columns, rates, rcond=MIN_MOTION_RCOND)
+        unmet = np.abs(columns @ motions[moving] - rates).max()
+        if rank < len(moving) or unmet > MAX_MOTION_RESIDUAL:
+            return None
+        return motions
+
+    def differentiate_slack(
+        self, stand: Stand, config: Configuration, motions: Array
+    ) -> Array | None:
+        """Compute the derivatives of `StanceSlack.to_vector` by the coordinates of a stand.
+
+        Args:
+            stand: Stand of this space, without penetrations that the initial stand does not have.
+            config: Configuration of the stand.
+            motions: Derivatives of the configuration by n coordinates, shape (nv, n), from
+                `compute_motions`.
+
+        Returns:
+            Shape (k, n); the row of the penetration is zero. None if the support region is not the
+            convex hull of the contact points.
+        """
+        contacts = np.array([*stand.contact_points.values()])
+        if not np.array_equal(stand.corners(self.robot), contacts[:, :2]):
+            return None
+        jacobians = config.foot_twist_jacobians(self.robot.contact_points)
+        left, _, right = np.linalg.svd(jacobians[:, :3, 6:], full_matrices=False)
+        wrenches = np.zeros((len(jacobians), 6))
+        wrenches[:, :3] = left[:, :, -1]
+        # The derivative of the singular value u^T J v is u^T dJ v.
+        value_rates = [
+            right[index, -1] @ config.wrenches_derivative(jacobian[None], wrench[None])[6:]
+            for index, (jacobian, wrench) in enumerate(zip(jacobians, wrenches, strict=True))
+        ]
+        scale = np.where(self._initial_singular_values > 0, self._initial_singular_values, 1.0)
+        margin = self.nominal.task.joint_margin
+        distances = self._compute_limit_distances(stand) - self._reserve - margin
+        joint_rates = np.concatenate([motions[6:], -motions[6:]])
+        joint_rates[distances > 1.0] = 0.0
+        bearing = [self.robot.contact_points.index(point) for point in stand.contact_points]
+        edge_rates = differentiate_side_distances(
+            contacts,
+            jacobians[bearing, :2] @ motions,
+            config.center_of_mass()[:2],
+            config.com_jacobian()[:2] @ motions,
+        )
+        rows = [
+            np.array(value_rates) @ motions / scale[:, None],
+            joint_rates,
+            10 * edge_rates,
+            np.zeros((1, motions.shape[1])),
+        ]
+        result: Array = np.concatenate(rows)
+        return result
+
     def _compute_limit_distances(self, stand: Stand) -> Array:
         """Return the distances from the lower, then the upper joint limits, shape (2 nu,) [rad]."""
         joints = stand.joint_positions(self.robot)
@@ -316,6 +415,22 @@ class StanceSpace:
                 depth = penetrations.get((first, second), 0.0)
                 penetrations[first, second] = max(depth, -float(distance))
         return penetrations
+
+
+def _differentiate_orientation(roll: float, pitch: float) -> Array:
+    """Return the angular velocity of the base, in base axes, per rate of roll, pitch and yaw.
+
+    The orientation is R = R_z(yaw) R_y(pitch) R_x(roll). A column per angle [rad], shape (3, 3).
+    """
+    sin_roll, cos_roll = math.sin(roll), math.cos(roll)
+    sin_pitch, cos_pitch = math.sin(pitch), math.cos(pitch)
+    return np.array(
+        [
+            [1.0, 0.0, -sin_pitch],
+            [0.0, cos_roll, sin_roll * cos_pitch],
+            [0.0, -sin_roll, cos_roll * cos_pitch],
+        ]
+    )
 
 
 def _compute_min_singular_values(config: Configuration) -> Array:

@@ -1,12 +1,13 @@
-"""Ranking of the sampled stances of a search."""
+"""Ranking of the sampled stances of a search, and derivatives of their constraints."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from pupper_analysis.tools.best.search import EvaluatedStance, StanceSearch
-from tests.support.variants import stand_of
+import pupper_analysis as pa
+from pupper_analysis.tools.best.search import EvaluatedStance, Objective, StanceSearch
+from tests.support.variants import load, stand_of
 
 
 def test_violated_constraints_worsen_a_stance_in_proportion_to_their_sum() -> None:
@@ -26,3 +27,41 @@ def test_violated_constraints_worsen_a_stance_in_proportion_to_their_sum() -> No
     assert single > 0
     assert double == pytest.approx(2 * single)
     assert search.merit(None) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("objective", "task"),
+    [
+        ("utilisation", pa.StandTask()),
+        ("utilisation", pa.StandTask(swing={"FR": 0.02}, com="inside", joint_margin=0.05)),
+        ("margin", pa.StandTask(ground=pa.Ground(slope=0.1, uphill=0.4))),
+    ],
+)
+def test_closed_form_derivatives_equal_differences_of_solved_stances(
+    objective: Objective, task: pa.StandTask
+) -> None:
+    """Reference: central differences of stances that are solved again, with a step of 1e-5."""
+    search = StanceSearch(load("v3"), Objective(objective), task)
+    space, random = search.space, np.random.default_rng(0)
+    coordinates = space.start + 0.1 * (space.high - space.low) * random.uniform(
+        -1, 1, len(space.start)
+    )
+    stance = search.evaluate(coordinates)
+    assert stance is not None
+    exact, step = search.differentiate_rows(stance), 1e-5
+    assert exact is not None
+    for index in range(len(coordinates)):
+        moved = step * np.eye(len(coordinates))[index]
+        ahead, behind = (search.evaluate(coordinates + sign * moved) for sign in (1, -1))
+        assert ahead is not None
+        assert behind is not None
+        difference = (ahead.rows - behind.rows) / (2 * step)
+        np.testing.assert_allclose(exact[:, index], difference[:, 0], atol=2e-6)
+        assert not difference[:, 1].any()  # b is constant
+
+
+def test_derivatives_have_no_closed_form_if_balance_does_not_determine_the_forces() -> None:
+    """On a slope the weights of the contact forces depend on the forces (contact viscosities)."""
+    slope = pa.StandTask(ground=pa.Ground(slope=0.1))
+    search = StanceSearch(load("v3"), Objective.UTILISATION, slope)
+    assert search.differentiate_rows(search.nominal) is None
