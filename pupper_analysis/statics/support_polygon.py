@@ -261,25 +261,40 @@ def support_polygon(contacts: Array) -> Array:
     return corners
 
 
-def polygon_sides(contacts: Array, count: int = 0) -> Array:
-    """Compute the line equations of the sides of the support polygon.
+def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) -> Array:
+    """Compute the line equations of the sides of the support polygon, counter-clockwise.
 
     Args:
         contacts: Shape (k, 2) or (k, 3) [m]; at least three contact points or other corners that
             are not on a common line.
         count: Number of returned rows, not smaller than the number of sides; k by default.
+        from_first: If True, the first side begins at the first contact that is a corner. Otherwise
+            it begins at the corner with the smallest x, so that rows are exchanged if another
+            corner moves past it.
 
     Returns:
         Shape (count, 3): (a, b, c), so that a x + b y + c is the distance [m] from the side to the
         point (x, y), positive inside. If the polygon has fewer sides than ``count``, the last row
         is repeated.
     """
-    sides = _hull_sides(tuple([_corner(point) for point in contacts]))
+    corners = [_corner(point) for point in contacts]
+    sides = _hull_sides(tuple(corners))
+    if from_first:
+        sides = _start_at_first_corner(sides, corners)
     rows = [
         [-along_y / length, along_x / length, (along_y * x - along_x * y) / length]
         for x, y, along_x, along_y, length in sides
     ]
     return np.array(rows + rows[-1:] * ((count or len(contacts)) - len(rows)))
+
+
+def _start_at_first_corner(
+    sides: tuple[tuple[float, ...], ...], corners: Sequence[Corner]
+) -> tuple[tuple[float, ...], ...]:
+    """Rotate the order of the sides of a hull, so that it begins at the first of its corners."""
+    starts = [corners.index((x, y)) for x, y, *_ in sides]
+    first = starts.index(min(starts))
+    return sides[first:] + sides[:first]
 
 
 def differentiate_side_distances(
@@ -296,10 +311,10 @@ def differentiate_side_distances(
         point_rates: Derivatives of the point, shape (2, n).
 
     Returns:
-        Shape (k, n); rows in the order of ``polygon_sides(contacts)``.
+        Shape (k, n); rows in the order of ``polygon_sides(contacts, from_first=True)``.
     """
     corners = [_corner(contact) for contact in contacts]
-    sides = _hull_sides(tuple(corners))
+    sides = _start_at_first_corner(_hull_sides(tuple(corners)), corners)
     starts = np.array([corners.index((x, y)) for x, y, *_ in sides])
     ends = np.roll(starts, -1)
     places = np.array(corners)

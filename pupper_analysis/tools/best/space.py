@@ -88,7 +88,7 @@ class StanceSlack:
         joints: Shape (2 nu,) [rad]; distances from the lower, then the upper joint limits, less the
             joint margin and the reserve. Values are at most 1.
         edges: Shape (m,) [m]; signed distances of the projected CoM from the edges of the support
-            polygon, less the CoM margin.
+            polygon, less the CoM margin. The order is continuous in the positions of the feet.
         penetration: Negative total penetration [m] of pairs of geoms that do not touch in the
             initial stand; zero if there is none.
     """
@@ -289,7 +289,7 @@ class StanceSpace:
         min_values = MIN_SINGULAR_VALUE_RATIO * self._initial_singular_values
         scale = np.where(self._initial_singular_values > 0, self._initial_singular_values, 1.0)
         joint_slacks = self._compute_limit_distances(stand) - self._reserve - task.joint_margin
-        sides = polygon_sides(stand.corners(self.robot))
+        sides = polygon_sides(stand.corners(self.robot), from_first=True)
         edges = sides[:, :2] @ config.center_of_mass()[:2] + sides[:, 2]
         penetrations = self._compute_penetrations(stand)
         added = sum(

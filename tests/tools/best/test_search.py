@@ -30,22 +30,25 @@ def test_violated_constraints_worsen_a_stance_in_proportion_to_their_sum() -> No
 
 
 @pytest.mark.parametrize(
-    ("objective", "task"),
+    ("objective", "task", "scale"),
     [
-        ("utilisation", pa.StandTask()),
-        ("utilisation", pa.StandTask(swing={"FR": 0.02}, com="inside", joint_margin=0.05)),
-        ("margin", pa.StandTask(ground=pa.Ground(slope=0.1, uphill=0.4))),
+        ("utilisation", pa.StandTask(), 0.0),
+        ("utilisation", pa.StandTask(swing={"FR": 0.02}, com="inside", joint_margin=0.05), 0.1),
+        ("margin", pa.StandTask(ground=pa.Ground(slope=0.1, uphill=0.4)), 0.1),
     ],
 )
 def test_closed_form_derivatives_equal_differences_of_solved_stances(
-    objective: Objective, task: pa.StandTask
+    objective: Objective, task: pa.StandTask, scale: float
 ) -> None:
-    """Reference: central differences of stances that are solved again, with a step of 1e-5."""
+    """Reference: central differences of stances that are solved again, with a step of 1e-5.
+
+    In the initial stance (``scale`` 0) two rear feet have the same x, so that a step of one foot
+    changes which corner of the support polygon has the smallest x.
+    """
     search = StanceSearch(load("v3"), Objective(objective), task)
     space, random = search.space, np.random.default_rng(0)
-    coordinates = space.start + 0.1 * (space.high - space.low) * random.uniform(
-        -1, 1, len(space.start)
-    )
+    offset = scale * random.uniform(-1, 1, len(space.start))
+    coordinates = space.start + offset * (space.high - space.low)
     stance = search.evaluate(coordinates)
     assert stance is not None
     exact, step = search.differentiate_rows(stance), 1e-5
