@@ -237,8 +237,9 @@ def test_terminated_write_leaves_no_file(tmp_path: Path) -> None:
 def test_input_of_a_run_is_not_overwritten(
     link: Callable[..., None] | None, tmp_path: Path
 ) -> None:
-    """Also through symbolic and hard links, and with --force. Files that the run itself writes, and
-    edited models, are exceptions.
+    """Also through symbolic and hard links, and with --force.
+
+    Files that the run itself writes, and edited models, are exceptions.
     """
     read, other = tmp_path / "robot.xml", tmp_path / "out.json"
     read.write_text("<mujoco/>")
@@ -328,8 +329,10 @@ def test_hidden_files_are_removed_if_a_run_writes_nothing(tmp_path: Path) -> Non
 def test_hidden_files_of_a_removed_container_are_removed_after_a_day(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Process ids of another container cannot be looked up. A hard link to an old file is not
-    old itself."""
+    """Process ids of another container cannot be looked up.
+
+    A hard link to an old file is not old itself.
+    """
     name = files.hidden_token().split("-")
     left = tmp_path / f".{'-'.join([name[0], '0' * 8, *name[2:]])}.tmp"
     (tmp_path / "model.xml").write_text("<mujoco/>")

@@ -59,8 +59,9 @@ OUTCOMES = {
     "motors",
     "a keyframe without ctrl",
 }
-"""Edits with which the file does not stand in MuJoCo: one of each outcome, one on weak servos. A
-search that ignored the verdict would pass them."""
+"""Edits whose robot falls in MuJoCo, one for each outcome and one with weak servos. A search
+command that ignored the verdict of the file would accept them.
+"""
 
 PAIRS = [(name, command) for name in KINDS for command in COMMANDS
          if command not in SEARCHES or name in OUTCOMES]  # fmt: skip

@@ -27,8 +27,8 @@ COMMAND = (sys.executable, "-m", "pupper_analysis")
 
 
 @pytest.fixture(autouse=True)
-def heeded_interrupts() -> Iterator[None]:
-    """Gives the tests Python's own handler, whatever started them."""
+def use_python_interrupt_handler() -> Iterator[None]:
+    """Handle SIGINT by Python's own handler, however the tests were started."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

@@ -1,6 +1,7 @@
-"""Absent, zero, negative and placeholder values, as the table of the documentation lists them. Each
-row of ``docs/data/special-values.csv`` is one edit of a small robot and one command. Reference of a
-limit of zero: MuJoCo with forces clamped to zero lets the arm fall.
+"""Absent, zero, negative and placeholder values, as the table of the documentation lists them.
+
+Each row of ``docs/data/special-values.csv`` is one edit of a small robot and one command. Reference
+of a limit of zero: MuJoCo with forces clamped to zero lets the arm fall.
 """
 
 from __future__ import annotations
@@ -146,7 +147,7 @@ def typed(folder: Path, row: dict[str, str]) -> list[str]:
             return [str(study), "-o", str(folder / "designs"), "--workers", "1"]
         case "walk":
             pose = {"default_joint_pos": [0.0, 0.6, -1.2] * 4, "kp": 150.0, "kd": 5.0}
-            policy = made.still(folder / "still.json", action_scale=0.1, **pose)
+            policy = made.write_standing_policy(folder / "still.json", action_scale=0.1, **pose)
             return [str(path), "--policy", str(policy), "--command", "0,0,0", "--seconds", "3"]
     return [str(path), *OPTIONS.get(command, ())]
 

@@ -1,4 +1,5 @@
 """Torque limits of motors: four attributes of two files may specify them, and the smallest counts.
+
 MuJoCo's actuator forces and simulations are the references.
 """
 
@@ -145,8 +146,9 @@ def test_effort_limit_is_the_smallest_stated_limit(
 
 
 def test_smaller_limit_counts_if_directions_differ() -> None:
-    """Statics use the smaller limit, 0.5 N m. Reference of the servos: MuJoCo's `qfrc_actuator`,
-    -0.9 and 0.5 N m.
+    """Statics use the smaller limit, 0.5 N m.
+
+    Reference of the servos: MuJoCo's `qfrc_actuator`, -0.9 and 0.5 N m.
     """
     spec = limited("forcerange", 0.9).description.mjcf.copy()
     for actuator in spec.actuators:
@@ -166,8 +168,10 @@ def test_smaller_limit_counts_if_directions_differ() -> None:
 
 @pytest.mark.parametrize("feedforward", [False, True])
 def test_steady_state_is_predicted_if_ctrlrange_clips_a_command(feedforward: bool) -> None:
-    """Reference: simulation. Knees with clipped commands hold v3 higher; clipped feed-forward lets
-    v3 sag."""
+    """Reference: simulation.
+
+    Knees with clipped commands hold v3 higher; clipped feed-forward lets v3 sag.
+    """
     stand, plain = stand_of("v3"), load("v3")
     knees = [index for index, name in enumerate(plain.joint_names) if name.endswith("_3")]
     lead = np.sign(pa.stance.stand_statics(plain, stand).joint_torques[knees])
@@ -220,8 +224,9 @@ def test_hinge_has_no_range_if_its_limit_states_none(
 
 @pytest.mark.slow
 def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
-    """Reference: -2.6 to -0.4 rad of the MJCF. The comparison reports the limits unless the MJCF
-    has none either.
+    """Reference: -2.6 to -0.4 rad of the MJCF.
+
+    The comparison reports the limits unless the MJCF has none either.
     """
     pair = quadruped(tmp_path)
     rewritten(pair.urdf, (KNEE, 'effort="80"'))

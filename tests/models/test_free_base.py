@@ -28,8 +28,8 @@ HINGES = "".join(
 POSE = "0 0 0.35 1 0 0 0"
 
 
-def in_parts(pair: Pair, turning: str, place: str) -> Pair:
-    """The same robot with other joints at its base, as OpenSim's models have them."""
+def replace_free_joint(pair: Pair, turning: str, place: str) -> Pair:
+    """Replace the free joint of the base by slides and the given joints, as in OpenSim's models."""
     rewritten(pair.mjcf, ("<freejoint/>", SLIDES + turning), (POSE, place))
     return pair
 
@@ -43,7 +43,7 @@ def test_crosscheck_and_convert_read_six_joints_as_a_free_base(
     """The URDF has a free base; neither files differ nor does the converted URDF contain the
     slides.
     """
-    pair = in_parts(quadruped(tmp_path), turning, place)
+    pair = replace_free_joint(quadruped(tmp_path), turning, place)
     compared = pa.compare_models(pair.urdf, pair.mjcf)
     assert compared.only_mjcf == ()
     assert {difference.kind for difference in compared.differences} <= {"effort"}  # the motors'
@@ -57,7 +57,7 @@ def test_stand_with_six_joints_equals_the_stand_with_a_free_joint(tmp_path: Path
     """Reference: qpos of the same robot with a free joint, within 1e-9."""
     (tmp_path / "whole").mkdir()
     whole = quadruped(tmp_path / "whole")
-    pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
+    pair = replace_free_joint(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
     robots = [pa.load_robot(urdf=one.urdf, mjcf=one.mjcf) for one in (whole, pair)]
     assert robots[1].floating
     one, two = (pa.solve_stand(robot) for robot in robots)
@@ -76,7 +76,7 @@ def test_base_joints_are_not_joined_if_held_or_driven(
     change: tuple[str, str], tmp_path: Path
 ) -> None:
     """A spring, three slides in one plane, or a motor at the base: the spec keeps its joints."""
-    pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
+    pair = replace_free_joint(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
     spec = mujoco.MjSpec.from_file(str(rewritten(pair.mjcf, change)))
     count = len(spec.joints)
     assert not join_free_base(spec)

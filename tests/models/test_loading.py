@@ -113,7 +113,9 @@ def test_shapes_unknown_to_pinocchio_are_handled(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Capsules, and materials without a name or with several colours (Go2), must not print errors.
-    Two geometries in a <visual> are ambiguous and refused."""
+
+    Two geometries in a <visual> are ambiguous and refused.
+    """
     colours = "".join(f"<material{name}/>" for name in (' name="x"', ' name="y"', ""))
     shape = '<geometry><capsule radius="1" length="2"/></geometry>'
     path = tmp_path / "r.urdf"

@@ -96,8 +96,10 @@ def test_names_that_are_formats_are_refused(tmp_path: Path, word: str) -> None:
 
 
 def test_mujoco_crashes_on_a_format_string_in_a_class_name(tmp_path: Path) -> None:
-    """Reason for the refusal of such files. If this test fails, MuJoCo is repaired, and the refusal
-    can be removed."""
+    """Reason for the refusal of such files.
+
+    If this test fails, MuJoCo is repaired, and the refusal can be removed.
+    """
     file = tmp_path / "robot.xml"
     file.write_text('<mujoco><worldbody><geom class="%s%n"/></worldbody></mujoco>')
     code = f"import mujoco; mujoco.MjModel.from_xml_path({str(file)!r})"

@@ -41,7 +41,7 @@ URDF = '<robot name="rex"><link name="base"/></robot>'
 
 @pytest.fixture
 def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A package of one description, and its cache, which is empty."""
+    """Write a package ``robot_descriptions`` with one description and an empty cache."""
     package = tmp_path / "site" / "robot_descriptions"
     package.mkdir(parents=True)
     for name, text in (

@@ -62,8 +62,9 @@ def test_a_slide_without_a_range_stays_locked(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_range_of_the_mjcf_counts_if_the_urdf_states_none(tmp_path: Path) -> None:
-    """Reference: -2.6 to -0.4 rad of the MJCF. The comparison reports the limits unless the MJCF
-    has none either.
+    """Reference: -2.6 to -0.4 rad of the MJCF.
+
+    The comparison reports the limits unless the MJCF has none either.
     """
     pair = quadruped(tmp_path)
     edited(pair.urdf, (KNEE, 'effort="80"'))

@@ -130,10 +130,12 @@ def test_dimensionless_results_do_not_depend_on_mass(mass: float) -> None:
 def test_dimensionless_results_do_not_depend_on_size(
     mass: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Except for the 12 s in which creep and growth are simulated. In its own time unit, a small
-    robot is simulated for longer, and the smallest stiffness is 8 % higher, that of 2.8 t 5 %
-    lower; payloads are 6 % smaller and 4 % larger. Payloads limited by simulations have a
-    resolution of 2 %."""
+    """Except for the 12 s in which creep and growth are simulated.
+
+    In its own time unit, a small robot is simulated for longer, and the smallest stiffness is 8 %
+    higher, that of 2.8 t 5 % lower; payloads are 6 % smaller and 4 % larger. Payloads limited by
+    simulations have a resolution of 2 %.
+    """
     robot, factor = load("v3"), mass / load("v3").total_mass
     one, size = dict(published_numbers()), factor ** (1 / 3)
     lasting = steady_state.HOLD_DURATION * size**0.5

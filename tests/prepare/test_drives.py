@@ -22,8 +22,9 @@ from tests.support.random_legged import drawn, written
 
 
 def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> None:
-    """Reference: simulation of the published file, whose motors the servo law commands. Gains and
-    limits in notes are those at the joint.
+    """Reference: simulation of the published file, whose motors the servo law commands.
+
+    Gains and limits in notes are those at the joint.
     """
     pair = quadruped(tmp_path, floor=True)
     rewritten(pair.mjcf, ('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))

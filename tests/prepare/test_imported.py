@@ -73,8 +73,9 @@ def test_mujoco_import_of_a_correct_urdf_agrees_with_the_prediction(tmp_path: Pa
 
 @pytest.mark.slow
 def test_imported_model_has_a_free_joint_a_ground_and_servos(tmp_path: Path) -> None:
-    """MuJoCo's import of the URDF has none of them. Its total mass [kg] equals that of the robot,
-    and a pickled robot has the same run.
+    """MuJoCo's import of the URDF has none of them.
+
+    Its total mass [kg] equals that of the robot, and a pickled robot has the same run.
     """
     robot = pa.load_robot(four_legs(tmp_path))
     model = get_published_model(robot)
@@ -116,7 +117,7 @@ def test_time_step_of_the_import_suits_the_soles_of_the_file(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_refused_mujoco_import_is_stated_in_the_verdict(tmp_path: Path) -> None:
-    """A cone, which our conversion leaves out, and which MuJoCo's importer refuses."""
+    """A cone is left out by the conversion and refused by MuJoCo's importer."""
     urdf = touching(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))
     verdict = verdict_of(pa.load_robot(urdf))
     assert verdict.keyframe_run is None

@@ -36,7 +36,7 @@ _CTRL = r' ctrl="[^"]*"(?=/></keyframe>)'
 
 
 def _lying(text: str) -> str:
-    """Stands on bent legs: with the zeros of a reset it is thrown on its back."""
+    """Return an MJCF that stands on bent legs: a reset to zero angles throws it on its back."""
     bent = text.replace(" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 1.3 -2.5"] * 4))
     return bent.replace('qpos="0 0 0.35 ', 'qpos="0 0 0.15 ')
 

@@ -122,8 +122,9 @@ def test_velocity_servos_hold_no_position(tmp_path: Path, drive: Drive, few: boo
 
 
 def test_velocity_servos_without_commands_do_not_count_as_a_fall(tmp_path: Path) -> None:
-    """In bare MuJoCo the file sinks on its velocity servos, whose commands are speeds. The keyframe
-    has no ctrl, so servos are added as for torque motors, and the verdict passes.
+    """In bare MuJoCo the file sinks on its velocity servos, whose commands are speeds.
+
+    The keyframe has no ctrl, so servos are added as for torque motors, and the verdict passes.
     """
 
     def with_velocity_servos(text: str) -> str:

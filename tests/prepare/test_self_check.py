@@ -43,8 +43,9 @@ def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
 
 @pytest.mark.slow
 def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
-    """Reference: bare MuJoCo with the unmodified file (`simulate_truth`). Heights are predicted
-    within 10 nm.
+    """Reference: bare MuJoCo with the unmodified file (`simulate_truth`).
+
+    Heights are predicted within 10 nm.
     """
     pair = standing(tmp_path)
     assert simulate_truth(pair.mjcf, pair.mjcf) is Truth.STANDS
@@ -243,8 +244,10 @@ def test_two_files_of_different_robots_are_named_as_the_cause(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_angles_as_commands_of_motors_fail_the_verdict(tmp_path: Path) -> None:
-    """Servos without gains are motors, to which the keyframe commands 0.6 and -1.2 N m. Without
-    ctrl, the fall of uncommanded motors does not fail."""
+    """Servos without gains are motors, to which the keyframe commands 0.6 and -1.2 N m.
+
+    Without ctrl, the fall of uncommanded motors does not fail.
+    """
     pair = legged.quadruped(tmp_path, floor=True)
     own = own_run(pa.load_robot(*pair))
     assert own is not None

@@ -145,7 +145,9 @@ def test_nearly_level_sole_keeps_the_tilt_of_its_leg(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
     """As for Xuanwu, with its CoM 0.9 mm off the centre: the feet roll with the hips only.
-    Reference: heights of the sole points, equal to 1e-6."""
+
+    Reference: heights of the sole points, equal to 1e-6.
+    """
     pair = held(biped(tmp_path), "_tilt")
     robot = load(aside(pair, 3e-5))
     assert robot.nu == 10
@@ -186,8 +188,10 @@ def test_feet_of_four_joint_legs_that_tilt_have_one_contact_point(tmp_path: Path
 
 @pytest.mark.slow
 def test_tilted_flat_soles_give_a_failure(tmp_path: Path) -> None:
-    """Legs of three joints cannot align the soles. Standing on edges passes; corners that carry
-    load without prediction fail."""
+    """Legs of three joints cannot align the soles.
+
+    Standing on edges passes; corners that carry load without prediction fail.
+    """
     box = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2" euler="0 0.6 0"/>'
     pair = quadruped(tmp_path, foot=box, floor=True)
     robot = pa.load_robot(*pair)
@@ -311,8 +315,9 @@ def test_round_sole_touches_at_its_rim(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_sole_sinks_as_a_plane_that_carries_force_and_moment(tmp_path: Path) -> None:
-    """Reference: simulation. Unequal loads tilt the soles; in the second stand a corner is lifted
-    by more than 0.1 mm.
+    """Reference: simulation.
+
+    Unequal loads tilt the soles; in the second stand a corner is lifted by more than 0.1 mm.
     """
     pair = biped(tmp_path)
     robot = pa.load_robot(*pair)

@@ -59,8 +59,10 @@ def test_keyframe_without_a_stand_is_replaced_by_a_reachable_height(
 def test_start_pose_allows_the_nominal_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As for a biped that moves its CoM sideways only with bent legs. With the CoM anywhere inside
-    the support polygon, the legs reach lower than with the CoM at the centre.
+    """As for a biped that moves its CoM sideways only with bent legs.
+
+    With the CoM anywhere inside the support polygon, the legs reach lower than with the CoM at the
+    centre.
     """
     files = biped(tmp_path)
     usual, least = pa.load_robot(*files).stand_height, 0.70

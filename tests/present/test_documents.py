@@ -1,6 +1,7 @@
-"""Documents of results equal golden Markdown files. ``golden/*.md`` contain results whose numbers
-are all different (``stubs``), so that exchanged fields are visible. ``python -m
-tests.present.test_documents`` writes the files anew; read the diff.
+"""Documents of results equal golden Markdown files.
+
+``golden/*.md`` contain results whose numbers are all different (``stubs``), so that exchanged
+fields are visible. ``python -m tests.present.test_documents`` writes the files anew; read the diff.
 """
 
 from __future__ import annotations

@@ -52,8 +52,10 @@ def test_plot_of_a_comparison_contains_each_deviation() -> None:
 
 @pytest.mark.slow
 def test_plot_of_a_verification_shows_the_height() -> None:
-    """Reference: base height of the recorded configurations [mm]. The axes are in pixels: two tick
-    labels give the scale, and the line of the requested height gives the offset.
+    """Reference: base height of the recorded configurations [mm].
+
+    The axes are in pixels: two tick labels give the scale, and the line of the requested height
+    gives the offset.
     """
     stand = stand_of("v3")
     report = pa.verify_stand(load("v3"), stand, feedforward=False, duration=4.0)

@@ -12,8 +12,9 @@ from tests.support.repository import ROOT
 
 
 def checked_log(text: str) -> dict[str, Any]:
-    """Check the used properties by SARIF 2.1.0, and return the single run. Sections 3.13 (log),
-    3.14 (run), 3.19 (driver), 3.27 (result), 3.29 (location), 3.49 (rule).
+    """Check the used properties by SARIF 2.1.0, and return the single run.
+
+    Sections 3.13 (log), 3.14 (run), 3.19 (driver), 3.27 (result), 3.29 (location), 3.49 (rule).
     """
     log = json.loads(text)
     assert log.keys() == {"$schema", "version", "runs"}

@@ -136,7 +136,9 @@ def arrays(model: mujoco.MjModel) -> dict[str, np.ndarray]:
 
 
 def without(spec: mujoco.MjSpec, unwanted: Callable[[str], bool]) -> mujoco.MjModel:
-    """The model without free joint, floor and keyframes, where they are wanted away."""
+    """Return the compiled model without those of free joint, floor and keyframe that are
+    unwanted.
+    """
     for kind, elements in (
         ("freejoint", [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]),
         ("floor", [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]),

@@ -31,7 +31,7 @@ ALONE = ("best", "hold", "path", "payload", "sync")
 """Tools that no test of another tool imports: without them all other tests are collected."""
 
 ALSO = ("diff", "workspace", "crosscheck", "audit")
-"""Tools of which some quick tests are run, too: of two that are left, and do not know the other."""
+"""Tools for quick tests after another tool is removed: the first two that remain."""
 
 
 def known_to() -> dict[str, set[str]]:

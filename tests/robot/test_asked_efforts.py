@@ -53,8 +53,9 @@ def test_invalid_efforts_and_joints_are_refused() -> None:
 
 @pytest.mark.slow
 def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path: Path) -> None:
-    """All efforts are 2,000 N m. With requested efforts the payload is below 3 kg: 9 N m at 0.4 m
-    carry 2.3 kg.
+    """All efforts are 2,000 N m.
+
+    With requested efforts the payload is below 3 kg: 9 N m at 0.4 m carry 2.3 kg.
     """
     path = tmp_path / "arm.urdf"
     efforts = "|".join(f"{effort}" for effort in arm.EFFORTS.values())

@@ -119,8 +119,9 @@ def test_motor_of_a_belt_has_the_torque_of_the_closed_form(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_stand_with_elastic_belts_is_as_predicted(tmp_path: Path) -> None:
-    """Reference: simulation. The belts yield by 1 to 50 mrad; the stand that ignores this has wrong
-    motor torques.
+    """Reference: simulation.
+
+    The belts yield by 1 to 50 mrad; the stand that ignores this has wrong motor torques.
     """
     robot = load(belts(tmp_path))
     stand = verify_held_stand(robot)
@@ -236,8 +237,10 @@ def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_loop_jacobian_equals_the_finite_difference_of_the_residual(tmp_path: Path) -> None:
-    """Central differences of 1e-6 rad. The null space of eight loop rows is tangent to the loops,
-    and the torque Jacobian of the loop springs is symmetric: they have a potential.
+    """Central differences of 1e-6 rad.
+
+    The null space of eight loop rows is tangent to the loops, and the torque Jacobian of the loop
+    springs is symmetric: they have a potential.
     """
     robot = load(four_bars(tmp_path, 0.04))
     closure, qpos = robot.closure, pa.solve_stand(robot).qpos

@@ -214,8 +214,10 @@ def test_centroidal_map_time_variation_is_a_derivative_with_pinocchios_bias(
 
 
 def test_time_variation_of_the_centroidal_map_does_not_depend_on_earlier_calls() -> None:
-    """Reference: the value before another call. Pinocchio's function reads a CoM velocity that
-    other functions leave in the data."""
+    """Reference: the value before another call.
+
+    Pinocchio's function reads a CoM velocity that other functions leave in the data.
+    """
     robot = pa.load_variant("v3")
     config = pa.Configuration(robot, *random_state(robot, 1))
     expected = config.centroidal_map_time_variation()

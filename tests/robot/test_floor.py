@@ -1,5 +1,6 @@
-"""Grounds of scenes: planes of bodies, tilted or higher, boxes, stairs, contact pairs. MuJoCo's
-contacts and the stands on a level plane are the references.
+"""Grounds of scenes: planes of bodies, tilted or higher, boxes, stairs, contact pairs.
+
+MuJoCo's contacts and the stands on a level plane are the references.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ FOOT = '<geom name="foot" type="sphere" size="0.02" pos="0 0 -0.2"/>'
 LEVEL, OTHERS, PAIRS = "floor-laid-level", "scenery-left-out", "pairs-became-geoms"
 
 
-def scene(folder: Path, floor: str, contacts: str = "") -> Pair:
-    """Writes a quadruped in a scene of its own; its feet's geoms are ``foot0`` to ``foot3``."""
+def write_scene(folder: Path, floor: str, contacts: str = "") -> Pair:
+    """Write a quadruped with a floor of its own; the geoms of its feet are ``foot0`` to
+    ``foot3``.
+    """
     pair = quadruped(folder, floor=True, foot=FOOT)
     text = pair.mjcf.read_text().replace('<geom type="plane" size="0 0 1"/>', floor)
     for number in range(4):
@@ -63,7 +66,7 @@ def test_stands_on_a_floor_anywhere_are_those_on_a_level_floor_at_zero(
     tmp_path: Path, floor: str, said: str | None
 ) -> None:
     """Reference: the stands on the plane at z = 0. A note names tilt and height that differ."""
-    robot, plain = (loaded(scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
+    robot, plain = (loaded(write_scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
     messages = [str(note) for note in robot.notes if note.code == LEVEL]
     assert bool(messages) == (said is not None)
     assert all((said or "") in message for message in messages)
@@ -77,7 +80,7 @@ def test_stands_on_a_floor_anywhere_are_those_on_a_level_floor_at_zero(
 def test_the_level_plane_is_the_floor_if_a_wall_comes_first(tmp_path: Path) -> None:
     """The friction of the feet is that of the plane at z = 50 mm, not that of the wall."""
     wall = '<geom type="plane" size="0 0 1" pos="-2 0 0" euler="0 1.57 0" friction="2.5"/>'
-    robot = loaded(scene(tmp_path, wall + f'{PLANE} pos="0.2 0 0.05"/>'))
+    robot = loaded(write_scene(tmp_path, wall + f'{PLANE} pos="0.2 0 0.05"/>'))
     (message,) = [str(note) for note in robot.notes if note.code == LEVEL]
     assert "at z = 50 mm" in message
     assert "tilted" not in message
@@ -89,12 +92,12 @@ def test_objects_of_the_scene_are_left_out_with_a_note(tmp_path: Path) -> None:
     """A box as ground, stairs under the robot, and a table that no joint moves."""
     stairs = '<geom name="stair" type="box" size="1 1 0.03" pos="0.5 0 0.03"/>'
     table = '<body name="table"><geom type="box" size="1 1 0.01"/></body>'
-    robot = loaded(scene(tmp_path, PLANE + "/>" + stairs + table))
+    robot = loaded(write_scene(tmp_path, PLANE + "/>" + stairs + table))
     assert any("(stair)" in str(note) for note in robot.notes if note.code == OTHERS)
     assert any("'table' is not part of the robot" in str(note) for note in robot.notes)
     verify_stand_on_scene(robot)
     box = '<geom name="floor" type="box" size="5 5 0.05" pos="0 0 -0.05"/>'
-    robot = loaded(scene(tmp_path, box))
+    robot = loaded(write_scene(tmp_path, box))
     assert any(note.code == "ground-added" for note in robot.notes)
     verify_stand_on_scene(robot)
 
@@ -107,7 +110,7 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
     pairs = "".join(
         f'<pair geom1="{one}" geom2="{two}" condim="4" {values}/>' for one, two in names
     )
-    files = scene(tmp_path, PLANE + "/>", pairs)
+    files = write_scene(tmp_path, PLANE + "/>", pairs)
     robot = loaded(files)
     assert any(note.code == PAIRS for note in robot.notes)
     verify_stand_on_scene(robot)
@@ -135,12 +138,12 @@ def test_smaller_friction_of_an_anisotropic_pair_is_used(tmp_path: Path) -> None
         f'<pair geom1="ground" geom2="foot{leg}" friction="{values}"/>'
         for leg, values in enumerate(("0.9 0.3 .02 .004 .003", "0.3 0.9 .02 .003 .004") * 2)
     )
-    robot = loaded(scene(tmp_path, PLANE + "/>", pairs))
+    robot = loaded(write_scene(tmp_path, PLANE + "/>", pairs))
     assert any(note.code == "friction-sideways-dropped" for note in robot.notes)
     assert {contact.friction[0] for contact in robot.contacts.values()} == {0.3}
 
 
 def test_dropped_friction_softness_of_a_pair_gives_a_note(tmp_path: Path) -> None:
     pairs = '<pair geom1="ground" geom2="foot0" solreffriction="0.05 1"/>'
-    notes = loaded(scene(tmp_path, PLANE + "/>", pairs)).notes
+    notes = loaded(write_scene(tmp_path, PLANE + "/>", pairs)).notes
     assert any(note.code == "friction-softness-dropped" for note in notes)

@@ -76,8 +76,10 @@ POSITIONS = " ".join(["0 0 0.6 0 -1.2 0"] * 4)
 def test_stand_holds_on_pid_dc_and_parent_frame_actuators(
     element: str, ctrl: str, tmp_path: Path
 ) -> None:
-    """Reference: simulation. Torque motors without ctrl in the keyframe do not decide; ``pid``
-    holds the keyframe."""
+    """Reference: simulation.
+
+    Torque motors without ctrl in the keyframe do not decide; ``pid`` holds the keyframe.
+    """
     pair = with_motors(quadruped(tmp_path), element)
     rewritten(pair.mjcf, ('"/></keyframe>', f'"{ctrl}/></keyframe>'))
     status, printed = stand_printed(pair)
@@ -136,8 +138,10 @@ def test_several_motors_at_a_joint_are_refused(element: str, tmp_path: Path) -> 
 def test_stand_holds_on_motors_with_filter_bias_or_velocity_feedback(
     element: str, tmp_path: Path
 ) -> None:
-    """Reference: simulation. The filter starts at rest; an actuator with a constant force is no
-    servo, so servos are added."""
+    """Reference: simulation.
+
+    The filter starts at rest; an actuator with a constant force is no servo, so servos are added.
+    """
     robot = loaded(with_motors(quadruped(tmp_path), element))
     lagging = element is LAGGING
     assert any(note.code == "servos-added" for note in robot.notes) != lagging

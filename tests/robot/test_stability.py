@@ -277,8 +277,10 @@ def simulate_slide() -> Nudge:
 
 
 def test_frequency_at_a_joint_limit_is_that_of_the_servo() -> None:
-    """Reference: sqrt(kp / I) / (2 pi), at the limit as well as off it. Finite differences across
-    the limit would average servo and limit."""
+    """Reference: sqrt(kp / I) / (2 pi), at the limit as well as off it.
+
+    Finite differences across the limit would average servo and limit.
+    """
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><option gravity="0 0 0" timestep="0.001"/><compiler angle="radian"/><worldbody>'
         '<body><joint name="j" axis="0 1 0" range="-1 0" limited="true" solreflimit="0.01 1"/>'

@@ -79,8 +79,10 @@ def test_copied_configuration_keeps_its_values(any_robot: pa.Robot) -> None:
 
 @pytest.mark.slow
 def test_configurations_are_not_changed_by_other_threads(any_robot: pa.Robot) -> None:
-    """Reference: values of a single thread. Four threads evaluate shared and new configurations in
-    random order."""
+    """Reference: values of a single thread.
+
+    Four threads evaluate shared and new configurations in random order.
+    """
     states = [random_state(any_robot, seed) for seed in range(6)]
     order = np.arange(len(QUANTITIES))
     expected = [evaluate_quantities(pa.Configuration(any_robot, *state), order) for state in states]

@@ -99,8 +99,10 @@ def test_payload_on_a_fixed_base_or_at_an_invalid_point_is_refused() -> None:
 
 @pytest.mark.parametrize("frame", ["geom_1", "FL_foot"])
 def test_payload_on_a_geom_shifts_the_com_by_its_place_in_mujoco(frame: str) -> None:
-    """A geom of a free base, and of a leg. Reference: the pose of the geom in MuJoCo's data, and
-    m p = (M + m) c' - M c."""
+    """A geom of a free base, and of a leg.
+
+    Reference: the pose of the geom in MuJoCo's data, and m p = (M + m) c' - M c.
+    """
     robot, mass, offset = pa.load_robot(MJCF), 1.0, (0.01, 0.0, 0.0)
     loaded = with_payload(robot, mass, (frame, *offset))
     model = robot.mj_model

@@ -40,7 +40,9 @@ def robot(name: str) -> pa.Robot:
 def hand(
     name: str, normal: tuple[float, float, float], away: float = 0.0
 ) -> Callable[..., Contacts]:
-    """A plane that a hand touches in its home pose, or so far along its normal (m)."""
+    """Return a contact of a hand with a plane at its home pose, or ``away`` [m] along the
+    normal.
+    """
 
     def make(of: pa.Robot) -> Contacts:
         there = with_contacts(of, {name: pa.Contact(pa.Plane((0, 0, 0), normal))})
@@ -55,8 +57,12 @@ def both(of: pa.Robot) -> Contacts:
     return {**hand("left_palm", UP)(of), **hand("right_palm", UP)(of)}
 
 
-def sides(degrees: float, friction: float | None = None, feet: int = 4) -> Callable[..., Contacts]:
-    """Left and right feet on planes that rise towards the middle (a roof), or away from it."""
+def slope_sides(
+    degrees: float, friction: float | None = None, feet: int = 4
+) -> Callable[..., Contacts]:
+    """Return contacts of left and right feet on planes that rise towards the middle (a roof) or, if
+    ``degrees`` is negative, away from it.
+    """
 
     def make(of: pa.Robot) -> Contacts:
         tilt, found = math.radians(degrees), {}
@@ -70,8 +76,10 @@ def sides(degrees: float, friction: float | None = None, feet: int = 4) -> Calla
     return make
 
 
-def ramp(degrees: float) -> Callable[..., Contacts]:
-    """The front right foot on a plane that rises before it, a little higher than the others."""
+def raise_front_foot(degrees: float) -> Callable[..., Contacts]:
+    """Return a contact of the front right foot on a plane that rises forward and is 0.1 stand
+    heights above the others.
+    """
 
     def make(of: pa.Robot) -> Contacts:
         tilt, rise = math.radians(degrees), 0.1 * of.stand_height
@@ -101,13 +109,13 @@ STANCES = {
     "g1, other hand": ("g1", hand("right_palm", UP), EXACT),
     "g1, wall": ("g1", hand("left_palm", WALL), EXACT),
     "g1, both hands": ("g1", both, EXACT),
-    **{f"{name}, roof": (name, sides(30), EXACT) for name in ("v3", "go2")},
-    **{f"{name}, gutter": (name, sides(-30), EXACT) for name in ("v3", "go2")},
-    **{f"{name}, slippery roof": (name, sides(20, 0.5), EXACT) for name in ("v3", "go2")},
-    **{f"{name}, half a roof": (name, sides(20, feet=2), EXACT) for name in ("v3", "go2")},
-    **{f"{name}, ramp": (name, ramp(10), CREEPING) for name in ("v3", "go2")},
-    **{f"{name}, wall": (name, ramp(90), EXACT) for name in ("v3", "go2")},
-    "go2, steep ramp": ("go2", ramp(45), CREEPING),
+    **{f"{name}, roof": (name, slope_sides(30), EXACT) for name in ("v3", "go2")},
+    **{f"{name}, gutter": (name, slope_sides(-30), EXACT) for name in ("v3", "go2")},
+    **{f"{name}, slippery roof": (name, slope_sides(20, 0.5), EXACT) for name in ("v3", "go2")},
+    **{f"{name}, half a roof": (name, slope_sides(20, feet=2), EXACT) for name in ("v3", "go2")},
+    **{f"{name}, ramp": (name, raise_front_foot(10), CREEPING) for name in ("v3", "go2")},
+    **{f"{name}, wall": (name, raise_front_foot(90), EXACT) for name in ("v3", "go2")},
+    "go2, steep ramp": ("go2", raise_front_foot(45), CREEPING),
     "ur5, table": ("ur5", bolted("tool0", 0.4, 0.2, 0.3), EXACT),
     "ur5, pressing": ("ur5", bolted("tool0", 0.4, -0.2, 0.2, force=30.0), EXACT),
     "panda, pressing": ("panda", bolted("panda_leftfinger", 0.4, 0.1, 0.3, force=20.0), EXACT),

@@ -32,8 +32,9 @@ def verify_held_stand(robot: Robot, task: pa.StandTask | None = None) -> pa.Stan
 
 @pytest.mark.slow
 def test_a_planar_robot_stands_with_the_com_two_micrometres_off_the_centre(tmp_path: Path) -> None:
-    """Closed form: 2 um times the trunk's mass fraction of 4 / 8.4. A CoM at the centre is out of
-    reach.
+    """Closed form: 2 um times the trunk's mass fraction of 4 / 8.4.
+
+    A CoM at the centre is out of reach.
     """
     robot = load(planar(quadruped(tmp_path)))
     assert robot.nu == 8
@@ -71,8 +72,10 @@ def test_a_planar_robot_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_height_loss_of_a_planar_robot_equals_mujoco(tmp_path: Path) -> None:
-    """Reference: simulation. The sideways positions of pinned feet are redundant, so the
-    equations are singular."""
+    """Reference: simulation.
+
+    The sideways positions of pinned feet are redundant, so the equations are singular.
+    """
     robot = load(planar(quadruped(tmp_path)))
     stand = pa.solve_stand(robot)
     sag = pa.steady_state(robot, stand)

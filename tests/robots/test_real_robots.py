@@ -49,7 +49,7 @@ def _folders() -> Iterator[Path]:
 
 
 def file(package: str, name: str) -> Path:
-    """A file of a package; skips the test where it is not installed."""
+    """Return the path of a file of a package; skip the test if the package is not installed."""
     folder = next((top / package for top in _folders() if (top / package).is_dir()), None)
     if folder is None:
         pytest.skip(f"{PACKAGE[package]} is not installed (make setup-ci)")

@@ -20,8 +20,10 @@ from tests.support.variants import load
 def test_joint_at_its_limit_from_the_start_is_no_failure(
     limits: str, rests: bool, tmp_path: Path
 ) -> None:
-    """For example a closed gripper. A joint at its limit in the stand has no lower limit in the
-    trial; other joints have."""
+    """For example a closed gripper.
+
+    A joint at its limit in the stand has no lower limit in the trial; other joints have.
+    """
     path = quadruped(tmp_path, head=True).mjcf
     head = '<joint name="nod" axis="0 1 0" range="{0}"/>'
     text = path.read_text()
@@ -42,8 +44,10 @@ def test_joint_at_its_limit_from_the_start_is_no_failure(
 def test_joint_whose_range_permits_no_motion_is_named_and_has_no_limits_in_the_trial(
     tmp_path: Path,
 ) -> None:
-    """In bare MuJoCo the pair stands after each nudge: the MJCF has a range of 1.6 rad. The trial
-    failed after 0 s, since the URDF has a range of 0 to 0."""
+    """In bare MuJoCo the pair stands after each nudge: the MJCF has a range of 1.6 rad.
+
+    The trial failed after 0 s, since the URDF has a range of 0 to 0.
+    """
     pair = quadruped(tmp_path)
     rewritten(pair.urdf, ('lower="-0.8" upper="0.8"', 'lower="0" upper="0"'), count=1)
     robot = pa.load_robot(*pair)

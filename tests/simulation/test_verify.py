@@ -348,8 +348,10 @@ def test_gain_sweep_refuses_invalid_arguments(arguments: dict[str, object], fiel
 
 
 def test_force_error_of_an_unloaded_foot_is_relative_to_the_weight() -> None:
-    """Reference: the foot force / (0.05 weight). The CoM is placed so that RR has no predicted
-    load; soft ground gives RR some."""
+    """Reference: the foot force / (0.05 weight).
+
+    The CoM is placed so that RR has no predicted load; soft ground gives RR some.
+    """
     robot = load("v3")
     report = pa.verify_stand(robot, pa.solve_stand(robot, pa.StandTask(com=(0.037, 0.045))))
     assert report.predicted_forces["RR"][2] == pytest.approx(0, abs=1e-4)

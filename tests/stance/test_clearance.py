@@ -151,8 +151,10 @@ def test_a_stand_with_a_knee_in_the_ground_is_refused() -> None:
 @pytest.mark.parametrize("name", ["original", "v3"])
 @pytest.mark.parametrize("ground", [pa.Ground(), pa.Ground(0.3, 0.7, {"FL": 0.05, "RR": 0.03})])
 def test_height_jacobian_equals_central_differences(name: str, ground: pa.Ground) -> None:
-    """Reference: central differences with a step of 1e-4. Coal's distances near steps are
-    iterative, hence the tolerance of 2e-3."""
+    """Reference: central differences with a step of 1e-4.
+
+    Coal's distances near steps are iterative, hence the tolerance of 2e-3.
+    """
     robot = load(name)
     shapes, random = ClearanceShapes(robot), np.random.default_rng(0)
     places = pa.Configuration(robot, robot.neutral()).foot_positions()

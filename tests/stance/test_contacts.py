@@ -54,8 +54,9 @@ def table(friction: float | None = None, **more: object) -> dict[str, pa.Contact
 
 
 def gripping(of: pa.Robot, grip: float = 30.0, beyond: float = -0.02) -> pa.StandTask:
-    """Return the task of a quadruped whose hand grips a bar across, in front of and above it. The
-    CoM is `beyond` [m] behind the hind feet, which are moved forward.
+    """Return the task of a quadruped whose hand grips a bar across, in front of and above it.
+
+    The CoM is `beyond` [m] behind the hind feet, which are moved forward.
     """
     bar = pa.Bar((0.4, 0, 0.45), (0, 1, 0), 0.01)
     hand = pa.Contact(bar, place=(0.35, 0, 0.45), grip=grip)
@@ -243,8 +244,11 @@ def test_maximum_hand_force_equals_an_independent_cone_program(
 
 
 def test_friction_of_a_plane_applies_to_its_contact_only() -> None:
-    """Reference: MuJoCo's contacts. The contact of FL has the plane's friction, 0.7; all other
-    parameters, and the other feet, are unchanged."""
+    """Reference: MuJoCo's contacts.
+
+    The contact of FL has the plane's friction, 0.7; all other parameters, and the other feet, are
+    unchanged.
+    """
     robot, contacts = load("v3"), roof(20)
     own = pa.Contact(pa.Plane(contacts["FL"].plane.point, contacts["FL"].plane.normal, 0.7))
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts | {"FL": own}))
@@ -476,8 +480,11 @@ def test_invalid_contact_is_refused_in_one_line(make: object, match: str) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize(("radius", "lean"), [(0.01, 0.0), (0.001, 0.0), (0.02, 0.1)])
 def test_foot_on_a_bar_touches_its_top_or_the_stated_place(radius: float, lean: float) -> None:
-    """Reference: closed form of the contact point and normal. Without a place, the contact is at
-    the top; otherwise, the normal points from the axis to the place."""
+    """Reference: closed form of the contact point and normal.
+
+    Without a place, the contact is at the top; otherwise, the normal points from the axis to the
+    place.
+    """
     robot = load("v3")
     x, y, _ = pa.solve_stand(robot).contact_points["FL"]
     bar = pa.Bar((x, 0, 0.02), (0, 1, 0), radius)
@@ -712,8 +719,11 @@ def needed_on_slope(error: Any) -> float:
 def test_limit_stated_by_a_refusal_is_accepted_and_exact(
     armed: pa.Robot, name: str, ask: Any, asked: Any, limit: Any, step: float, *, holds: bool
 ) -> None:
-    """The stated limit is solved; the limit plus ``step`` is refused. With ``holds``, MuJoCo holds
-    the stand at the limit; not with a straight limb, or a contact with almost no load."""
+    """The stated limit is solved; the limit plus ``step`` is refused.
+
+    With ``holds``, MuJoCo holds the stand at the limit; not with a straight limb, or a contact with
+    almost no load.
+    """
     robot = armed if name == "armed" else load(name)
     with pytest.raises(pa.PupperAnalysisError) as caught:
         ask(robot, asked)

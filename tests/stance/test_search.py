@@ -167,8 +167,11 @@ def test_foot_depths_on_a_slope_balance_the_weight() -> None:
 
 @pytest.mark.parametrize("priority", [-1, 0, 3])  # the feet's is 0
 def test_contact_with_a_step_has_the_parameters_of_the_floor(priority: int) -> None:
-    """Reference: MuJoCo's contacts. The floor has unusual friction, condim, solref, solimp and
-    solmix, and a priority below, equal to, or above that of the feet."""
+    """Reference: MuJoCo's contacts.
+
+    The floor has unusual friction, condim, solref, solimp and solmix, and a priority below, equal
+    to, or above that of the feet.
+    """
     plain = load("v3")
     spec = plain.description.mjcf.copy()
     floor = find_floor(spec)
@@ -201,8 +204,11 @@ def test_contact_with_a_step_has_the_parameters_of_the_floor(priority: int) -> N
 
 @pytest.mark.parametrize("offset", [(-0.04, 0.02), (0.045, -0.02)])
 def test_contact_sag_off_the_centre_equals_mujocos_at_the_base(offset: tuple[float, float]) -> None:
-    """Reference: MuJoCo's base height with feed-forward. The feet sink unequally, so the loss at
-    the base is not the mean penetration. Stiff servos with feed-forward do not yield."""
+    """Reference: MuJoCo's base height with feed-forward.
+
+    The feet sink unequally, so the loss at the base is not the mean penetration. Stiff servos with
+    feed-forward do not yield.
+    """
     robot = load("v3")
     stand = pa.solve_stand(robot, pa.StandTask(offset=offset))
     pose = pa.steady_state(robot, stand, feedforward=True, kp=200.0)

@@ -154,9 +154,10 @@ def search_region(
     shares: np.ndarray,
     near: float,
 ) -> tuple[int, int]:
-    """Compares a region with ``in_balance``; returns how many places are out of it, and in it.
+    """Assert that CoM positions are in a region exactly if contact forces balance them.
 
-    Places are ``shares`` (n, 2) of it and a fifth around, but for those that are ``near`` its edge.
+    The positions are ``shares`` (n, 2) of the region and a fifth of its size around it; those
+    ``near`` its edge are left out. Returns the numbers of positions outside and inside.
     """
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     size, tried = float((high - low).max()), [0, 0]
@@ -250,8 +251,10 @@ def test_clearance_from_a_wall_equals_mujoco() -> None:
 
 @pytest.mark.slow
 def test_stated_limit_of_a_slope_is_solvable() -> None:
-    """A slope of 150 deg hangs over the foot and intersects the calf. The limit in the message is
-    solved; 0.2 deg more is refused."""
+    """A slope of 150 deg hangs over the foot and intersects the calf.
+
+    The limit in the message is solved; 0.2 deg more is refused.
+    """
     robot, step = load("original"), pa.Ground(heights={"FR": 0.05})
 
     def ask(contact: pa.Contact, *, explain: bool = True) -> pa.Stand:

@@ -53,8 +53,11 @@ LINE = '<geom type="capsule" size="0.01" fromto="-0.06 0 -0.05 0.12 0 -0.05"/>'
 def test_stand_sequence_equals_single_calls_for_flat_and_line_feet(
     foot: str, tmp_path: Path
 ) -> None:
-    """Reference: ``solve_stand`` per task. A leg with a line foot may still turn, so its stand
-    depends on the initial guess, which must be that of a single call."""
+    """Reference: ``solve_stand`` per task.
+
+    A leg with a line foot may still turn, so its stand depends on the initial guess, which must be
+    that of a single call.
+    """
     urdf, mjcf = biped(tmp_path, foot)
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
     height = 0.95 * robot.stand_height

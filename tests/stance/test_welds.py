@@ -81,9 +81,10 @@ def on_table(of: pa.Robot, height: float = 0.25, **more: float) -> pa.StandTask:
     return pa.StandTask(contacts={**BOLTED, "wrist": wrist}, ik_seed=(0.8, 1.4, 0.0))
 
 
-def under(of: pa.Robot) -> pa.StandTask:
-    """Return the task of an arm with its wrist under a ceiling, which can only press it down: the
-    best contact force is zero.
+def press_under_ceiling(of: pa.Robot) -> pa.StandTask:
+    """Return the task of an arm whose wrist touches a ceiling.
+
+    The ceiling can only press the arm down: the best contact force is zero.
     """
     wrist = pa.Contact(pa.Plane((0, 0, 0.4), (0, 0, -1), 0.5), (0.45, 0, 0.4), (0.0, 0.0, 0.05))
     return replace(on_table(of), contacts={**BOLTED, "wrist": wrist})
@@ -226,7 +227,7 @@ def test_weld_wrenches_equal_an_independent_cone_program(
         (load("v3"), pa.StandTask(contacts={"FL": pa.Weld()}, roll=0.1)),
         (load("v3"), pa.StandTask(contacts=BOLTED, roll=0.1, pitch=0.15, yaw=0.2)),
         (arm, on_table(arm)),
-        (arm, under(arm)),
+        (arm, press_under_ceiling(arm)),
         (armed, pa.StandTask(contacts={**BOLTED, **HAND})),
     ):
         stand = pa.solve_stand_as_simulated(robot, task)
@@ -242,8 +243,10 @@ def test_weld_wrenches_equal_an_independent_cone_program(
 
 @pytest.mark.slow
 def test_gripping_hand_pulls_if_the_com_is_beyond_the_feet(armed: pa.Robot) -> None:
-    """Reference: the force of MuJoCo's equality constraint. The CoM is outside the support polygon
-    of the feet."""
+    """Reference: the force of MuJoCo's equality constraint.
+
+    The CoM is outside the support polygon of the feet.
+    """
     stand = pa.solve_stand_as_simulated(armed, gripping(armed, beyond=0.02))
     found = verify_in_mujoco(armed, stand)
     assert found.joint_error < 1e-6
@@ -379,6 +382,7 @@ def test_com_region_with_a_grip_equals_a_search_by_cone_programs(armed: pa.Robot
 
 def test_arm_with_a_fixed_base_leans_on_a_table(arm: pa.Robot) -> None:
     """References: MuJoCo holds the stand, and the table reduces the torques of the arm alone.
+
     Without the table, torques and weld force equal those of the file with a fixed base.
     """
     stand = pa.solve_stand_as_simulated(arm, on_table(arm))

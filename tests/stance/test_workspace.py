@@ -24,8 +24,9 @@ def reached(robot: pa.Robot, task: pa.StandTask) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
 def test_limits_are_tight_in_every_direction(name: str) -> None:
-    """Reference: the solver reaches each limit angle, and not 1 mrad beyond. By symmetry the limits
-    of roll, yaw and y are opposite within 2e-3 rad or m.
+    """Reference: the solver reaches each limit angle, and not 1 mrad beyond.
+
+    By symmetry the limits of roll, yaw and y are opposite within 2e-3 rad or m.
     """
     robot = load(name)
     workspace = base_workspace(robot)

@@ -312,8 +312,9 @@ def test_minimum_tangential_forces_equal_the_lever_arm_shares() -> None:
 
 @pytest.mark.parametrize("name", ["long-leg", "v3"])
 def test_minimum_tangential_forces_let_all_feet_creep_as_one_body(name: str) -> None:
-    """Reference: rigid motion. With f_t = c v the velocities v of the feet on a slope are those of
-    one rigid body.
+    """Reference: rigid motion.
+
+    With f_t = c v the velocities v of the feet on a slope are those of one rigid body.
     """
     robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.01})
     task = pa.StandTask(ground=ground, com="inside", offset=None, com_margin=0.02)
@@ -686,8 +687,10 @@ def test_contacts_of_a_robot_with_a_fixed_base_raise() -> None:
 @pytest.mark.parametrize("torqueless", [0, 1, 2])
 @pytest.mark.parametrize("feet", [3, 4, 8])
 def test_minimum_torques_equal_the_null_space_solution(feet: int, torqueless: int) -> None:
-    """Reference: pseudoinverse in the null space of the balance. With forces that cost no torque,
-    the shortest of these forces."""
+    """Reference: pseudoinverse in the null space of the balance.
+
+    With forces that cost no torque, the shortest of these forces.
+    """
     random = np.random.default_rng(feet)
     base, joints = random.normal(size=(6, 3 * feet)), random.normal(size=(12, 3 * feet))
     free = linalg.null_space(base)

@@ -59,8 +59,9 @@ NOTE_PREFIXES = ("note:", "warning:")
 
 
 class Truth(StrEnum):
-    """Result of MuJoCo's simulation of a file. No report must state that a robot without servos or
-    commands stands.
+    """Result of MuJoCo's simulation of a file.
+
+    No report must state that a robot without servos or commands stands.
     """
 
     STANDS = "stands"

@@ -71,7 +71,7 @@ def made_calls() -> tuple[tuple[str, ast.Call], ...]:
 
 @cache
 def written() -> frozenset[str]:
-    """All texts that stand in the package's code and in its page template."""
+    """Return all string literals of the package's code and of its page template."""
     page = files("pupper_analysis.present.html").joinpath("templates/page.html").read_text("utf-8")
     return frozenset(page.split('"')) | frozenset(
         node.value
@@ -82,10 +82,10 @@ def written() -> frozenset[str]:
 
 
 def calls() -> Iterator[tuple[str, str, set[str] | None]]:
-    """(where, code, the names that are given, None if not known) of each call of ``diagnose``.
+    """Yield (module:line, code, names of the given values) of each call of ``diagnose``.
 
-    Codes stand in the call as literals, so that they can be found; a choice of literals will do.
-    ``change_of`` hands its code on.
+    The names are None if the call takes ``**values``. The code must be a literal or a choice of
+    literals; ``change_of`` takes it as its argument.
     """
     for module, node in made_calls():
         made = getattr(node.func, "id", None)
@@ -185,8 +185,10 @@ SENTENCE = re.compile("[a-z]+ [a-z]+ [a-z]+")
 
 @pytest.mark.slow
 def test_errors_contain_diagnostics_instead_of_sentences() -> None:
-    """Reference: the syntax tree. No error of the package is constructed from a literal
-    sentence."""
+    """Reference: the syntax tree.
+
+    No error of the package is constructed from a literal sentence.
+    """
     made = {name for name, one in vars(errors).items() if name.endswith("Error")}
     found, kinds = set(), set()
     for module, node in made_calls():

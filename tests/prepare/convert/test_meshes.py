@@ -1,5 +1,6 @@
-"""Mesh files of conversions: instances, archives, size limits, folders. Volumes, face counts and
-MuJoCo's compiled models are the references.
+"""Mesh files of conversions: instances, archives, size limits, folders.
+
+Volumes, face counts and MuJoCo's compiled models are the references.
 """
 
 from __future__ import annotations
@@ -266,8 +267,10 @@ def test_missing_collision_mesh_is_a_failure_and_a_missing_visual_mesh_is_not(
 
 
 def test_part_that_is_instanced_in_nested_nodes_is_written_each_time(tmp_path: Path) -> None:
-    """Reference: volume. Three nested nodes that each instance the previous node twice give 8
-    boxes."""
+    """Reference: volume.
+
+    Three nested nodes that each instance the previous node twice give 8 boxes.
+    """
     file = trimesh.exchange.dae.export_collada(BOX).decode()
     shape = file[file.index("<instance_geometry") :].split('"')[1]
     nodes = f'<node id="n0"><instance_geometry url="{shape}"/></node>'

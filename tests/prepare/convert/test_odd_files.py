@@ -117,8 +117,10 @@ def _with_arm(folder: Path, mimic: str) -> Path:
 def test_keyframe_of_a_robot_with_a_mimic_joint_holds_in_mujoco(
     factor: float, tmp_path: Path
 ) -> None:
-    """Reference: drift in MuJoCo. By virtual work, the servo of the leading joint bears the load of
-    the following joint as well."""
+    """Reference: drift in MuJoCo.
+
+    By virtual work, the servo of the leading joint bears the load of the following joint as well.
+    """
     urdf = _with_arm(tmp_path, f'<mimic joint="arm1" multiplier="{factor}"/>')
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures

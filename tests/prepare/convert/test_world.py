@@ -143,8 +143,11 @@ def test_freed_base_and_added_ground_state_their_friction(stated: str, tmp_path:
 def test_freed_robot_is_written_with_the_servos_of_its_stand(
     tmp_path: Path,
 ) -> None:
-    """The URDF is fixed to the world. The written model stays fixed, with servos for the stand;
-    servos for the hanging robot are too weak to stand on."""
+    """The URDF is fixed to the world.
+
+    The written model stays fixed, with servos for the stand; servos for the hanging robot are too
+    weak to stand on.
+    """
     tie = '<joint name="tie" type="fixed"><parent link="world"/><child link="trunk"/></joint>'
     tied = ("</robot>", f'<link name="world"/>{tie}</robot>')
     free, written, output = both(rewritten(write_standing_urdf(tmp_path), tied), tmp_path)

@@ -59,8 +59,10 @@ def test_mount_tilt_is_reported_for_a_pendulum_on_its_side(tmp_path: Path) -> No
 def test_mount_tilt_is_the_angle_between_the_gravity_of_both_files(
     seed: int, tmp_path: Path
 ) -> None:
-    """Reference: the angle between the gravity directions in both base frames. The URDF has a
-    rotated root link, which matching leaves out."""
+    """Reference: the angle between the gravity directions in both base frames.
+
+    The URDF has a rotated root link, which matching leaves out.
+    """
     turns = Rotation.random(2, rng=np.random.default_rng(seed))
     urdf = on_a_root(urdf_text(arm(), ()), turns[0])
     files = write(tmp_path, urdf, mounted(mjcf_text(arm(), (), free=False), turns[1]))

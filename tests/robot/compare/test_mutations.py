@@ -116,7 +116,7 @@ Pick = Callable[[Files], tuple[Element, str]]
 
 
 def changed(pick: Pick, path: str, attribute: str, kind: str, change: Change) -> Mutation:
-    """Changes the numbers of an attribute of an element, or of one below it."""
+    """Return a mutation of the numbers of an attribute of an element or of one below it."""
 
     def apply(files: Files) -> Expected | None:
         owner, name = pick(files)
@@ -357,7 +357,7 @@ def mjcf_degrees(files: Files) -> Expected | None:
 
 @mutation
 def mjcf_mesh_that_weighs(files: Files) -> Expected | None:
-    """A drawn shape is given mass: its body gets heavier where inertias come from shapes."""
+    """Add a shape of 50 g to a body whose inertia comes from its shapes."""
     bodies = [
         body
         for body in files.mjcf.iter("body")
@@ -374,7 +374,7 @@ def mjcf_mesh_that_weighs(files: Files) -> Expected | None:
 
 @mutation
 def mjcf_inertia_from_geoms(files: Files) -> Expected | None:
-    """The compiler ignores the inertials, and takes the shapes' instead."""
+    """Let the compiler ignore the ``inertial`` elements and use the shapes."""
     if next(files.mjcf.iter("inertial"), None) is None:
         return None
     files.mjcf.find("compiler").set("inertiafromgeom", "true")
@@ -392,7 +392,7 @@ def compared(folder: Path, urdf: str, mjcf: str, **options: int) -> Comparison:
 
 @cache
 def sources(name: str) -> tuple[str, str]:
-    """The texts of an agreeing pair; the MJCF in one file, with paths to its meshes taken out."""
+    """Return URDF and MJCF of an agreeing pair, without meshes and keyframes."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,5 @@
 """Samples of two sweeps: one plausible slip in a valid file, and attributes at extreme values.
+
 Complete sweeps: `benchmarks/one_slip.py` and `benchmarks/attributes.py`; results in
 docs/data/slips.csv and attributes.csv.
 """

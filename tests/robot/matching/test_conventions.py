@@ -83,8 +83,9 @@ def pair(folder: Path, mjcf: Parts, frames: Frames = FEET, urdf: Parts | None = 
 def test_link_frames_rotated_along_a_chain_and_back_are_no_difference(
     tmp_path: Path,
 ) -> None:
-    """As for the thumb of a Shadow Hand: no single frame is closer to that of the other file. One
-    axis that differs is reported alone.
+    """As for the thumb of a Shadow Hand: no single frame is closer to that of the other file.
+
+    One axis that differs is reported alone.
     """
     links, axes = ["base", "t5", "t4", "t3", "t2", "t1"], ["z", "x", "x", "y", "y"]
     thumb = {"base": Part("base", mass=2.0)}

@@ -171,14 +171,14 @@ def test_references_to_a_joint_of_the_mjcf_alone_are_removed_with_the_joint(
 # ------------------------------------------------------------------------------------- by structure
 
 
-def renamed(urdf: Parts, **names: str) -> Parts:
+def rename_joints(urdf: Parts, **names: str) -> Parts:
     return {
         name: replace(part, joint=names.get(part.joint, part.joint)) for name, part in urdf.items()
     }
 
 
-def other_links(parts: Parts) -> Parts:
-    """The parts with links of names that the other file does not know."""
+def rename_links(parts: Parts) -> Parts:
+    """Return the parts with other link names, by which no link can be matched."""
     names = {name: f"body{chr(97 + number)}" for number, name in enumerate(parts)}
     return {
         names[name]: replace(part, link=names[name], parent=names.get(part.parent, ""))
@@ -189,7 +189,7 @@ def other_links(parts: Parts) -> Parts:
 def test_joints_are_matched_by_structure_if_all_names_differ(tmp_path: Path) -> None:
     """Reference: the mapping by which the joints were renamed."""
     names = {name: f"joint_{number}" for number, name in enumerate(sorted(JOINTS, reverse=True))}
-    files = write_parts(tmp_path, renamed(quadruped(), **names), other_links(quadruped()))
+    files = write_parts(tmp_path, rename_joints(quadruped(), **names), rename_links(quadruped()))
     comparison = compared(files)
     assert comparison.guessed == {new: old for old, new in names.items()}
     assert comparison.agree
@@ -235,7 +235,7 @@ def test_joints_are_matched_without_common_prefix_and_suffix(tmp_path: Path) -> 
     }
     # Twins at one place: structure would not tell which is which.
     twins = twins_at_one_place()
-    named = renamed(twins, to_left="rh_to_left_joint", to_right="rh_to_right_joint")
+    named = rename_joints(twins, to_left="rh_to_left_joint", to_right="rh_to_right_joint")
     comparison = compared(write_parts(tmp_path, urdf | named, quadruped() | twins))
     assert comparison.agree
     assert comparison.guessed == {
@@ -252,8 +252,8 @@ def test_ambiguous_match_prints_mapping_lines_to_paste(tmp_path: Path) -> None:
         "left": replace(twins["left"], position=(0.3, 0.0, 0.002)),
         "right": replace(twins["right"], position=(0.3, 0.0, -0.002)),
     }
-    urdf = quadruped() | renamed(twins, to_left="one", to_right="two")
-    comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped() | middle)))
+    urdf = quadruped() | rename_joints(twins, to_left="one", to_right="two")
+    comparison = compared(write_parts(tmp_path, urdf, rename_links(quadruped() | middle)))
     said = [str(note) for note in comparison.notes if "may be" in str(note)]
     assert comparison.guessed == {}
     assert (comparison.only_urdf, comparison.only_mjcf) == (("one", "two"), ("to_left", "to_right"))
@@ -272,7 +272,7 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
         for name, part in quadruped().items()
     }
     with pytest.raises(ModelError, match="only 1 of 8 joints have a partner") as raised:
-        compared(write_parts(tmp_path, urdf, other_links(mjcf)))
+        compared(write_parts(tmp_path, urdf, rename_links(mjcf)))
     assert "..." not in str(raised.value)  # what is printed can be pasted
     assert "the URDF's xknee0, xhip1" in str(raised.value)
 
@@ -300,7 +300,7 @@ def test_gripper_of_one_file_alone_is_reported_as_a_part(tmp_path: Path, where: 
 
 def test_mapping_takes_precedence_over_equal_names(tmp_path: Path) -> None:
     """The files have swapped the names of two legs."""
-    swapped = renamed(quadruped(), hip0="hip1", knee0="knee1", hip1="hip0", knee1="knee0")
+    swapped = rename_joints(quadruped(), hip0="hip1", knee0="knee1", hip1="hip0", knee1="knee0")
     files = write_parts(tmp_path, swapped, quadruped())
     assert not compared(files).agree
     names = {"hip0": "hip1", "hip1": "hip0", "knee0": "knee1", "knee1": "knee0"}
@@ -326,8 +326,10 @@ def test_unknown_name_in_a_mapping_is_refused_with_the_valid_names(
 
 
 def test_base_mass_is_no_cause_if_the_base_is_fused_with_the_world(tmp_path: Path) -> None:
-    """MuJoCo's conversion of a URDF fuses a base without free joint. All legs are matched; the
-    files do not agree, because only the URDF has the mass of the base."""
+    """MuJoCo's conversion of a URDF fuses a base without free joint.
+
+    All legs are matched; the files do not agree, because only the URDF has the mass of the base.
+    """
     fused = without_base(mjcf_text(quadruped(), [], free=False))
     comparison = compare_texts(tmp_path, URDF, fused)
     assert comparison.differences == ()

@@ -56,8 +56,11 @@ def bare_height(
 def test_steady_state_of_legs_without_yaw_is_that_of_mujoco_if_soles_pivot(
     height: float, pitch: float, roll: float, load_biped: Load
 ) -> None:
-    """Reference: MuJoCo's base height. Soles of legs without yaw pivot by 0.3 mm while the servos
-    yield; the steady state must not report sliding feet."""
+    """Reference: MuJoCo's base height.
+
+    Soles of legs without yaw pivot by 0.3 mm while the servos yield; the steady state must not
+    report sliding feet.
+    """
     robot = load_biped(7)
     kp = 12.0 * robot.weight * robot.stand_height
     task = pa.StandTask(height=height * robot.stand_height, pitch=pitch, roll=roll)

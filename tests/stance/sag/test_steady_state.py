@@ -151,8 +151,9 @@ def test_creep_in_time(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "heavy"])
 def test_reported_slip_margin_agrees_with_simulation(name: str) -> None:
-    """Reference: simulations. The height is exact within 10 um above the margin, and wrong below
-    zero.
+    """Reference: simulations.
+
+    The height is exact within 10 um above the margin, and wrong below zero.
     """
     robot = load(name)
     seen = set()
@@ -228,7 +229,7 @@ def test_friction_of_a_slipping_foot_is_at_its_limit_and_opposes_the_slip() -> N
 
 
 def test_foot_that_would_have_to_pull_is_released() -> None:
-    """Reference: the simulation, in which this foot carries no load either."""
+    """Reference: the simulation, in which this foot carries no load."""
     robot = load("original")
     stand = pa.solve_stand(robot, pa.StandTask(offset=(0.055, 0.055)))
     assert pa.stance.stand_statics(robot, stand).contact_forces["RR"][2] > 0
@@ -273,8 +274,10 @@ def test_steady_state_exists_for_each_stiffness_above_the_minimum() -> None:
 
 
 def test_steady_state_fails_if_creep_ends_the_equilibrium() -> None:
-    """Reference: 8 s in MuJoCo, with a stiffness 2 % above the smallest. The robot falls; with the
-    no-slip solver, contacts do not creep, and the robot stands."""
+    """Reference: 8 s in MuJoCo, with a stiffness 2 % above the smallest.
+
+    The robot falls; with the no-slip solver, contacts do not creep, and the robot stands.
+    """
     robot, stand = load("original"), stand_of("original")
     pose = steady_state(robot, stand, kp=2.38)
     assert pose.stable

@@ -275,8 +275,9 @@ ESCALATED = {"limits-in-wrong-unit", "mass-beyond-motors"}
 def test_planted_fault_is_found_at_its_line(
     case: Case, tmp_path: Path, sound: dict[str, Audit]
 ) -> None:
-    """One edit per rule; the correct file has no such finding. The severity is that of the rule at
-    least.
+    """One edit per rule; the correct file has no such finding.
+
+    The severity is that of the rule at least.
     """
     path = written(tmp_path, case.format, case.edits)
     findings = found(audit_model(path), case.rule, case.element)

@@ -127,8 +127,10 @@ def test_best_stance_has_the_largest_margin() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_redundant_joints_of_the_best_stance_equal_its_task(tmp_path: Path) -> None:
-    """Reference: ``solve_stand`` of the returned task, bit by bit. Legs of four joints have a
-    free joint, which a search from a near stand leaves 4e-8 rad away."""
+    """Reference: ``solve_stand`` of the returned task, bit by bit.
+
+    Legs of four joints have a free joint, which a search from a near stand leaves 4e-8 rad away.
+    """
     pair = written(drawn(91004), tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
     found = best_stance(robot, Objective.MARGIN)

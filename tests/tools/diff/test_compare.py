@@ -85,8 +85,9 @@ FELT = {"mass", "com", "inertia", "position", "axis", "damping"}
 def test_change_is_found_with_the_lines_of_both_versions(
     tmp_path: Path, name: str, kind: str
 ) -> None:
-    """The changed value is on the reported line of the new version only. Changes without effect on
-    the dynamics have a deviation of exactly zero.
+    """The changed value is on the reported line of the new version only.
+
+    Changes without effect on the dynamics have a deviation of exactly zero.
     """
     link, values, expected, text = CHANGES[name]
     diff = diff_of(tmp_path, ROBOT, changed(ROBOT, link, **values), kind)
@@ -124,8 +125,10 @@ def test_moved_lines_and_other_digits_are_no_change(tmp_path: Path) -> None:
 
 
 def test_a_moved_base_frame_is_one_change(tmp_path: Path) -> None:
-    """Everything on the base moves with its frame. A joint with another zero, and limits moved
-    by as much, is one change as well."""
+    """Everything on the base moves with its frame.
+
+    A joint with another zero, and limits moved by as much, is one change as well.
+    """
     moved = changed(ROBOT, "base", com=(0.01, 0.002, 0.045))
     for leg in range(4):
         x, y, z = ROBOT[f"thigh{leg}"].position

@@ -61,8 +61,9 @@ def test_element_values_equal_compiled_values_with_their_lines(tmp_path: Path) -
 
 
 def test_each_array_of_contacts_and_options_of_mujoco_has_a_row() -> None:
-    """Reference: the arrays of MuJoCo's model. An array of a new version must be compared, or be
-    listed here with a reason.
+    """Reference: the arrays of MuJoCo's model.
+
+    An array of a new version must be compared, or be listed here with a reason.
     """
     apart = {
         "geom": {"type", "size", "pos", "quat", "dataid",  # the shape

@@ -24,8 +24,10 @@ def write_log(path: Path, time: np.ndarray, position: np.ndarray, command: np.nd
 def test_a_motion_is_fitted_and_the_files_corrected(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Reference: kp of the simulated bar, within 5 %. A motion with an unexplained oscillation is
-    not written without --anyway, and then with wider intervals.
+    """Reference: kp of the simulated bar, within 5 %.
+
+    A motion with an unexplained oscillation is not written without --anyway, and then with wider
+    intervals.
     """
     files = tmp_path / "bar.urdf", tmp_path / "bar.xml"
     for file, text in zip(files, (URDF, MJCF), strict=True):

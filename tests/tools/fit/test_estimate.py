@@ -29,8 +29,10 @@ def make_linear_problem(size: int, rows: int = 40) -> tuple[Array, Array]:
 
 
 def test_estimate_of_linear_residuals_solves_the_normal_equations() -> None:
-    """Reference: normal equations in closed form. Half of the prior variance of the kp is common to
-    all joints."""
+    """Reference: normal equations in closed form.
+
+    Half of the prior variance of the kp is common to all joints.
+    """
     given = table("kp", "kp", "offset")
     rows, right = make_linear_problem(3)
     found = estimate_parameters(

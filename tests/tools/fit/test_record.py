@@ -100,7 +100,9 @@ def test_recorded_rows_equal_the_statics_of_the_robot_at_rest(
 def test_balance_margin_before_a_recording_is_that_of_the_tilted_stand(
     robot: Robot, roll: float, pitch: float
 ) -> None:
-    """Reference: the same stand in the world, where the feet are on level ground."""
+    """Compare the margin [m] by the joint angles alone with that of the solved stand on level
+    ground.
+    """
     task = StandTask(roll=roll, pitch=pitch, offset=(0.03, 0.01))
     stand = solve_stand(robot, task)
     there = Configuration(robot, stand.qpos)
@@ -112,7 +114,7 @@ def test_balance_margin_before_a_recording_is_that_of_the_tilted_stand(
 
 
 class Reversed:
-    """Bridge of a robot whose first joint moves against its command; the others follow it."""
+    """Bridge of a robot whose first joint moves against its command; its other joints follow."""
 
     ramps = True
 
@@ -375,7 +377,7 @@ class JointState(SimpleNamespace):
 
 
 class Float64MultiArray:
-    """``std_msgs/Float64MultiArray``: as rclpy has it, it takes floats and nothing else."""
+    """``std_msgs/Float64MultiArray``: as in rclpy, its data accept only floats."""
 
     __slots__ = ("_data", "layout")
 
@@ -390,7 +392,9 @@ class Float64MultiArray:
 
 
 class Stub:
-    """``rclpy`` as it is used: a node, one subscription, one publisher, and messages by hand."""
+    """Replacement of ``rclpy``: a node with one subscription and one publisher, whose messages the
+    test delivers.
+    """
 
     def __init__(self) -> None:
         self.waiting: list[Any] = []

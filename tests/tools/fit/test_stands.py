@@ -261,8 +261,10 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
 def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     robot: Robot, stands: MeasuredStands
 ) -> None:
-    """Positions determine only the ratio of masses and kp. If all are 10 % smaller, the noise of
-    the feet must be smaller as well."""
+    """Positions determine only the ratio of masses and kp.
+
+    If all are 10 % smaller, the noise of the feet must be smaller as well.
+    """
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     none = np.zeros(robot.nu)
     table = ParameterTable(apply_priors(list_parameters(robot, stands, kp)))
@@ -466,8 +468,9 @@ def test_doubled_weight_is_reported_as_far_from_the_file(
 def test_known_mass_determines_kp_and_contradicts_a_wrong_scale(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:
-    """Reference: planted mass and kp. A scale that is wrong by 50 %, or half of the known mass, is
-    found.
+    """Reference: planted mass and kp.
+
+    A scale that is wrong by 50 %, or half of the known mass, is found.
     """
     fit = fit_stands(robot, with_mass)
     assert fit.explained
@@ -652,8 +655,9 @@ def test_impossible_positions_and_options_are_refused(robot: Robot, stands: Meas
 def test_stand_with_a_loaded_swing_foot_is_left_out_with_a_note(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
-    """Reference: planted total mass [kg], from the other stands. If four stands are wrong, no fit
-    explains the data.
+    """Reference: planted total mass [kg], from the other stands.
+
+    If four stands are wrong, no fit explains the data.
     """
     wrong = replace(stands, swing=(("FR",), *stands.swing[1:]))
     fit = fit_stands(robot, wrong, priors=["kp=0"])
@@ -736,8 +740,9 @@ def test_log_coordinates_are_symmetric_in_factors_and_positive() -> None:
 
 
 def test_scale_is_unbiased_if_only_ratios_are_determined() -> None:
-    """Twelve kp, of which half are 0.8 and half 1.25 times a mass. By symmetry of factors, the
-    stated scale is the most probable.
+    """Twelve kp, of which half are 0.8 and half 1.25 times a mass.
+
+    By symmetry of factors, the stated scale is the most probable.
 
     Normal distributions in place of logarithmic ones would give 5 % less.
     """

@@ -145,8 +145,10 @@ def test_the_worst_posture_of_a_four_bar_linkage_is_that_of_virtual_work(
 
 
 def test_payload_limit_is_equal_in_both_engines() -> None:
-    """Reference: MuJoCo with 98 % and 102 % of the payload. In the worst posture, the limiting
-    motor is at its limit."""
+    """Reference: MuJoCo with 98 % and 102 % of the payload.
+
+    In the worst posture, the limiting motor is at its limit.
+    """
     robot = arm()
     posture, tool = find_posture(robot, POSTURE), find_tool(robot)
     worst = worst_postures(robot, posture, tool)
@@ -243,8 +245,10 @@ def test_lever_arm_of_rounding_size_does_not_limit_the_payload() -> None:
 
 
 def test_payload_of_soft_servos_is_below_that_of_the_motors() -> None:
-    """Reference: MuJoCo with 97 % and 120 % of the payload. The links point up, and gravity exceeds
-    the servo stiffness."""
+    """Reference: MuJoCo with 97 % and 120 % of the payload.
+
+    The links point up, and gravity exceeds the servo stiffness.
+    """
     robot, kd = arm(), 2.0
     kp = np.array([{"elbow": 8.0, "shoulder": 22.0}.get(name, 500.0) for name in ORDER])
     posture = find_posture(robot, {"a_turn": 0.0, "shoulder": -1.2, "elbow": 0.2, "b_slide": 0.0})
@@ -301,8 +305,9 @@ def test_worst_postures_of_a_polynomial_coupling_equal_mujoco(
     most: float,
     tmp_path: Path,
 ) -> None:
-    """Reference: MuJoCo at dense samples of the coupling. Without refinement the end of the range
-    would be exceeded by 17 %, and a narrow peak by 7 %.
+    """Reference: MuJoCo at dense samples of the coupling.
+
+    Without refinement the end of the range would be exceeded by 17 %, and a narrow peak by 7 %.
     """
     words = [" ".join(map(str, [*one[::-1], *[0.0] * (5 - len(one))])) for one in (bent, rest)]
     coupled = (

@@ -236,8 +236,10 @@ def test_markup_in_names_is_escaped() -> None:
 
 
 def test_overloaded_motors_give_no_passing_verdict() -> None:
-    """Reference: motor utilisation above 1. The panel shows no passing verdict, even if the
-    forces balance."""
+    """Reference: motor utilisation above 1.
+
+    The panel shows no passing verdict, even if the forces balance.
+    """
     found = model_of().solve_state(State(payload=30.0))
     assert found.statics is not None
     over = [n for n, share in zip(found.statics.joint_names, found.statics.motor_utilisation,

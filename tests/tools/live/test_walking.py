@@ -29,7 +29,9 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 @pytest.fixture
 def session(tmp_path: Path, server: Any) -> Iterator[WalkSession]:  # noqa: F811
-    stage = prepare_stage(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
+    stage = prepare_stage(
+        load("v3"), Policy.load(made.write_standing_policy(tmp_path / "still.json"))
+    )
     one = WalkSession(Browser(server), stage, np.zeros(3), Translator("en"))
     yield one
     end(one)
@@ -67,7 +69,9 @@ def test_played_walk_equals_the_simulation_of_walk(tmp_path: Path) -> None:
 
 def test_push_changes_the_momentum_by_its_impulse(tmp_path: Path) -> None:
     """Reference: momentum = impulse, in the air without horizontal forces."""
-    stage = prepare_stage(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
+    stage = prepare_stage(
+        load("v3"), Policy.load(made.write_standing_policy(tmp_path / "still.json"))
+    )
     run = Lockstep(stage, [replace(stage.make_case(np.zeros(3)), lift=1.0)])
     run.advance(make_push_forces(stage, [(0.6, -0.2)]))
     data = mujoco.MjData(stage.model)

@@ -54,8 +54,9 @@ def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> No
 def test_only_a_robot_upright_on_its_feet_is_stable_after_a_drop(
     variant: str, tilt: float, touching: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reference: tilt and contacts of bare MuJoCo's last state. All three robots are at rest after
-    6 s.
+    """Reference: tilt and contacts of bare MuJoCo's last state.
+
+    All three robots are at rest after 6 s.
     """
     robot = load(variant)
     model, data = robot.mj_model, viewer.make_home_data(robot)

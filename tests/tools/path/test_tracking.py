@@ -60,8 +60,10 @@ def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
 @pytest.mark.parametrize("seconds", [0.6, 1.0, 4.0])
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float) -> None:
-    """Reference: MuJoCo. In the fast path, the share of inertia in the torques is more than twice
-    the torque error."""
+    """Reference: MuJoCo.
+
+    In the fast path, the share of inertia in the torques is more than twice the torque error.
+    """
     robot = load(name)
     path = stance_path(robot, stances(name, "squat"), seconds, rate=50 / seconds)
     tracking = track_path(robot, path)

@@ -32,7 +32,9 @@ def pushed(name: str) -> PushRecovery:
 
 
 def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool:
-    """MuJoCo's own loop, and an opinion of our own whether the robot still stands on its feet."""
+    """Return whether the robot stands after a push [N s], by a plain MuJoCo loop and its last
+    state.
+    """
     robot, stand = load(name), stand_of(name)
     drive, model = model_with_servos(robot), robot.description.mjcf.copy().compile()
     torques = pa.gravity_compensation(
@@ -189,8 +191,10 @@ def test_push_recovery_on_three_legs_slopes_and_steps(task: pa.StandTask) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize(("kd", "stands"), [(5.0, True), (8.0, False)])
 def test_push_limit_is_zero_if_the_stand_fails(tmp_path: Path, kd: float, stands: bool) -> None:
-    """Reference: ``verify_stand``. At 8 N m s/rad the servos oscillate, and the robot falls in the
-    second after a nudge at 5 s."""
+    """Reference: ``verify_stand``.
+
+    At 8 N m s/rad the servos oscillate, and the robot falls in the second after a nudge at 5 s.
+    """
     robot = pa.load_robot(**quadruped(tmp_path, actuators="position", floor=True)._asdict())
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     alone = pa.verify_stand(robot, stand, kp=150.0, kd=kd)
@@ -227,9 +231,8 @@ def test_early_termination_does_not_change_the_outcome(name: str) -> None:
 
 @pytest.mark.slow
 def test_moving_robot_is_simulated_on_until_it_rests_or_falls() -> None:
-    """Reference: the same pushes simulated for 6 s, in which all outcomes are decided.
-
-    After 2 s v3-long-leg still moves in all cases, and was said not to come to rest.
+    """Compare the outcomes of pushes of 1.0 to 1.59 N s with a simulation of 6 s, in which all are
+    decided. After 2 s v3-long-leg still moves in all cases; this was reported as no rest.
     """
     options = {"kp": None, "kd": None, "feedforward": True, "integrator": None}
     robot, stand = load("v3-long-leg"), pa.stance.solve_stand_as_simulated(load("v3-long-leg"))

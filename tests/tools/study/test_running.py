@@ -59,8 +59,10 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 def test_design_that_does_not_stand_has_zero_metrics_and_no_sag(
     threads: Executor, tmp_path: Path
 ) -> None:
-    """v3 with legs of 1.4: a design stands, has no stable equilibrium, or is out of reach. A
-    fallen robot has no static deflection."""
+    """v3 with legs of 1.4: a design stands, has no stable equilibrium, or is out of reach.
+
+    A fallen robot has no static deflection.
+    """
     metrics = ("stands", "verified", "sag", "stiffness", "peak_utilisation")
     vary = {"leg_scale": [1.4], "torso_mass_scale": [1.0, 1.75, 2.5], "height": [0.19, 0.9]}
     table = study(vary, *metrics).run(tmp_path, executor=threads).set_index(

@@ -82,8 +82,10 @@ def test_arm_on_a_displaced_base_is_synchronised(
         assert 1 <= len(result.edits) <= 2
 
 
-def another_zero(**more: Any) -> Parts:
-    """The robot with a knee's zero, and its limits with it, 0.4 rad elsewhere; and more changes."""
+def shift_knee_zero(**more: Any) -> Parts:
+    """Return the robot with a knee's zero and limits shifted by 0.4 rad, and with further
+    changes.
+    """
     part = ROBOT["shank1"]
     turned = turned_about(part, part.axis, 0.4)
     limits = {"lower": part.lower - 0.4, "upper": part.upper - 0.4}
@@ -92,7 +94,7 @@ def another_zero(**more: Any) -> Parts:
 
 @pytest.mark.slow
 def test_difference_beside_a_joint_zero_is_written_in_the_own_convention(tmp_path: Path) -> None:
-    part, moved = ROBOT["shank1"], another_zero(position=(0.01, 0.08, -0.2))
+    part, moved = ROBOT["shank1"], shift_knee_zero(position=(0.01, 0.08, -0.2))
     for side in ("urdf", "mjcf"):
         files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
         result = pa.sync_models(*files, take=f"{side}:position")

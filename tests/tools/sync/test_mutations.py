@@ -42,8 +42,10 @@ class Pair(NamedTuple):
 
 
 @cache
-def written(name: str, folder: Path) -> Pair:
-    """A model's files: the published ones, with includes, where it is not derived."""
+def write_model(name: str, folder: Path) -> Pair:
+    """Write the files of a model: the published ones, with includes, for a model that is not
+    derived.
+    """
     (folder / "urdf").mkdir(parents=True)
     (folder / "mjcf").mkdir()
     if name == "quadruped":
@@ -164,8 +166,10 @@ def is_free(found: dict[str, str], tag: str) -> bool:
     return tag == "body" and found.get("name") in ("base_link", "base")
 
 
-def mutated(pair: Pair, choose: random.Random) -> Mutated | None:
-    """One attribute of one file is another; None if the choice is not there."""
+def mutate_attribute(pair: Pair, choose: random.Random) -> Mutated | None:
+    """Return a file in which one attribute is changed or added; None if it has no such
+    attribute.
+    """
     texts = pair.texts()
     file = choose.choice(list(texts) if choose.random() < 0.6 else [pair.urdf])
     kind, attribute, change = choose.choice(KINDS[file.suffix])
@@ -206,12 +210,12 @@ def changed_attributes(before: str, after: str) -> int:
     return sum(one[2] != two[2] for one, two in zip(*spans, strict=True))
 
 
-def restored(pair: Pair, seed: int) -> str | None:
+def restore_by_sync(pair: Pair, seed: int) -> str | None:
     """Make a mutation and restore it by `sync`; return its description, or None if the mutation has
     no effect.
     """
     choose = random.Random(seed)
-    mutation = mutated(pair, choose)
+    mutation = mutate_attribute(pair, choose)
     if mutation is None:
         return None
     good = pair.texts()
@@ -243,19 +247,19 @@ def restored(pair: Pair, seed: int) -> str | None:
 @pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
-    pair = written(model, folder / model)
-    done = [restored(pair, seed) for seed in range(6)]
+    pair = write_model(model, folder / model)
+    done = [restore_by_sync(pair, seed) for seed in range(6)]
     assert sum(one is not None for one in done) >= 1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", LAYOUTS)
 def test_many_mutations_are_undone(model: str, folder: Path) -> None:
-    pair = written(model, folder / model)
+    pair = write_model(model, folder / model)
     done: list[str] = []
     seed = 1000 * MODELS.index(model)  # not the same choices for all
     while len(done) < MANY:
         seed += 1
-        found = restored(pair, seed)
+        found = restore_by_sync(pair, seed)
         done += [found] if found is not None else []
     assert len(set(done)) >= 8  # of several kinds, in both files

@@ -31,8 +31,10 @@ CONVERTERS = ROOT / "build" / "converters" / "bin"
     ("converter", "folder"), [("urdf_usd_converter", "urdf"), ("mujoco_usd_converter", "mjcf")]
 )
 def test_converted_usd_agrees_with_its_source(converter: str, folder: str, tmp_path: Path) -> None:
-    """Reference: the URDF or MJCF from which an independent converter made the USD. Skipped if
-    the converter is not installed."""
+    """Reference: the URDF or MJCF from which an independent converter made the USD.
+
+    Skipped if the converter is not installed.
+    """
     command = shutil.which(converter, path=f"{CONVERTERS}{os.pathsep}{os.environ['PATH']}")
     if command is None:
         pytest.skip(f"{converter} is not installed")

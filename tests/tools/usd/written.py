@@ -1,6 +1,8 @@
-"""A leg on a base, as a URDF and as a USD in all conventions that a USD may have. The USD is in
-centimetres and grams, with y up, its hip about a rotated x axis, its knee from the shank to the
-thigh, and its angles in degrees; all numbers are written by hand, and equal those of the URDF.
+"""A leg on a base, as a URDF and as a USD in all conventions that a USD may have.
+
+The USD is in centimetres and grams, with y up, its hip about a rotated x axis, its knee from the
+shank to the thigh, and its angles in degrees; all numbers are written by hand, and equal those of
+the URDF.
 """
 
 from __future__ import annotations

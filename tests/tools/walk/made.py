@@ -67,8 +67,8 @@ def dense_onnx(
 FRAME = 36
 
 
-def still(path: Path, **changed: Any) -> Path:
-    """Write a policy for Pupper that stands in its default pose and reacts to tilt by its hips."""
+def write_standing_policy(path: Path, **changed: Any) -> Path:
+    """Write a policy that keeps Pupper's default pose and counters tilt with the hips."""
     weights = np.zeros((FRAME, 12))
     weights[4, [1, 4, 7, 10]] = 0.2  # leans to the side are met by the hips
     weights[0, [1, 4, 7, 10]] = 0.02  # and damped

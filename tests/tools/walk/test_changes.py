@@ -31,7 +31,7 @@ from tests.tools.walk import made
 
 @pytest.fixture(scope="module")
 def still(tmp_path_factory: pytest.TempPathFactory) -> Policy:
-    return Policy.load(made.still(tmp_path_factory.mktemp("walk") / "still.json"))
+    return Policy.load(made.write_standing_policy(tmp_path_factory.mktemp("walk") / "still.json"))
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from tests.tools.walk import made
 def test_walk_with_a_standing_policy_passes(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    policy = made.still(tmp_path / "still.json")
+    policy = made.write_standing_policy(tmp_path / "still.json")
     path, page = tmp_path / "walk.json", tmp_path / "walk.html"
     status, out, err = run_command(
         capfd, "walk", "v3", "--policy", str(policy), "--command", "0,0,0", "--seconds", "3",
@@ -38,7 +38,7 @@ def test_walk_reports_audit_errors(capfd: pytest.CaptureFixture[str], tmp_path: 
     """As all commands with a verdict."""
     text = (ROOT / "urdf/pupper_v3.urdf").read_text(encoding="utf-8")
     text = text.replace("../mjcf/", f"{ROOT}/mjcf/").replace('ixx="7.4e-05"', 'ixx="7.4e-03"', 1)
-    urdf, policy = tmp_path / "robot.urdf", made.still(tmp_path / "still.json")
+    urdf, policy = tmp_path / "robot.urdf", made.write_standing_policy(tmp_path / "still.json")
     urdf.write_text(text, encoding="utf-8")
     words = ("walk", str(urdf), "--policy", str(policy), "--command", "0,0,0", "--seconds", "3")
     for more in ((), ("--vary", "strength", "--seeds", "1")):
@@ -50,7 +50,7 @@ def test_walk_reports_audit_errors(capfd: pytest.CaptureFixture[str], tmp_path: 
 def test_invalid_input_is_refused_in_one_line(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    policy = made.still(tmp_path / "still.json")
+    policy = made.write_standing_policy(tmp_path / "still.json")
     words = ("walk", "v3", "--policy")
     for more, message in (
         ((str(tmp_path / "none.json"),), "none.json"),
@@ -67,7 +67,7 @@ def test_invalid_input_is_refused_in_one_line(
 def test_error_is_one_line_if_servos_or_joints_of_the_policy_are_missing(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    values = json.loads(made.still(tmp_path / "still.json").read_text())
+    values = json.loads(made.write_standing_policy(tmp_path / "still.json").read_text())
     without = {key: value for key, value in values.items() if key not in ("kp", "kd")}
     bare = tmp_path / "bare.json"
     bare.write_text(json.dumps(without))
@@ -80,7 +80,7 @@ def test_error_is_one_line_if_servos_or_joints_of_the_policy_are_missing(
     named.write_text(json.dumps(values))
     named.with_suffix(".toml").write_text(f"joints = {[f'j{k}' for k in range(12)]}")
     check_refusal(capfd, tmp_path, ("walk", "v3", "--policy", str(named)), "j0")
-    few = made.still(tmp_path / "few.json", default_joint_pos=[0.0] * 11)
+    few = made.write_standing_policy(tmp_path / "few.json", default_joint_pos=[0.0] * 11)
     check_refusal(capfd, tmp_path, ("walk", "v3", "--policy", str(few)), "default")
     large = tmp_path / "large.onnx"
     tensor = made.tensor("W", [1.0], dims=(40_000, 25_000))
@@ -94,7 +94,7 @@ def test_push_and_payload_with_a_policy_equal_walk(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """The intervals of all three commands are equal, and their ends are in N s and kg."""
-    policy = str(made.still(tmp_path / "still.json"))
+    policy = str(made.write_standing_policy(tmp_path / "still.json"))
     more = ("--command", "0,0,0", "--seconds", "3", "--seeds", "1", "--policy", policy, "--json")
     found = {}
     for name, words in {

@@ -35,11 +35,11 @@ HIPS = [1, 4, 7, 10]
 
 @pytest.fixture(scope="module")
 def still(tmp_path_factory: pytest.TempPathFactory) -> Policy:
-    return Policy.load(made.still(tmp_path_factory.mktemp("walk") / "still.json"))
+    return Policy.load(made.write_standing_policy(tmp_path_factory.mktemp("walk") / "still.json"))
 
 
 def bare(robot: pa.Robot, height: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return torques and states of the policy of ``made.still``, simulated by bare MuJoCo."""
+    """Return torques and states of the standing policy, simulated by bare MuJoCo."""
     model = mujoco.MjModel.from_xml_path(str(robot.description.mjcf_source))
     data = mujoco.MjData(model)
     model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3] = 5.0, (-5.0, -0.25)

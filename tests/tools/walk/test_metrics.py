@@ -18,7 +18,10 @@ from tests.tools.walk import made
 
 @pytest.mark.slow
 def test_walk_metrics_equal_walk(tmp_path: Path) -> None:
-    path, design = made.still(tmp_path / "still.json"), SimpleNamespace(robot=load("v3"))
+    path, design = (
+        made.write_standing_policy(tmp_path / "still.json"),
+        SimpleNamespace(robot=load("v3")),
+    )
     [gait] = simulate_walk(load("v3"), Policy.load(path), (0, 0, 0)).gaits
     margin = make_metric(f"walk_margin:{path}@0,0,0")
     assert margin.function(design) == gait.margin  # type: ignore[arg-type]
@@ -43,7 +46,7 @@ def test_walk_metrics_equal_walk(tmp_path: Path) -> None:
 def test_invalid_walk_metrics_are_refused(
     given: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made.still(tmp_path / "still.json")
+    made.write_standing_policy(tmp_path / "still.json")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(PupperAnalysisError, match=named):
         make_metric(given)
@@ -52,7 +55,7 @@ def test_invalid_walk_metrics_are_refused(
 @pytest.mark.slow
 def test_policy_path_of_a_study_is_relative_to_its_file(tmp_path: Path) -> None:
     """A design with a torso mass of 12 times has motors too weak to stand, and the margin 0."""
-    made.still(tmp_path / "still.json")
+    made.write_standing_policy(tmp_path / "still.json")
     (tmp_path / "study.toml").write_text(
         'robot = "v3"\nmeasure = ["walk_margin:still.json@0,0,0"]\n'
         "[vary]\ntorso_mass_scale = { values = [1.0, 12.0] }\n"

@@ -62,7 +62,7 @@ def test_toml_takes_precedence_over_onnx_metadata(tmp_path: Path) -> None:
 
 
 def test_rtneural_file_of_pupper_has_its_observations_and_rate(tmp_path: Path) -> None:
-    contract = Policy.load(made.still(tmp_path / "p.json")).contract
+    contract = Policy.load(made.write_standing_policy(tmp_path / "p.json")).contract
     names = [term.name for term in contract.terms]
     assert names == [
         "angular-velocity", "gravity", "command", "up-command", "joint-positions", "last-action",
@@ -164,8 +164,10 @@ def check_read_or_refused(path: Path) -> None:
 def test_rtneural_of_wrong_types_is_read_or_refused(tmp_path: Path) -> None:
     """Each value of a policy is replaced by a value of each JSON type; no other exception is
     raised."""
-    sound = json.loads(made.still(tmp_path / "p.json").read_text()) | {"layers": RECURRENT}
-    Policy.load(made.still(tmp_path / "p.json", layers=RECURRENT))
+    sound = json.loads(made.write_standing_policy(tmp_path / "p.json").read_text()) | {
+        "layers": RECURRENT
+    }
+    Policy.load(made.write_standing_policy(tmp_path / "p.json", layers=RECURRENT))
     cases = [(place, new) for place in places_in(sound) for new in WRONG]
     assert len(cases) > 500
     for place, new in cases:
@@ -189,7 +191,7 @@ def test_rtneural_of_wrong_types_is_read_or_refused(tmp_path: Path) -> None:
     ],
 )
 def test_rtneural_layer_of_a_wrong_type_is_named(tmp_path: Path, layer: Any, text: str) -> None:
-    assert text in get_refusal(made.still(tmp_path / "p.json", layers=[layer]))
+    assert text in get_refusal(made.write_standing_policy(tmp_path / "p.json", layers=[layer]))
 
 
 @pytest.mark.slow
