@@ -156,11 +156,11 @@ def test_smaller_limit_counts_if_directions_differ() -> None:
     robot, stand = rebuild_robot(load("v3"), mjcf=spec), stand_of("v3")
     np.testing.assert_allclose(robot.effort_limits, 0.5)
     np.testing.assert_allclose(robot.effort_ranges, [(-0.9, 0.5)] * 12)
-    classify_drive = model_with_servos(robot, kp=100.0, kd=0.0)
-    data = mujoco.MjData(classify_drive.model)
+    drive = model_with_servos(robot, kp=100.0, kd=0.0)
+    data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, stand.qpos)
-    data.ctrl[:] = classify_drive.command(robot, stand.qpos[7:] + np.tile([1.0, -1.0], 6))
-    mujoco.mj_forward(classify_drive.model, data)
+    data.ctrl[:] = drive.command(robot, stand.qpos[7:] + np.tile([1.0, -1.0], 6))
+    mujoco.mj_forward(drive.model, data)
     torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
     np.testing.assert_allclose(torques, np.tile([0.5, -0.9], 6), rtol=1e-12)
     assert any(note.code == "motors-uneven" for note in report_efforts(robot.efforts))
@@ -220,6 +220,15 @@ def test_hinge_has_no_range_if_its_limit_states_none(
     # What the audit says of the file as it is written stays.
     found = [one for one in pa.audit_model(urdf).findings if one.rule == "range-empty"]
     assert bool(found) is ('lower="-1"' not in limit)
+
+
+def test_slide_stays_locked_if_its_limit_states_no_range(tmp_path: Path) -> None:
+    urdf = rewritten(
+        quadruped(tmp_path).urdf,
+        (KNEE, 'effort="80"'),
+        ('_knee" type="revolute"', '_knee" type="prismatic"'),
+    )
+    assert read_urdf(urdf).notes == ()
 
 
 @pytest.mark.slow
@@ -337,12 +346,12 @@ def test_urdf_effort_of_zero_fails_and_names_the_mjcf_limit(tmp_path: Path) -> N
     robot = pa.load_robot(*pair)
     assert {limit.code for limit in robot.efforts} == {"zero"}
     stand = pa.solve_stand(robot)
-    classify_drive = model_with_servos(robot)
-    data = mujoco.MjData(classify_drive.model)
+    drive = model_with_servos(robot)
+    data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, stand.qpos)
-    data.ctrl[:] = classify_drive.command(robot, stand.qpos[7:])
+    data.ctrl[:] = drive.command(robot, stand.qpos[7:])
     while data.time < 1.0:
-        mujoco.mj_step(classify_drive.model, data)
+        mujoco.mj_step(drive.model, data)
     assert data.qpos[2] < 0.6 * stand.qpos[2]
     verdict = judge_stand(robot, stand)
     assert not verdict.passed

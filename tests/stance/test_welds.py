@@ -435,8 +435,8 @@ def test_stated_hand_force_shifts_the_com_region(armed: pa.Robot) -> None:
     for corner in wanted:
         assert np.linalg.norm(found - corner, axis=1).min() < 1e-3
     assert found[:, 0].max() == pytest.approx(wanted[:, 0].max(), abs=1e-3)
-    compute_least_torque = pa.stance.stand_statics(armed, stand).com_margin
-    assert compute_least_torque == pytest.approx(stand.com_margin, abs=1e-9)
+    margin = pa.stance.stand_statics(armed, stand).com_margin
+    assert margin == pytest.approx(stand.com_margin, abs=1e-9)
 
 
 @pytest.mark.slow

@@ -137,9 +137,9 @@ def test_unreadable_file_fails_and_other_remarks_are_reported(folder: Path) -> N
 def test_unreadable_file_cannot_be_accepted_by_the_baseline(folder: Path) -> None:
     change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
     config = folder / "pupper-analysis.toml"
-    (make_remark,) = (r for r in pa.guard.check_repository(config).remarks if r.kind == "refused")
+    (remark,) = (r for r in pa.guard.check_repository(config).remarks if r.kind == "refused")
     before = read_baseline(folder / BASELINE)
-    entries = [*before.entries, BaselineEntry(make_remark.identity, make_remark.values)]
+    entries = [*before.entries, BaselineEntry(remark.identity, remark.values)]
     write_baseline(folder / BASELINE, before, entries)
     check = pa.guard.check_repository(config)
     assert not check.passed
@@ -151,11 +151,11 @@ COMMENTS = "# agreed with the supplier: part ordered"
 
 def baseline_with(folder: Path, *lines: str) -> list[str]:
     """Write the sample's baseline with lines before (``^``) and after its first entry."""
-    head, make_baseline_entry = (SAMPLE / BASELINE).read_text().split("\n\n")
+    head, entry = (SAMPLE / BASELINE).read_text().split("\n\n")
     above = [line.removeprefix("^") for line in lines if line.startswith("^")]
     below = [line for line in lines if not line.startswith("^")]
     (folder / BASELINE).write_text(
-        "\n".join([head, *above, make_baseline_entry.rstrip("\n"), *below, ""])
+        "\n".join([head, *above, entry.rstrip("\n"), *below, ""])
     )
     return [*above, *below]
 
@@ -253,7 +253,7 @@ def test_a_file_of_several_pairs_is_audited_once(folder: Path) -> None:
     with (folder / "pupper-analysis.toml").open("a") as file:
         file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
     check = pa.guard.check_repository(folder / "pupper-analysis.toml")
-    audited = [make_remark for make_remark in check.remarks if make_remark.check == "audit"]
+    audited = [remark for remark in check.remarks if remark.check == "audit"]
     assert [(r.pair, r.kind, r.file) for r in audited] == [
         ("", "start-outside-limits", "hopper.urdf")
     ]

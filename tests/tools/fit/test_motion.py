@@ -101,17 +101,17 @@ def test_replay_is_recognised_by_its_commands() -> None:
         there = time[: len(command)]
         return Run(there, command, command, command[:2], full & (not out), full & out)
 
-    fit_bar_motion, noise = run(one, out=False), 0.01 * rng.normal(size=one[:600].shape)
-    assert measure_replay([fit_bar_motion, run(one[37:637] + noise, out=True)]) > 0.99
-    assert measure_replay([fit_bar_motion, run(other[:600], out=True)]) < 0.9
-    assert measure_replay([fit_bar_motion]) == 0.0
+    recorded, noise = run(one, out=False), 0.01 * rng.normal(size=one[:600].shape)
+    assert measure_replay([recorded, run(one[37:637] + noise, out=True)]) > 0.99
+    assert measure_replay([recorded, run(other[:600], out=True)]) < 0.9
+    assert measure_replay([recorded]) == 0.0
     # A repetition that begins 37.4 samples later is 3 mrad from itself, and another motion none.
     late = np.column_stack([np.interp(np.arange(600) + 37.4, np.arange(800), c) for c in one.T])
     again = replace(run(late, out=False), position=late + 3e-3 * rng.normal(size=late.shape))
-    assert measure_repeatability([fit_bar_motion, again]) == pytest.approx(
+    assert measure_repeatability([recorded, again]) == pytest.approx(
         3e-3 / np.sqrt(2), rel=0.05
     )
-    assert math.isnan(measure_repeatability([fit_bar_motion, run(other[:600], out=False)]))
+    assert math.isnan(measure_repeatability([recorded, run(other[:600], out=False)]))
 
 
 def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import split_verdict_lines
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import STATE_SPEC, simulate_commands
@@ -18,6 +19,7 @@ from pupper_analysis.simulation.verdict import Question, Verdict
 from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import path_commands, study_path, track_path
+from tests.prepare.test_imported import four_legs
 from tests.prepare.test_own_run import codes, slipped
 from tests.support.commands import check_refusal, run_command
 from tests.support.engines import evaluate_mujoco
@@ -254,3 +256,11 @@ def test_path_verdict_states_the_run_of_the_unmodified_file(tmp_path: Path) -> N
     # The run supports the verdict, so it is a detail of the answer.
     _, details = split_verdict_lines(verdict)
     assert any("unmodified MJCF" in str(line) for line in details)
+
+
+@pytest.mark.slow
+def test_keyframe_run_of_a_path_equals_that_of_the_robot(tmp_path: Path) -> None:
+    robot = pa.load_robot(four_legs(tmp_path))
+    found = judge_path(robot)
+    assert found.keyframe_run == own_run(robot)
+    assert "own-run" in codes(found)
