@@ -111,7 +111,7 @@ def test_error_of_a_wrong_robot_names_the_nearest(
     shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "robot.urdf")
     (tmp_path / "folder").mkdir()
     (tmp_path / "deploy.yaml").write_text("kp: 5\n")
-    assert suggested in refusal(*arguments, folder=tmp_path)
+    assert suggested in run_refused(*arguments, folder=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_error_of_a_wrong_argument_says_which_is_expected(
     arguments: tuple[str, ...], message: str, tmp_path: Path
 ) -> None:
     shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "a.urdf")
-    assert message in refusal(*arguments, folder=tmp_path)
+    assert message in run_refused(*arguments, folder=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_error_of_a_wrong_argument_says_which_is_expected(
     ids=str,
 )
 def test_error_of_a_wrong_value_shows_a_valid_one(arguments: tuple[str, ...], message: str) -> None:
-    assert message in refusal("stand", "v3", *arguments)
+    assert message in run_refused("stand", "v3", *arguments)
 
 
 @pytest.mark.slow
