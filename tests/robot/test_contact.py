@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.robot import contact
+from pupper_analysis.robot.build import rebuild_robot
 from tests.support.engines import evaluate_mujoco
 
 positive = st.floats(0.001, 2.0)
@@ -79,12 +80,21 @@ def test_contact_of_condim_1_has_no_sliding_friction() -> None:
 
 
 def test_foot_contacts_of_a_robot_equal_mujoco(robot: pa.Robot, stand: pa.Stand) -> None:
-    """Reference: the four contacts in MuJoCo's data with the feet 1 mm deeper."""
+    """Reference: the four contacts in MuJoCo's data with the feet 1 mm deeper.
+
+    Each foot has its own friction, so that exchanged feet are found.
+    """
+    spec = robot.description.mjcf.copy()
+    for number, geom in enumerate(robot.foot_geoms):
+        spec.geoms[geom].friction = (1.1 + 0.1 * number, 0.03, 0.01)
+    robot = rebuild_robot(robot, mjcf=spec)
     mj = evaluate_mujoco(robot, stand.qpos - np.eye(robot.nq)[2] * 1e-3)
     assert mj.ncon == 4
-    for index in range(4):
-        theirs = mj.contact
-        ours = next(iter(robot.contacts.values()))
+    theirs = mj.contact
+    for index, pair in enumerate(theirs.geom.tolist()):
+        (foot,) = (robot.foot_geoms[geom] for geom in pair if geom in robot.foot_geoms)
+        ours = robot.contacts[foot]
         assert ours.condim == theirs.dim[index]
         for field in ("friction", "solref", "solimp"):
             np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field)[index])
+    assert len({ours.friction[0] for ours in robot.contacts.values()}) == 4
