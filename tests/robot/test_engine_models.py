@@ -330,12 +330,22 @@ def test_pickled_stand_has_commands_only_with_its_robot() -> None:
         copy.with_robot(load("original"))
 
 
-def test_each_stand_of_a_sequence_has_commands() -> None:
-    """`q_pin` equals the conversion of `qpos`, and `ctrl` has an entry per actuator."""
+def test_q_pin_and_qpos_of_each_stand_have_equal_foot_positions() -> None:
+    """Compare Pinocchio's foot centres [m] at ``q_pin`` with MuJoCo's at ``qpos``."""
     robot = load("v3")
-    tasks = [pa.StandTask(height=height) for height in (0.12, 0.125)]
+    tasks = [pa.StandTask(height=height, roll=0.1, yaw=0.2) for height in (0.12, 0.125)]
+    data = robot.pin_model.createData()
     for stand in pa.solve_stands(robot, tasks):
-        np.testing.assert_array_equal(stand.q_pin, robot.to_pinocchio(stand.qpos))
+        pin.framesForwardKinematics(robot.pin_model, data, stand.q_pin)
+        mj = evaluate_mujoco(robot, stand.qpos)
+        for geom, foot in robot.foot_geoms.items():
+            frame = robot.pin_model.getFrameId(robot.contact_frames[foot])
+            place = data.oMf[frame].translation
+            np.testing.assert_allclose(place, mj.geom_xpos[geom], rtol=0, atol=1e-12)
+
+
+def test_ctrl_of_a_simulated_stand_has_one_entry_per_actuator() -> None:
+    robot = load("v3")
     assert len(pa.solve_stand_as_simulated(robot).ctrl) == robot.mj_model.nu
 
 
