@@ -125,7 +125,9 @@ def test_file_mode_follows_the_umask_or_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", ["", ".png", "." + "y" * 150])
 def test_file_name_of_the_maximum_length_is_written(suffix: str, tmp_path: Path) -> None:
     """255 bytes, the limit of common file systems; the temporary file has a shorter name."""
-    write(tmp_path / f"{'x' * (255 - len(suffix))}{suffix}")
+    path = tmp_path / f"{'x' * (255 - len(suffix))}{suffix}"
+    write(path)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(

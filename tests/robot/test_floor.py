@@ -5,6 +5,7 @@ MuJoCo's contacts and the stands on a level plane are the references.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -129,8 +130,13 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
         np.testing.assert_allclose(np.sort(one, axis=0), np.sort(two, axis=0), atol=1e-12)
     assert np.unique(np.array(data[0].contact.friction)[:, 0]).tolist() == [0.37]
     assert {contact.friction[0] for contact in robot.contacts.values()} == {0.37}
-    with pytest.raises(pa.PupperAnalysisError):  # tan(0.45 rad) = 0.48
-        pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.45)))
+    # A robot slides on slopes steeper than arctan(0.37) = 0.354 rad.
+    steep = pa.solve_stand(robot, pa.StandTask(height=0.28, ground=pa.Ground(slope=0.45)))
+    with pytest.raises(pa.StaticsInfeasibleError, match=r"is 0\.370, and 0\.48. is needed"):
+        pa.stance.stand_statics(robot, steep)
+    flat = pa.solve_stand(robot, pa.StandTask(height=0.28, ground=pa.Ground(slope=0.34)))
+    for used in pa.stance.stand_statics(robot, flat).friction_utilisation.values():
+        assert used == pytest.approx(math.tan(0.34) / 0.37, rel=1e-6)
 
 
 def test_smaller_friction_of_an_anisotropic_pair_is_used(tmp_path: Path) -> None:

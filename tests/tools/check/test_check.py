@@ -154,9 +154,7 @@ def baseline_with(folder: Path, *lines: str) -> list[str]:
     head, entry = (SAMPLE / BASELINE).read_text().split("\n\n")
     above = [line.removeprefix("^") for line in lines if line.startswith("^")]
     below = [line for line in lines if not line.startswith("^")]
-    (folder / BASELINE).write_text(
-        "\n".join([head, *above, entry.rstrip("\n"), *below, ""])
-    )
+    (folder / BASELINE).write_text("\n".join([head, *above, entry.rstrip("\n"), *below, ""]))
     return [*above, *below]
 
 

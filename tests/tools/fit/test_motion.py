@@ -108,9 +108,7 @@ def test_replay_is_recognised_by_its_commands() -> None:
     # A repetition that begins 37.4 samples later is 3 mrad from itself, and another motion none.
     late = np.column_stack([np.interp(np.arange(600) + 37.4, np.arange(800), c) for c in one.T])
     again = replace(run(late, out=False), position=late + 3e-3 * rng.normal(size=late.shape))
-    assert measure_repeatability([recorded, again]) == pytest.approx(
-        3e-3 / np.sqrt(2), rel=0.05
-    )
+    assert measure_repeatability([recorded, again]) == pytest.approx(3e-3 / np.sqrt(2), rel=0.05)
     assert math.isnan(measure_repeatability([recorded, run(other[:600], out=False)]))
 
 
