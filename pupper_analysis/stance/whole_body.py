@@ -544,7 +544,8 @@ def _explain_failure(
 ) -> PostureUnreachableError:
     """Return the error of an unreachable posture.
 
-    It names the required task with the largest residual, and the joints at their limits.
+    It names the required task with the largest residual, and the joints at their limits. The unit
+    of a `JointsTask` is that of the joint with the largest deviation.
 
     Args:
         robot: Robot.
@@ -563,9 +564,11 @@ def _explain_failure(
         if min(value - low, high - value) < _AT_LIMIT:
             at_limit[name] = float(low if value - low < high - value else high)
     names = _describe_tasks(tasks, kept)
-    unit = tasks[worst].unit
-    if isinstance(tasks[worst], JointsTask):
-        unit = "rad"
+    task, unit = tasks[worst], tasks[worst].unit
+    if isinstance(task, JointsTask):
+        positions = dict(zip(robot.joint_names, qpos[first:].tolist(), strict=True))
+        gaps = {name: abs(positions[name] - target) for name, target in task.positions.items()}
+        unit = joint_unit(robot, max(gaps, key=gaps.__getitem__))
     units = {name: joint_unit(robot, name) for name in at_limit}
     return PostureUnreachableError(
         names[worst],

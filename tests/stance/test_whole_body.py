@@ -169,6 +169,17 @@ def test_target_out_of_reach_names_task_residual_and_joints_at_limits() -> None:
     assert lifted.value.residuals["contact FR"] < lifted.value.residual
 
 
+def test_unit_of_an_unreachable_joint_position_is_that_of_the_joint() -> None:
+    """A slide with the range up to 0.2 m misses 0.5 m by 0.3 m, a hinge at 0.2 rad by 0.1 rad."""
+    robot = by_hand.arm()
+    with pytest.raises(pa.PostureUnreachableError) as caught:
+        pa.solve_posture(robot, [JointsTask({"a_turn": 0.1, "b_slide": 0.5})])
+    assert (caught.value.residual, caught.value.unit) == (pytest.approx(0.3, abs=1e-6), "m")
+    with pytest.raises(pa.PostureUnreachableError) as turned:
+        pa.solve_posture(robot, [JointsTask({"b_slide": 0.1, "elbow": 0.1})])
+    assert (turned.value.residual, turned.value.unit) == (pytest.approx(0.1, abs=1e-6), "rad")
+
+
 def test_self_clearance_keeps_links_apart_that_touch_without_the_task() -> None:
     """MuJoCo measures the distance of the two feet, with the radii of their spheres."""
     robot, start = load("v3"), stand_of("v3").qpos
