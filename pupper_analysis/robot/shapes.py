@@ -34,7 +34,8 @@ class CarriedShape:
         link: Link of the URDF that moves with the geom.
         joint: Joint that moves the geom; "" for the base.
         form: Shape in the frame of the link.
-        on_ground: Whether MuJoCo detects contacts of the geom with the ground.
+        on_ground: Whether MuJoCo detects contacts of the geom with the ground; False if the geom is
+            fixed in the world.
     """
 
     geom: int
@@ -53,9 +54,10 @@ def shapes_of(
     neutral: Array,
     source: Path,
 ) -> tuple[CarriedShape, ...]:
-    """Return the collision shapes of the moving bodies, including feet, in order of the geom ids.
+    """Return the collision shapes of the robot's bodies, including feet, in order of the geom ids.
 
-    If the base of the MJCF is the world, the shapes that are fixed in the world are included.
+    The shapes of a fixed base are included. If the base of the MJCF is the world body, these are
+    all shapes that are fixed in the world, except planes and height fields.
 
     The pose of a shape in the frame of its link is computed with all joint positions zero, for
     which the link poses of both models agree.
@@ -85,6 +87,9 @@ def shapes_of(
         moving_body = int(model.body_weldid[body])
         if not collides or moving_body not in carriers.joints:
             continue
+        is_static = moving_body == 0
+        if is_static and not _is_part_of_base(model, geom, int(model.body(bases[1]).id)):
+            continue
         shape = read_shape(model, geom, data)
         if shape.kind not in NUM_SIZES:
             problem = diagnose(
@@ -102,17 +107,30 @@ def shapes_of(
                 link=link,
                 joint=carriers.joints[moving_body],
                 form=replace(shape, pose=Pose.of(place.actInv(shape.pose.placement))),
-                on_ground=ground is not None and may_touch(model, geom, ground),
+                on_ground=ground is not None and not is_static and may_touch(model, geom, ground),
             )
         )
     return tuple(shapes)
+
+
+def _is_part_of_base(model: mujoco.MjModel, geom: int, base: int) -> bool:
+    """Return True if a geom that is fixed in the world is on the fixed base or on its descendants.
+
+    If ``base`` is the world body, planes and height fields are parts of the surroundings.
+    """
+    body = int(model.geom_bodyid[geom])
+    while body not in (base, 0):
+        body = int(model.body_parentid[body])
+    terrain = mujoco.mjtGeom.mjGEOM_PLANE.value, mujoco.mjtGeom.mjGEOM_HFIELD.value
+    return body == base and (base != 0 or int(model.geom_type[geom]) not in terrain)
 
 
 class _LinkFinder:
     """Assignment of MuJoCo bodies to links of the URDF, at zero angles.
 
     Attributes:
-        joints: {moving body: joint that moves the body}; the joint of the base is "".
+        joints: {moving body: joint that moves the body}; the joint of the base is "". A fixed base
+            is represented by the world body, 0.
     """
 
     def __init__(
@@ -127,7 +145,7 @@ class _LinkFinder:
         joint_by_body = {
             int(model.jnt_bodyid[model.joint(name).id]): name for name in structure.joints
         }
-        self.joints = {int(model.body(mj_base).id): ""} | joint_by_body
+        self.joints = {int(model.body_weldid[model.body(mj_base).id]): ""} | joint_by_body
         self._first_link_by_joint = {"": base}
         joint_names = {index: name for name, index in structure.joints.items()}
         for name, index in sorted(structure.links.items(), key=lambda link: link[1]):

@@ -132,10 +132,10 @@ class ClearanceShapes:
 
     Attributes:
         robot: Robot.
-        shapes: Collision shapes of the moving bodies (``robot.shapes``), including foot shapes.
+        shapes: Collision shapes of the robot (``robot.shapes``), including foot shapes.
         kinematics: Kinematics of links, CoM and feet.
         parts: Shapes that must be above the ground: without feet, shapes that cannot touch the
-            ground, and shapes on the link of a sole, weld or grip.
+            ground, and shapes on a fixed base or on the link of a sole, weld or grip.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -162,17 +162,17 @@ class ClearanceShapes:
         """Index pairs, shape (n, 2), of shapes whose distances count.
 
         Pairs on neighbouring links are left out: links on equal or adjacent joints, links that the
-        MJCF excludes from contact, and links that overlap in the home configuration. The base of a
-        robot with a fixed base has no shapes here, unless this base is MuJoCo's world body.
+        MJCF excludes from contact, and links that overlap in the home configuration.
         """
         model, shapes = self.robot.pin_model, self.shapes
-        joints = [model.getJointId(shape.joint) if shape.joint else 1 for shape in shapes]
+        base = 1 if self.robot.floating else 0  # 0 is Pinocchio's universe
+        joints = [model.getJointId(shape.joint) if shape.joint else base for shape in shapes]
         excepted, able, never = excluded_pairs(self.robot.mj_model), set(), set()
         pairs = [(first, second) for second in range(len(shapes)) for first in range(second)]
         links = {pair: frozenset(shapes[number].link for number in pair) for pair in pairs}
         for one, other in pairs:
             both = {joints[one], joints[other]}
-            if len(both) == 2 and not both & {int(model.parents[joint]) for joint in both}:
+            if len(both) == 2 and not both & {int(model.parents[joint]) for joint in both if joint}:
                 able.add(links[one, other])
             if frozenset((shapes[one].body, shapes[other].body)) in excepted:
                 never.add(links[one, other])
@@ -384,12 +384,13 @@ class ClearanceShapes:
     def _list_parts(self) -> Iterator[OffGround]:
         """Yield each shape of the robot that is no foot and must stay above the ground.
 
-        Shapes on the link of a sole, weld or grip are left out: the task determines the pose of the
-        link of a sole or weld.
+        Shapes on a fixed base, and on the link of a sole, weld or grip, are left out: the file or
+        the task determines the pose of the link.
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # {joint: foot}
-        flat = {"" for point in robot.welds.values() if point is None}  # the base is welded
+        is_base_placed = not robot.floating or None in robot.welds.values()
+        flat = {""} if is_base_placed else set[str]()
         for foot, frame in robot.contact_frames.items():
             number = model.getFrameId(frame, pin.FrameType.BODY)
             name = model.names[model.frames[number].parentJoint]

@@ -342,8 +342,8 @@ class SelfClearanceTask(PostureTask):
     """Smallest distance between links that are not neighbours, by MuJoCo's collision shapes.
 
     Links that the MJCF excludes from contact, and links that overlap in the home configuration, may
-    overlap. Shapes that are fixed in the world are not checked, for example those of a fixed base,
-    unless the base is MuJoCo's world body.
+    overlap. Shapes of a fixed base are checked; floors and height fields are not. If the base is
+    MuJoCo's world body, all other shapes that are fixed in the world count as the base.
 
     Attributes:
         distance: Required distance [m], at least 0.

@@ -14,6 +14,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.engines import evaluate_mujoco
 from tests.support.states import random_state
 from tests.support.tiny import Files
@@ -272,6 +273,35 @@ def test_collision_pairs_are_those_that_mujoco_checks() -> None:
         found |= {frozenset(contact.geom.tolist()) for contact in data.contact}
     assert found
     assert found <= pairs
+
+
+@pytest.mark.parametrize("has_base_body", [True, False])
+def test_shapes_of_a_fixed_base_count_in_distances_without_the_floor(has_base_body: bool) -> None:
+    """Reference: ``mj_geomDistance`` of the plate and the outer link; the inner one is adjacent."""
+    plate = '<geom name="plate" type="box" size=".2 .2 .05" pos="0 0 .1" mass="1"/>'
+    tube = '<geom name="{}" type="capsule" fromto="0 0 .05 0 0 .25" size=".03"/>'
+    links = (
+        f'{plate}<body name="in" pos="0 0 .3"><joint name="one" axis="0 1 0" range="-3 3"/>'
+        f'{tube.format("inner")}<body name="out" pos="0 0 .3">'
+        f'<joint name="two" axis="0 1 0" range="-3 3"/>{tube.format("outer")}</body></body>'
+    )
+    body = f'<body name="base">{links}</body>' if has_base_body else links
+    robot = pa.load_robot(
+        f"""<mujoco><worldbody><geom type="plane" size="1 1 .1"/>{body}</worldbody><actuator>
+        <position joint="one" kp="50"/><position joint="two" kp="50"/></actuator></mujoco>"""
+    )
+    model = robot.mj_model
+    assert [model.geom(shape.geom).name for shape in robot.shapes] == ["plate", "inner", "outer"]
+    assert [shape.on_ground for shape in robot.shapes] == [False, True, True]
+    qpos = np.array([1.2, 2.9])
+    geoms = model.geom("plate").id, model.geom("outer").id
+    gap = mujoco.mj_geomDistance(model, evaluate_mujoco(robot, qpos), *geoms, 1.0, None)
+    found = ClearanceShapes(robot).find_closest_links(qpos)
+    assert found is not None
+    assert found.distance == pytest.approx(gap, abs=1e-6)
+    assert found.links == (robot.base, "out")
+    pairs = {(pair.first, pair.second) for pair in robot.collision_model.collisionPairs}
+    assert pairs == {(0, 1), (0, 2)}  # MuJoCo checks links against a parent that is fixed
 
 
 def test_collision_model_is_kept_by_pickling() -> None:
