@@ -514,7 +514,7 @@ class Robot(EngineModels):
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:
-        """Collision shapes on bodies of the robot's MuJoCo model, including feet and a fixed base."""
+        """Collision shapes of the robot's MuJoCo model, including feet and a fixed base."""
         return shapes_of(
             self.mj_model,
             self.mj_convention,

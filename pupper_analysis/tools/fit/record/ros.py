@@ -45,8 +45,8 @@ class RosBridge(WallClock):
         order: Joints of the controller.
 
     Raises:
-        ConfigurationError: If ``order`` lacks a joint of the robot or contains another, or if
-            within five seconds the states of some joints are missing or nothing subscribes to
+        ConfigurationError: If ``order`` lacks a joint of the robot, or contains another joint or a
+            joint twice, or if within five seconds the states of some joints are missing or nothing subscribes to
             commands.
     """
 
@@ -62,9 +62,12 @@ class RosBridge(WallClock):
         order: tuple[str, ...] = (),
     ) -> None:
         names = robot.joint_names
-        unknown = sorted({*order} ^ {*names}) if order else []
-        if unknown:
-            raise ConfigurationError("--bridge", diagnose("bridge-of-other-joints", joints=unknown))
+        differing = sorted(
+            name for name in {*order, *names} if order and order.count(name) != names.count(name)
+        )
+        if differing:
+            finding = diagnose("bridge-of-other-joints", joints=differing)
+            raise ConfigurationError("--bridge", finding)
         self._robot, self._ros, self._message = robot, ros, messages[1]
         self._order = [names.index(name) for name in order or names]
         self._positions: dict[str, float] = {}
