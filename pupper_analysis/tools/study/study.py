@@ -240,16 +240,14 @@ class Study:
         return pickle.dumps(work)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the study as data for `Study.of`.
-
-        A study without a time limit has no key ``time_limit``; `Study.of` then sets the default.
-        """
+        """Return the study as data for `Study.of`; ``time_limit`` is None for no time limit."""
         data: dict[str, Any] = {
             "robot": self.source.to_dict(),
             "vary": {name: item.to_dict() for name, item in self.variables.items()},
             "measure": [format_metric(item) for item in self.metrics],
             "seed": self.sampling.seed,
             "payload_point": list(self.point),
+            "time_limit": self.time_limit,
             "stand": {
                 field.name: getattr(self.task, field.name)
                 for field in fields(self.task)
@@ -258,8 +256,6 @@ class Study:
         }
         if self.sampling.samples is not None:
             data["samples"] = self.sampling.samples
-        if self.time_limit is not None:
-            data["time_limit"] = self.time_limit
         return data
 
     @classmethod

@@ -372,3 +372,9 @@ def test_simulated_metrics_equal_the_direct_calls() -> None:
         assert METRICS[name].function(design) == pytest.approx(float(value), rel=1e-6), name
     simulating = {n for n, one in METRICS.items() if one.simulates and one.of_file is None}
     assert simulating == {*expected}
+
+
+@pytest.mark.parametrize("limit", [None, 7.0])
+def test_time_limit_of_a_study_is_kept_in_its_data(limit: float | None) -> None:
+    made = study({"leg_scale": [1.0, 1.2]}, time_limit=limit)
+    assert pa.Study.of(made.to_dict()).time_limit == limit
