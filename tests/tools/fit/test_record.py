@@ -471,5 +471,7 @@ def test_topics_have_joints_by_name_and_commands_in_the_controllers_order(
     one.close()
     with pytest.raises(ConfigurationError, match="elbow"):
         open_bridge(f"ros2:order=elbow,{','.join(names[1:])}", robot)
+    with pytest.raises(ConfigurationError, match=f"differ in {names[0]}$"):
+        open_bridge(f"ros2:order={names[0]},{','.join(names)}", robot)
     with pytest.raises(ConfigurationError, match="topic=/x"):
         open_bridge("ros2:topic=/x", robot)

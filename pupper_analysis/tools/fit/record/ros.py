@@ -46,8 +46,8 @@ class RosBridge(WallClock):
 
     Raises:
         ConfigurationError: If ``order`` lacks a joint of the robot, or contains another joint or a
-            joint twice, or if within five seconds the states of some joints are missing or nothing subscribes to
-            commands.
+            joint twice, or if within five seconds the states of some joints are missing or nothing
+            subscribes to commands.
     """
 
     ramps = True
