@@ -102,6 +102,27 @@ class Servos:
         return ctrl
 
 
+def make_position_commands(robot: Robot, positions: Array) -> Array:
+    """Compute the ctrl (model.nu,) with which the servos of the robot's model hold joint positions.
+
+    Motors that are no position servos are commanded 0, and servos that do not act on a single joint
+    are commanded not to exert a force. Unlike `Servos.command`, joints without motor are allowed.
+
+    Args:
+        robot: Robot.
+        positions: Joint positions in actuator order, shape (nu,) [rad, m].
+    """
+    model, actuators = robot.mj_model, robot.mj_convention.actuator_index
+    driven = np.flatnonzero(actuators >= 0)
+    _, _, gear, servo = _read_gains(model, actuators[driven])
+    data = mujoco.MjData(model)
+    data.qpos[robot.mj_convention.qpos_index[robot.nq - robot.nu :]] = positions
+    ctrl = make_neutral_commands(model, data.qpos, actuators[driven])
+    controls = model.actuator_ctrladr[actuators[driven]]
+    ctrl[controls[servo]] = (gear * positions[driven])[servo]
+    return ctrl
+
+
 def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
     """Compute the ctrl (model.nu,) with which position servos exert no force at rest.
 

@@ -27,9 +27,13 @@ from pupper_analysis.present.verdict import make_keyframe_run_clauses, make_repl
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import was_reset_by_mujoco
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import find_servos_used, model_with_servos
+from pupper_analysis.robot.servos import (
+    find_servos_used,
+    make_position_commands,
+    model_with_servos,
+)
 from pupper_analysis.simulation.monitor import ContactSampler, StandCheck, StandReference
-from pupper_analysis.simulation.rollout import full_state
+from pupper_analysis.simulation.rollout import full_state, settled_activations
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
 Array = NDArray[np.float64]
@@ -75,11 +79,12 @@ def simulate_drop(robot: Robot) -> Drop:
         model = model_with_servos(robot).model
     servos_at_home = data.ctrl.copy()
     timestep = float(model.opt.timestep)
-    height = np.full(round(DROP_SECONDS / timestep) + 1, data.qpos[2])
+    base_height = int(robot.mj_convention.qpos_index[2])
+    height = np.full(round(DROP_SECONDS / timestep) + 1, data.qpos[base_height])
     for step in range(1, len(height)):
         data.ctrl[:] = servos_at_home
         mujoco.mj_step(model, data)
-        height[step] = data.qpos[2]
+        height[step] = data.qpos[base_height]
     deviation = float(height[-round(1 / timestep) :].std())
     time = timestep * np.arange(len(height), dtype=np.float64)
     end = _check_landing(robot, data)
@@ -109,6 +114,8 @@ def _foot_clearance(robot: Robot, qpos: Array) -> float:
 def make_home_data(robot: Robot) -> mujoco.MjData:
     """Return MuJoCo's data with joints and servo commands at the home pose.
 
+    Motors that are no position servos are commanded 0.
+
     A free base is raised until the lowest foot is `DROP_HEIGHT` above the ground, if this foot is
     less than half of this height above the ground.
     """
@@ -118,7 +125,8 @@ def make_home_data(robot: Robot) -> mujoco.MjData:
         clearance = _foot_clearance(robot, qpos)
         qpos[2] += DROP_HEIGHT - clearance if clearance < DROP_HEIGHT / 2 else 0.0
     robot.mj_convention.set_state(data, qpos)
-    data.ctrl[robot.mj_convention.actuator_index] = qpos[robot.nq - robot.nu :]
+    data.ctrl[:] = make_position_commands(robot, qpos[robot.nq - robot.nu :])
+    data.act[:] = settled_activations(robot.mj_model, data.ctrl)
     mujoco.mj_forward(robot.mj_model, data)
     return data
 

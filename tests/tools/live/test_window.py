@@ -161,3 +161,25 @@ def test_fixed_robot_stays_at_its_slider_positions(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(mujoco_viewer, "launch", launch)
     viewer.view_robot(pa.load_variant("v3", fixed_base=True), headless=False)
     assert moved == pytest.approx([0.0, 0.1], abs=1e-3)
+
+
+def test_home_commands_of_the_view_are_those_of_geared_servos_and_coupled_joints() -> None:
+    """A gear of 2 doubles the ctrl; joint "b" has no motor, and motor "m" is no position servo."""
+    rod = '<geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02"/>'
+    robot = pa.load_robot(
+        f"""<mujoco><worldbody><body name="base" pos="0 0 1">{rod}
+        <body pos="0 0 -.3"><joint name="a" axis="0 1 0" range="-2 2"/>{rod}
+        <body pos="0 0 -.3"><joint name="c" axis="0 1 0" range="-2 2"/>{rod}
+        <body pos="0 0 -.3"><joint name="b" axis="0 1 0" range="-2 2"/>{rod}</body></body></body>
+        </body></worldbody>
+        <equality><joint joint1="b" joint2="a" polycoef="0 1 0 0 0"/></equality>
+        <actuator><position name="s" joint="a" kp="5" gear="2"/>
+        <motor name="m" joint="c" gear="1" ctrlrange="-3 3"/></actuator>
+        <keyframe><key name="home" qpos=".5 .3 .5"/></keyframe></mujoco>""",
+        as_is=True,
+    )
+    data = viewer.make_home_data(robot)
+    np.testing.assert_allclose(data.qpos, [0.5, 0.3, 0.5])
+    forces = dict(zip(("s", "m"), data.actuator_force.tolist(), strict=True))
+    assert forces["s"] == pytest.approx(0.0, abs=1e-9)  # MuJoCo: kp (ctrl - 2 q)
+    assert forces["m"] == 0.0
