@@ -259,7 +259,7 @@ def _load_tool_metrics() -> Iterator[Metric]:
         yield from (Metric(name, **arguments) for name, arguments in metrics_of_tool.items())
 
 
-METRICS_REVISION = 5
+METRICS_REVISION = 6
 """Revision of the meanings of the metrics. Increased if a meaning changes, so that results of
 earlier revisions are not reused."""
 

@@ -174,9 +174,10 @@ _MIN_TORQUE = 1e-9
 def _max_over_runs(walk: Walk, name: str) -> Array:
     """Return the maximum over all runs of a quantity of each motor, shape (nu,).
 
-    ``name`` is an attribute of a run's gait with a value per motor, such as ``torque_peak``.
+    ``name`` is an attribute of a run's gait with a value per motor, such as ``torque_peak``. Runs
+    in which the value is unknown (NaN) are left out.
     """
-    worst: Array = np.max([getattr(gait, name) for gait in walk.gaits], axis=0)
+    worst: Array = np.fmax.reduce([getattr(gait, name) for gait in walk.gaits])
     return worst
 
 

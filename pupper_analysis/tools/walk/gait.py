@@ -82,12 +82,14 @@ class Gait(Result):
             zero if the run ends before the warm-up or diverges.
         turning: Mean turning rate to the left; zero if the run ends before the warm-up or diverges.
         tracks: True if the robot does not fall and tracks the command.
-        torque_rms: Root mean square of each motor's torque, shape (nu,).
-        torque_peak: Largest magnitude of each motor's torque, shape (nu,).
+        torque_rms: Root mean square of each motor's torque, shape (nu,); NaN if the run ends at its
+            first state.
+        torque_peak: Largest magnitude of each motor's torque, shape (nu,); NaN as ``torque_rms``.
         at_limit: Fraction of the time in which each motor is saturated, shape (nu,); NaN for a
-            motor whose torque limit no file states.
-        speed_peak: Largest speed of each joint, shape (nu,).
-        power: Mean of the positive mechanical power of all motors, without recuperation.
+            motor whose torque limit no file states, and as ``torque_rms``.
+        speed_peak: Largest speed of each joint, shape (nu,); NaN as ``torque_rms``.
+        power: Mean of the positive mechanical power of all motors, without recuperation; NaN as
+            ``torque_rms``.
         transport: Cost of transport: power / (weight x speed); None below 0.05 m/s.
         duty: {foot: fraction of the time in contact with the ground}, sampled once per action.
         touching: Bodies other than feet that touched the ground in a sample.
@@ -388,6 +390,8 @@ def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
 def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
     """Compute the gait of a run after the warm-up: tracking, torques, power and contacts.
 
+    Torques, power and joint speeds of a run with a single state are unknown (NaN).
+
     Args:
         stage: Robot, policy and model of the simulation.
         run: Simulated run with the command.
@@ -396,15 +400,16 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
     is_finite = np.asarray(np.isfinite(run.states).all(axis=1))
-    torques = joint_torques(stage, run)[first:]
-    torques = np.nan_to_num(torques, nan=0.0)
+    torques = np.nan_to_num(joint_torques(stage, run)[first:], nan=0.0)
     convention = robot.mj_convention
     rates = run.states[first:-1, 1 + stage.model.nq + convention.qvel_index[6:]]
     rates = np.nan_to_num(rates, nan=0.0)
-    limits = robot.effort_limits
-    saturated = np.abs(torques) >= LIMIT_FRACTION * limits
+    limits, has_torques = robot.effort_limits, len(torques) > 0
+    unknown = np.full((1, robot.nu), np.nan)
+    known_torques, known_rates = (torques, rates) if has_torques else (unknown, unknown)
+    saturated = np.abs(known_torques) >= LIMIT_FRACTION * limits
     tracking = evaluate_tracking(stage, run, warm_up)
-    power = float(np.maximum(torques * rates, 0.0).sum(axis=1).mean())
+    power = float(np.maximum(known_torques * known_rates, 0.0).sum(axis=1).mean())
     speed = float(np.linalg.norm(tracking.velocity))
     weight = robot.weight
     sampled_states = run.states[first :: stage.substeps]
@@ -433,10 +438,10 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
         velocity=tracking.velocity,
         turning=tracking.turning,
         tracks=tracking.tracks,
-        torque_rms=_root_mean_square(torques),
-        torque_peak=np.abs(torques).max(axis=0),
-        at_limit=np.where(np.isfinite(limits), saturated.mean(axis=0), np.nan),
-        speed_peak=np.abs(rates).max(axis=0),
+        torque_rms=_root_mean_square(known_torques),
+        torque_peak=np.abs(known_torques).max(axis=0),
+        at_limit=np.where(np.isfinite(limits) & has_torques, saturated.mean(axis=0), np.nan),
+        speed_peak=np.abs(known_rates).max(axis=0),
         power=power,
         transport=power / (weight * speed) if speed > SPEED_ATOL else None,
         duty=duty,
@@ -556,7 +561,7 @@ def _compute_static_torques(
     from scipy.optimize import nnls  # takes a quarter of a second
 
     generalised_forces = data.qfrc_bias - data.qfrc_passive
-    weight = float(np.linalg.norm(model.opt.gravity)) * float(model.body_subtreemass[1:].max())
+    weight = float(generalised_forces[stage.robot.mj_convention.qvel_index[2]])
     if len(points):
         com = data.subtree_com[stage.model.body(stage.robot.mj_base).id, :2]
         offsets = (points[:, :2] - com).T

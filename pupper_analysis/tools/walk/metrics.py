@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, NotStandingError
 
 
 def _bind_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[Any], float], str]:
@@ -40,6 +40,17 @@ def _bind_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[
     return walked, digest.hexdigest()[:16]
 
 
+def _read_largest_torque(gait: Any) -> float:
+    """Return the rms torque of the motor with the largest rms torque [N m].
+
+    Raises:
+        NotStandingError: If the robot falls: the torques until the fall say nothing about walking.
+    """
+    if gait.fall is not None:
+        raise NotStandingError((gait.fall,))
+    return float(gait.torque_rms.max())
+
+
 _COMMON_ARGUMENTS = {
     "function": None,
     "simulates": True,
@@ -55,7 +66,7 @@ METRICS: dict[str, dict[str, Any]] = {
     },
     "walk_torque": {
         **_COMMON_ARGUMENTS,
-        "of_file": partial(_bind_policy, lambda gait: float(gait.torque_rms.max())),
+        "of_file": partial(_bind_policy, _read_largest_torque),
         "unit": "N m",
     },
 }

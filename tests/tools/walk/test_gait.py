@@ -144,6 +144,19 @@ def test_fall_states_height_and_tilt_of_the_last_state(still: Policy) -> None:
     assert found == pytest.approx({"height": 0.123, "tilt": 1.0, "time": 2.0})
 
 
+def test_gait_of_a_run_with_a_single_state_has_no_torques(still: Policy) -> None:
+    """A policy at the rate of the time steps may diverge in its first action."""
+    stage = prepare_stage(load("v3"), still)
+    [run] = simulate_cases(stage, [stage.make_case(np.zeros(3))], 0.1, 0.0, 1)
+    first = replace(run, states=run.states[:1], targets=run.targets[:1], fallen=True)
+    gait = measure_gait(stage, first, 1.0)
+    assert gait.fall is not None
+    assert not gait.tracks
+    assert gait.margin == 0
+    assert np.isnan([*gait.torque_rms, *gait.torque_peak, *gait.at_limit, gait.power]).all()
+    assert len(gait.torques) == len(gait.torque_time) == 0
+
+
 @pytest.mark.parametrize(("gain", "text"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])
 def test_single_gain_of_a_policy_is_refused(
     still: Policy, gain: dict[str, object], text: str

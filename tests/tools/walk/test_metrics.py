@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.errors import NotStandingError, PupperAnalysisError
 from pupper_analysis.tools.study.measures import format_metric, make_metric
 from pupper_analysis.tools.walk.gait import simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
@@ -31,6 +31,15 @@ def test_walk_metrics_equal_walk(tmp_path: Path) -> None:
     forward = make_metric(f"walk_margin:{path}")  # 0.5 m/s: a stand does not track it
     assert forward.function(design) == 0.0  # type: ignore[arg-type]
     assert format_metric(margin) == f"walk_margin:{path}@0,0,0"
+
+
+def test_walk_torque_of_a_fall_is_unknown(tmp_path: Path) -> None:
+    """The default pose of the policy cannot stand: the torques until the fall are no result."""
+    pose = [0.26, 1.2, -0.52, -0.26, 1.2, 0.52] * 2
+    path = made.still(tmp_path / "still.json", default_joint_pos=pose)
+    torque = make_metric(f"walk_torque:{path}@0,0,0")
+    with pytest.raises(NotStandingError):
+        torque.function(SimpleNamespace(robot=load("v3")))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
