@@ -94,11 +94,6 @@ class NewMjcf(MjcfXml):
         """Elements of all hinge and slide joints of the new MJCF."""
         return list(self.section("worldbody").iter("joint"))
 
-    @property
-    def touches(self) -> bool:
-        """True if the new MJCF has collision geoms."""
-        return any(geom.get("class") == COLLISION_CLASS for geom in self.geoms)
-
     def remove_empty_sections(self) -> None:
         """Remove the top-level elements without children and attributes, except ``<worldbody>``."""
         for node in list(self.root):

@@ -6,6 +6,7 @@ base, it simulates the stand of the robot and the file itself from the keyframe.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,6 +17,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
+    ModelError,
     OutputError,
     UnknownNameError,
 )
@@ -25,7 +27,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.base.runs import ensure_run, register_input
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
 from pupper_analysis.prepare.convert.repair import Repair
@@ -36,6 +38,7 @@ from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state
@@ -138,7 +141,7 @@ def convert_model(
     unlike: tuple[Diagnostic, ...] = ()
     if draft.failure is None:
         pair = draft.urdf or read_urdf(urdf), read_mjcf(mjcf)
-        robot = make_robot(*pair, feet=feet, fixed_base=not draft.stands)
+        robot = _make_converted_robot(draft, *pair, feet)
         unlike = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
         failures += [one for one in unlike if one.severity is Severity.ERROR]
     if draft.failure is None and draft.stands:
@@ -162,6 +165,20 @@ def convert_model(
         agree=agree,
         passed=not failures,
     )
+
+
+def _make_converted_robot(
+    draft: ConversionDraft, urdf: UrdfFile, mjcf: MjcfFile, feet: Feet | None
+) -> Robot:
+    """Return the robot of source and new file, with a free base if the MJCF has one.
+
+    The base is fixed for a new MJCF that need not stand, and for a new URDF of a robot that cannot
+    be prepared with a free base, for example without feet.
+    """
+    if draft.urdf is None:
+        with contextlib.suppress(ModelError):
+            return make_robot(urdf, mjcf, feet=feet)
+    return make_robot(urdf, mjcf, feet=feet, fixed_base=not draft.stands)
 
 
 def _refuse_mjcf_options(options: MjcfOptions, source: Path) -> None:

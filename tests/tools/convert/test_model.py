@@ -453,3 +453,30 @@ def test_base_frame_below_the_feet_keeps_its_position(empty: bool, tmp_path: Pat
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "low.xml"))
     stood = pa.solve_stand(pa.load_robot(path)).qpos[2]
     assert model.key_qpos[0, 2] == pytest.approx(stood - lift, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_new_urdf_of_a_robot_with_a_footless_leg_fails(tmp_path: Path) -> None:
+    """The MJCF has a free base and four equal legs, of which one has no collision geom."""
+    rod = '<geom type="capsule" fromto="0 0 0 0 0 -.1" size=".01" contype="0" conaffinity="0"/>'
+    places = {"fl": (0.1, 0.05), "fr": (0.1, -0.05), "rl": (-0.1, 0.05), "rr": (-0.1, -0.05)}
+    legs, servos = "", ""
+    for name, (x, y) in places.items():
+        ball = "" if name == "fl" else '<geom size=".015" pos="0 0 -.1"/>'
+        legs += (
+            f'<body name="{name}_a" pos="{x} {y} 0"><joint name="{name}_hip" axis="0 1 0" '
+            f'range="-1 1"/>{rod}<body name="{name}_b" pos="0 0 -.1"><joint name="{name}_knee" '
+            f'axis="0 1 0" range="-1 1"/>{rod}{ball}</body></body>'
+        )
+        servos += "".join(
+            f'<position joint="{name}_{joint}" kp="20" kv="1"/>' for joint in ("hip", "knee")
+        )
+    source = tmp_path / "quad.xml"
+    source.write_text(
+        f"""<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="trunk" pos="0 0 .22">
+        <freejoint/><geom type="box" size=".1 .05 .02" mass="2"/>{legs}</body></worldbody>
+        <actuator>{servos}</actuator></mujoco>"""
+    )
+    converted = pa.convert_model(source, tmp_path / "quad.urdf")
+    assert [failure.code for failure in converted.failures] == ["limb-without-foot"]
+    assert converted.agree
