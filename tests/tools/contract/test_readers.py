@@ -7,10 +7,12 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
     decode_integers,
     gather_fields,
     get_text,
+    python,
     read_onnx,
 )
 from tests.tools.contract.sources import field, onnx, value
@@ -38,3 +40,23 @@ def test_invalid_onnx_file_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.onnx").write_bytes(data)
     with pytest.raises(ModelError, match="no ONNX"):
         read_onnx(tmp_path / "a.onnx")
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("env_cfg = {table}\nother = {{'a': 1}}\n", "env_cfg"),
+        ("def get_cfg():\n    return {table}\n", "get_cfg"),
+        ("def get_cfgs():\n    return {table}, {{'a': 1}}\n", "get_cfgs[0]"),
+    ],
+)
+def test_tables_of_a_python_file_are_read(text: str, name: str, tmp_path: Path) -> None:
+    """The numbers are those of the table, if the file has no configuration class."""
+    table = "{'kp': 20.0, 'kd': 0.5, 'default_joint_angles': {'hip': 0.26, 'knee': -0.52}}"
+    path = tmp_path / "train.py"
+    path.write_text(text.format(table=table))
+    [source] = python.read(Request(path))
+    assert source.name == f"train.py:{name}"
+    found = [(statement.quantity, statement.value) for statement in source.statements]
+    angles = [("default angle", -0.52), ("default angle", 0.26)]
+    assert sorted(found) == [*angles, ("kd", 0.5), ("kp", 20.0)]

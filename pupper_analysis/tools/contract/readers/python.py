@@ -36,8 +36,8 @@ def read(request: Request) -> Iterator[Source]:
     """Yield the joint numbers of each training configuration in a Python file.
 
     A configuration is an object with a robot, actions or settings of a trainer. If the file has
-    none, the tables ``{key: value}`` with joint numbers that its functions return are yielded. No
-    code is executed.
+    none, the tables ``{key: value}`` with joint numbers are yielded that the file defines or that
+    its functions return, alone or in a list. No code is executed.
     """
     evaluator = py.Evaluator(request.folders)
     module = evaluator.load_module(request.path)
@@ -53,6 +53,11 @@ def read(request: Request) -> Iterator[Source]:
             roots += [(root, source) for source in _read_root(shown, request.path, root)]
         elif isinstance(root.value, dict):
             flat_sources += tables.read_table(request, shown, root, Role.TRAINER)
+        elif isinstance(root.value, list):
+            for number, item in enumerate(root.value):
+                if isinstance(item.value, dict):
+                    part = f"{shown}[{number}]"
+                    flat_sources += tables.read_table(request, part, item, Role.TRAINER)
     # A configuration that is part of another one is not a source.
     parts = {
         instance.value.kind
@@ -79,14 +84,16 @@ def read(request: Request) -> Iterator[Source]:
 
 
 def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
-    """Return a node whose value is an instance; call a class or function to create it.
+    """Return a node whose value is an instance, table or list.
 
-    The arguments of a function are instances of its annotated classes. The value is None if
-    ``node`` is none of the three, or if the call cannot be evaluated.
+    A class or function is called to create the value; the arguments of a function are instances of
+    its annotated classes. The value is None if ``node`` is of another type, or if the call cannot
+    be evaluated.
     """
     value = node.value
     if not isinstance(value, py.FunctionValue | py.ClassValue):
-        return node if isinstance(value, py.InstanceValue) else replace(node, value=None)
+        is_read = isinstance(value, py.InstanceValue | dict | list)
+        return node if is_read else replace(node, value=None)
     arguments: list[Node] = []
     try:
         if isinstance(value, py.FunctionValue):
