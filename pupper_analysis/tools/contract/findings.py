@@ -254,8 +254,7 @@ def _group_by_values(
         head = members[0]
         first_fact, second_fact = differing[head]
         mistake, unit = _classify_mistake(quantity, a, b)
-        is_powerless = a == 0 and quantity in ("effort", "velocity")
-        meant = is_range_difference and not is_powerless and lower * a <= lower * b + 1e-6
+        meant = is_range_difference and lower * a <= lower * b + 1e-6
         near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR_LIMIT_RTOL * max(
             abs(a), abs(b)
         )
