@@ -1003,3 +1003,19 @@ def test_gravity_of_zero_is_a_warning_and_a_slope_a_note(
     path.write_text(f"<mujoco>{option}<worldbody>{body}</worldbody></mujoco>")
     (finding,) = found(audit_model(path), "gravity-unusual")
     assert finding.severity == severity
+
+
+def test_foot_site_of_a_welded_body_is_compared_with_the_sphere_of_the_moving_body(
+    tmp_path: Path,
+) -> None:
+    """The site is 50 mm beside the centre of a sphere of 20 mm."""
+    path = tmp_path / "leg.xml"
+    path.write_text(
+        """<mujoco><worldbody><body name="trunk"><freejoint/><geom size=".05" mass="1"/>
+        <body name="calf"><joint name="knee" axis="0 1 0" range="-1 1"/>
+        <geom name="ball" size=".02" pos="0 0 -.2" mass=".1"/>
+        <body name="tip" pos="0 0 -.15"><site name="foot"/></body></body></body></worldbody>
+        </mujoco>"""
+    )
+    [finding] = found(audit_model(path), "foot-sphere-off-frame")
+    assert finding.element == "site 'foot'"

@@ -208,7 +208,8 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
     The sphere is the nearest collision sphere on the link of the frame and the links fixed below
-    it; for a foot link without frame, on all links that move with it.
+    it; for a foot link without frame, and if these links have no sphere, on all links that move
+    with it.
     Spheres with "foot" in their name or the name of their link have precedence. If the sphere is
     farther away than five radii, there is no finding. The severity is NOTE if the frame is inside
     the sphere, which some models use for a flat sole.
@@ -219,6 +220,8 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
         if not feet and _is_foot(body.name) and not body.moving and body.parent is not None:
             feet = {body.name: (body, np.zeros(3), robot.link_tag)}
             group = robot.fixed_group(robot.find_moving_body(body.name))
+        if feet and not any(_list_collision_spheres(part) for part in group):
+            group = robot.fixed_group(robot.find_moving_body(body.name))
         for name, (owner, position, kind) in feet.items():
             place = owner.pose.point(position)
             spheres = [
@@ -228,8 +231,7 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
                     shape.size[0],
                 )
                 for part in group
-                for shape in part.shapes
-                if shape.collides and shape.kind == "sphere"
+                for shape in _list_collision_spheres(part)
             ]
             if not spheres:
                 continue
@@ -246,6 +248,11 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
             yield CheckFinding(
                 kind, name, message, severity=Severity.NOTE if gap < radius else None
             )
+
+
+def _list_collision_spheres(link: Link) -> list[Shape]:
+    """Return the collision spheres of a link."""
+    return [shape for shape in link.shapes if shape.collides and shape.kind == "sphere"]
 
 
 # Rules about sizes.
