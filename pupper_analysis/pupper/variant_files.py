@@ -20,16 +20,23 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError, VariantError
+from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError, VariantError
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.inputs import STANDARD_INPUT, find_similar_files, is_input
+from pupper_analysis.base.inputs import (
+    MAX_FILE_BYTES,
+    STANDARD_INPUT,
+    find_similar_files,
+    is_input,
+    read_input,
+    read_text,
+)
 from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.menagerie import is_menagerie_name
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.places import one_line
+from pupper_analysis.models.places import make_input_error, one_line
 from pupper_analysis.models.published import is_published_name
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
@@ -57,7 +64,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
 
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
-        ModelError: If the folder of the base files is missing, or the base MJCF is missing or
+        ModelError: If the folder of the base files is missing, or a base file is missing or
             damaged.
     """
     spec = get_variant_spec(variant)
@@ -101,8 +108,17 @@ def _derive_files(
     _urdf_stamp: tuple[int, int],
     mjcf_stamp: tuple[int, int],
 ) -> tuple[str, mujoco.MjSpec]:
-    """Derive the URDF and MJCF of a variant; cached until a base file changes."""
-    urdf_text, mjcf_spec = urdf_source.read_text(), _read_base(mjcf_source, mjcf_stamp).spec.copy()
+    """Derive the URDF and MJCF of a variant; cached until a base file changes.
+
+    Raises:
+        VariantError: If the scales give no valid model.
+        ModelError: If a base file is missing or damaged.
+    """
+    try:
+        urdf_text = read_text(urdf_source)
+    except InputError as error:
+        raise make_input_error(urdf_source, error) from error
+    mjcf_spec = _read_base(mjcf_source, mjcf_stamp).spec.copy()
     if spec.leg_scale != 1.0 or spec.torso_mass_scale != 1.0:
         from pupper_analysis.pupper import derive  # yourdfpy is slow to import
 
@@ -148,6 +164,7 @@ def write_variant(
 
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
+        ModelError: If a base file or a mesh is missing or damaged.
         OutputError: If a file cannot be written, or exists with other content.
     """
     description = describe_variant(variant)
@@ -159,9 +176,12 @@ def write_variant(
     meshes = {mesh.file for mesh in description.mjcf.meshes}
     meshdir = description.mjcf.compiler.meshdir
     beside = description.mjcf_source.parent / meshdir
-    contents = {
-        mjcf_path.parent / meshdir / mesh: (beside / mesh).read_bytes() for mesh in sorted(meshes)
-    }
+    contents = {}
+    for mesh in sorted(meshes):
+        try:
+            contents[mjcf_path.parent / meshdir / mesh] = read_input(beside / mesh, MAX_FILE_BYTES)
+        except InputError as error:
+            raise make_input_error(beside / mesh, error) from error
     contents |= {urdf_path: description.urdf.encode(), mjcf_path: mjcf_text.encode()}
     write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     return urdf_path, mjcf_path
@@ -180,8 +200,7 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
         ConfigurationError: If ``fixed_base`` is not a bool.
-        ModelError: If the folder of the base files or the base MJCF is missing, or a model file is
-            damaged.
+        ModelError: If the folder of the base files, or a base file, is missing or damaged.
     """
     spec = get_variant_spec(variant)
     check_type("fixed_base", fixed_base, bool)
@@ -273,8 +292,9 @@ def _guess_format(robot: str | tuple[str, ...] | None) -> str | None:
         menagerie = is_menagerie_name(word)
         return "mjcf" if menagerie or word.endswith(_MJCF_PACKAGE_SUFFIX) else "urdf"
     suffix = Path(word).suffix.lower()
-    if suffix == ".xml" and Path(word).is_file():  # either format
-        with Path(word).open("rb") as file:
+    if suffix == ".xml" and is_input(Path(word)):  # either format
+        # The reader of the file reports a file that cannot be opened.
+        with suppress(OSError), Path(word).open("rb") as file:
             return "urdf" if b"<robot" in file.read(_NUM_HEAD_BYTES) else "mjcf"
     return {".urdf": "urdf", ".xacro": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}.get(suffix)
 

@@ -3,6 +3,7 @@ specifications.
 """
 
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.base.runs import ensure_run
+from pupper_analysis.pupper import variant_files
 from pupper_analysis.pupper.variants import find_model_folder
 from tests.support.engines import evaluate_mujoco
 from tests.support.variants import NAMES
@@ -103,3 +105,21 @@ def test_files_read_for_a_variant_are_recorded_in_each_run() -> None:
         assert names == {"pupper_v3.urdf", *parts, *meshes}
         with pytest.raises(pa.OutputError, match="which this run reads"):
             run.register_output(find_model_folder("mjcf") / "pupper_v3_body.xml")
+
+
+def test_missing_base_urdf_of_a_variant_is_a_model_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for kind in ("urdf", "mjcf"):
+        shutil.copytree(find_model_folder(kind), tmp_path / kind)
+    monkeypatch.setattr(variant_files, "find_model_folder", lambda kind: tmp_path / kind)
+    (tmp_path / "urdf" / "pupper_v3.urdf").unlink()
+    with pytest.raises(pa.ModelError, match=r"pupper_v3\.urdf: there is no such file"):
+        pa.load_variant("v3-heavy")
+
+
+def test_xml_name_that_is_too_long_is_a_model_error() -> None:
+    with pytest.raises(pa.ModelError, match="cannot be read"):
+        pa.load_robot(f"{'a' * 300}.xml")
+    words = [f"{'a' * 300}.xml"]
+    assert variant_files.parse_robot_words(words) == [tuple(words)]
