@@ -102,7 +102,7 @@ def leave_out_missing(
             kind=Term(kind),
             files=dict.fromkeys(names_and_files.values()),
             touching=collision_meshes if kind == "mesh" else (),
-            bodies=dict.fromkeys(geom.parent.name for geom in geoms),
+            bodies=dict.fromkeys(geom.parent.name for geom in geoms) if kind == "mesh" else (),
         )
         for kind, names_and_files in files.items()
         if names_and_files
@@ -639,9 +639,10 @@ class MjcfFile:
         return self._list_missing_values("bodies")
 
     def _list_missing_values(self, key: str) -> tuple[str, ...]:
-        """Return the names under a key in the values of the notes on missing files."""
+        """Return the names under a key in the values of the notes on missing files, each once."""
         values = [note.values.get(key) for note in self.notes if note.code == "files-missing"]
-        return tuple(str(name) for value in values if isinstance(value, tuple) for name in value)
+        names = (str(name) for value in values if isinstance(value, tuple) for name in value)
+        return tuple(dict.fromkeys(names))
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
         """Yield attributes (as written in the file) and location of each element with a tag.
@@ -661,10 +662,10 @@ class MjcfFile:
             number: Number in the section, from 0.
 
         Returns:
-            The location; the file without line if there is no such element, or if attached models
-            or replicates add elements.
+            The location; the file without line if there is no such element, if attached models or
+            replicates add elements, or if the file has no XML text (a model in memory).
         """
-        if len(self._roots) > 1 or any(True for _ in self.elements("replicate")):
+        if len(self._roots) != 1 or any(True for _ in self.elements("replicate")):
             return Place(self.path)
         tops = (node for node in self._roots[0].children if node.tag == section)
         places = [node.place for top in tops for node in top.children]

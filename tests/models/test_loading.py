@@ -431,3 +431,23 @@ def test_reference_to_a_missing_element_is_refused_at_its_line(
     assert get_refusal(lambda: file.model) == message
     if not missing_mesh and kind != "camera target":
         assert mujoco.MjSpec.from_string(text).copy().compile().nbody == 2
+
+
+def test_place_of_an_actuator_by_number_in_a_model_without_text_is_the_file() -> None:
+    file = MjcfFile(Path("m.xml"), mujoco.MjSpec())
+    assert file.place_by_number("actuator", 0) == Place(Path("m.xml"))
+
+
+def test_body_with_a_missing_mesh_and_a_missing_texture_is_listed_once(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        m=format_mjcf(
+            '<asset><mesh name="k" file="k.obj"/>'
+            '<texture name="t" type="2d" file="t.png"/><material name="c" texture="t"/></asset>',
+            f'<worldbody><body name="b">{EXPLICIT}<geom type="mesh" mesh="k"/>'
+            '<geom size="1" material="c"/></body></worldbody>',
+        ),
+    )
+    file = read_mjcf(path)
+    assert [note.code for note in file.notes].count("files-missing") == 2
+    assert file.bodies_with_missing_meshes == ("b",)
