@@ -470,13 +470,13 @@ class Closure:
         """Return the dependent joints: joints without actuator that the constraints determine.
 
         Greedy selection while the columns of the Jacobian stay independent: first the dependent
-        joints of joint couplings, then the other joints from the last to the first.
+        joints of active joint couplings, then the other joints from the last to the first.
         """
         undriven = [joint for joint in used if self._convention.actuator_index[joint] < 0]
         model = self._model
         coupled_joints = [
             self._joint_names.index(model.joint(int(model.eq_obj1id[index])).name)
-            for index in range(model.neq)
+            for index in np.flatnonzero(model.eq_active0)
             if model.eq_type[index] == mujoco.mjtEq.mjEQ_JOINT.value
             and model.joint(int(model.eq_obj1id[index])).name in self._joint_names
         ]

@@ -15,6 +15,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.robot.closure import find_closure
+from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
@@ -457,3 +459,19 @@ def test_constraint_to_the_world_is_named_if_the_stand_fails(tmp_path: Path) -> 
     assert ("connect", ("tied",)) in [
         (cause.code, cause.elements) for cause in found.published.causes
     ]
+
+
+@pytest.mark.parametrize("active", ["true", "false"])
+def test_dependent_joint_of_an_inactive_coupling_is_not_preferred(active: str) -> None:
+    """Without the coupling of "a" to "c", only "b" follows "a", as the active coupling states."""
+    rod = '<geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02"/>'
+    links = "".join(f'<body><joint name="{name}" axis="0 1 0"/>{rod}' for name in "abc")
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody>{links}{"</body>" * 3}</worldbody><equality>
+        <joint joint1="a" joint2="c" active="{active}"/><joint joint1="b" joint2="a"/></equality>
+        <actuator><motor joint="c"/></actuator></mujoco>"""
+    )
+    closure = find_closure(model, MujocoConvention.from_model(model, "abc"), "abc")
+    assert closure is not None
+    dependent = ["abc"[joint] for joint in closure.dependent_joints]
+    assert dependent == (["a", "b"] if active == "true" else ["b"])
