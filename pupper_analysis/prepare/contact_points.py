@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base import lapack
 from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.shapes import Shape, read_shape
-from pupper_analysis.robot.contact import ground_geom
+from pupper_analysis.robot.contact import find_acting_contacts, ground_geom
 
 BALL_RADIUS = 2e-3
 """Radius of the balls that replace the corners of a sole [m]. Chosen small: a tilt of 1 mrad moves
@@ -514,8 +514,8 @@ def _find_pressed_contacts(
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
     found: list[ContactPoint] = []
-    for number in range(data.ncon):
-        touch = data.contact[number]
+    for number in np.flatnonzero(find_acting_contacts(data)):
+        touch = data.contact[int(number)]
         pair = [int(geom) for geom in touch.geom]
         if floor not in pair or not set(pair) & set(geoms):
             continue

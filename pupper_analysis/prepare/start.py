@@ -29,6 +29,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.feet import report_sideways_limbs
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import find_acting_contacts
 from pupper_analysis.robot.fall import simulate_keyframe
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import model_with_servos
@@ -487,7 +488,8 @@ def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[in
     qpos[2] -= sinkage
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     mujoco.mj_collision(model, data)
-    pairs = [pair for pair in data.contact.geom if 0 in model.geom_bodyid[pair]]
+    touching = data.contact.geom[find_acting_contacts(data)]
+    pairs = [pair for pair in touching if 0 in model.geom_bodyid[pair]]
     return {
         int(geom)
         for pair in pairs

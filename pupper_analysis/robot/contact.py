@@ -147,6 +147,18 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
     return None
 
 
+def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
+    """Return a mask of MuJoCo's contacts that are closer than their margin.
+
+    Contacts between margin and ``gap`` are detected too, but exert no force.
+
+    Args:
+        data: Data after ``mj_collision``.
+    """
+    mask: NDArray[np.bool_] = np.asarray(data.contact.exclude) == 0
+    return mask
+
+
 def ground_forces(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> tuple[dict[str, Array], set[str]]:
@@ -161,7 +173,8 @@ def ground_forces(
 
     Returns:
         {foot: force (3,) [N] of the ground on the foot, in world axes}, for feet in contact; and
-        the names of bodies that touch the ground with another geom.
+        the names of bodies that touch the ground with another geom. Contacts in the gap beyond the
+        margin are ignored.
     """
     forces: dict[str, Array] = {}
     other_bodies: set[str] = set()
@@ -171,7 +184,12 @@ def ground_forces(
         mujoco.mj_contactForce(model, data, number, wrench)
     world_forces = (wrenches[:, None, :3] @ data.contact.frame.reshape(-1, 3, 3))[:, 0]
     bodies = model.geom_bodyid[pairs].tolist()
-    for pair, (body1, body2), force in zip(pairs.tolist(), bodies, world_forces, strict=True):
+    acting = find_acting_contacts(data).tolist()
+    for acts, pair, (body1, body2), force in zip(
+        acting, pairs.tolist(), bodies, world_forces, strict=True
+    ):
+        if not acts:
+            continue
         is_first_ground = body1 == 0  # floor or step
         if is_first_ground == (body2 == 0):
             continue
@@ -189,12 +207,14 @@ def bodies_on_ground(
 ) -> set[str]:
     """Return the names of bodies that touch the world body with a geom that is no foot geom.
 
+    Contacts in the gap beyond the margin are ignored.
+
     Args:
         model: MuJoCo model.
         data: Data after ``mj_collision``.
         foot_geoms: {geom: foot}.
     """
-    pairs = data.contact.geom
+    pairs = data.contact.geom[find_acting_contacts(data)]
     is_fixed = model.geom_bodyid[pairs] == 0
     # Geoms of moving bodies whose contact partner is fixed.
     geoms = set(pairs[is_fixed[:, ::-1] & ~is_fixed].tolist())

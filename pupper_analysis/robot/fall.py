@@ -18,6 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.robot.contact import find_acting_contacts
+
 Array = NDArray[np.float64]
 
 FALLEN_TILT = 0.5
@@ -351,9 +353,9 @@ def _distance_above_ground(
 
 
 def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
-    """Return a mask of the contacts with bodies that are fixed to the world."""
+    """Return a mask of the contacts that act between a body and bodies fixed to the world."""
     bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
-    return np.asarray((bodies == 0).any(axis=1))
+    return np.asarray((bodies == 0).any(axis=1)) & find_acting_contacts(data)
 
 
 def _find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:

@@ -554,7 +554,8 @@ def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, 
     """
     loads: dict[int, float] = {}
     force = np.zeros(6)
-    for number, geoms in enumerate(data.contact.geom.tolist()):
+    for number in np.flatnonzero(contact.find_acting_contacts(data)).tolist():
+        geoms = data.contact.geom[number].tolist()
         bodies = [int(model.geom_bodyid[geom]) for geom in geoms if geom >= 0]
         moving = [body for body in bodies if model.body_weldid[body]]
         if len(bodies) == 2 and len(moving) == 1:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.build import rebuild_robot
+from pupper_analysis.simulation.monitor import find_light_bodies
 from tests.support.engines import evaluate_mujoco
 
 positive = st.floats(0.001, 2.0)
@@ -98,3 +99,24 @@ def test_foot_contacts_of_a_robot_equal_mujoco(robot: pa.Robot, stand: pa.Stand)
         for field in ("friction", "solref", "solimp"):
             np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field)[index])
     assert len({ours.friction[0] for ours in robot.contacts.values()}) == 4
+
+
+def test_contact_in_the_gap_beyond_the_margin_is_no_contact() -> None:
+    """MuJoCo detects both boxes, but exerts a force on the lower one only (``efc_address``)."""
+    box = '<freejoint/><geom name="{}" type="box" size=".1 .1 .1" margin=".001" gap=".5"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+        <body name="near" pos="0 0 .099">{box.format("near")}</body>
+        <body name="far" pos="1 0 .3">{box.format("far")}</body></worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    acting = contact.find_acting_contacts(data)
+    assert acting.tolist() == (data.contact.efc_address >= 0).tolist()
+    assert sorted({*acting.tolist()}) == [False, True]
+    assert contact.bodies_on_ground(model, data, {}) == {"near"}
+    assert contact.ground_forces(model, data, {})[1] == {"near"}
+    assert find_light_bodies(model, data) == ()
+    forces, others = contact.ground_forces(model, data, {model.geom("far").id: "far foot"})
+    assert not forces
+    assert others == {"near"}

@@ -45,6 +45,7 @@ from pupper_analysis.models.stated.mjcf import (
 )
 from pupper_analysis.models.stated.model import UrdfModel
 from pupper_analysis.robot.compare.differences import VERSION_NAMES, Difference, Effect
+from pupper_analysis.robot.contact import find_acting_contacts
 
 Key = tuple[str, str]
 """Tag and name of an element."""
@@ -859,8 +860,8 @@ def _find_min_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | No
     """Return the smallest friction coefficient of the contacts with the world; None without any."""
     found = [
         float(contact.friction[0]) if contact.dim > 1 else 0.0
-        for contact in data.contact
-        if 0 in model.body_weldid[model.geom_bodyid[contact.geom]]
+        for contact, acts in zip(data.contact, find_acting_contacts(data), strict=True)
+        if acts and 0 in model.body_weldid[model.geom_bodyid[contact.geom]]
     ]
     return min(found, default=None)
 

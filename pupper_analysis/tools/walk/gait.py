@@ -21,7 +21,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
-from pupper_analysis.robot.contact import bodies_on_ground
+from pupper_analysis.robot.contact import bodies_on_ground, find_acting_contacts
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO
@@ -84,12 +84,14 @@ class Gait(Result):
         tracks: True if the robot does not fall and tracks the command.
         torque_rms: Root mean square of each motor's torque, shape (nu,); NaN if the run ends at its
             first state.
-        torque_peak: Largest magnitude of each motor's torque, shape (nu,); NaN as ``torque_rms``.
+        torque_peak: Largest magnitude of each motor's torque, shape (nu,); NaN if the run ends at
+            its first state.
         at_limit: Fraction of the time in which each motor is saturated, shape (nu,); NaN for a
-            motor whose torque limit no file states, and as ``torque_rms``.
-        speed_peak: Largest speed of each joint, shape (nu,); NaN as ``torque_rms``.
-        power: Mean of the positive mechanical power of all motors, without recuperation; NaN as
-            ``torque_rms``.
+            motor whose torque limit no file states, and if the run ends at its first state.
+        speed_peak: Largest speed of each joint, shape (nu,); NaN if the run ends at its first
+            state.
+        power: Mean of the positive mechanical power of all motors, without recuperation; NaN if the
+            run ends at its first state.
         transport: Cost of transport: power / (weight x speed); None below 0.05 m/s.
         duty: {foot: fraction of the time in contact with the ground}, sampled once per action.
         touching: Bodies other than feet that touched the ground in a sample.
@@ -516,7 +518,7 @@ def find_ground_contacts(
         else:
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
-        near = np.flatnonzero(data.contact.dist <= 0)
+        near = np.flatnonzero(find_acting_contacts(data))
         pairs = data.contact.geom[near]
         bodies = model.geom_bodyid[pairs]
         geoms = np.where(bodies[:, 0] == 0, pairs[:, 1], pairs[:, 0])

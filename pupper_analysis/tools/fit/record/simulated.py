@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import find_acting_contacts
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, resolve_servo_gains
 from pupper_analysis.robot.tool import with_payload
@@ -176,7 +177,8 @@ class SimulatedRobot:
             planned: Ignored.
         """
         carried, force = dict.fromkeys(feet, 0.0), np.zeros(6)
-        for number, contact in enumerate(self._data.contact[: self._data.ncon]):
+        for number in np.flatnonzero(find_acting_contacts(self._data)).tolist():
+            contact = self._data.contact[number]
             mujoco.mj_contactForce(self._drive.model, self._data, number, force)
             feet_of = self._loaded.foot_geoms
             touching_feet = [feet_of[int(geom)] for geom in contact.geom if int(geom) in feet_of]
