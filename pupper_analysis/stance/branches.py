@@ -9,7 +9,7 @@ branch per limb.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -425,13 +425,47 @@ def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> I
         misses = [max(0.0, branch.foot_error - 1e-6) for branch in found[limb]]
         # 1 um counts like 1 rad, so that reachable branches come first.
         costs.append(np.array(misses) * 1e6 + np.array(away))
+    kept = _select_cheap_branches(costs)
     grid = np.zeros(1)
-    for cost in costs:
-        grid = (grid[:, None] + cost[None, :]).ravel()
+    for cost, numbers in zip(costs, kept, strict=True):
+        grid = (grid[:, None] + cost[None, numbers]).ravel()
     grid = np.round(grid / _JOINT_DISTANCE_STEP)
-    shape = [len(found[limb]) for limb in groups]
+    shape = [len(numbers) for numbers in kept]
     for choice in np.argsort(grid, kind="stable"):
         joints = near.copy()
-        for limb, number in zip(groups, np.unravel_index(choice, shape), strict=True):
-            joints[limb.joints] = found[limb][int(number)].positions
+        chosen = zip(groups, kept, np.unravel_index(choice, shape), strict=True)
+        for limb, numbers, index in chosen:
+            joints[limb.joints] = found[limb][numbers[int(index)]].positions
         yield joints
+
+
+_MAX_COMBINATIONS = 100_000
+"""Upper bound of the number of combinations of a branch per limb that are sorted. Six legs with six
+branches each have 46,656; twelve legs would have 2e9, more than memory holds. Chosen."""
+
+
+def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
+    """Return the numbers of the branches of each limb that are combined, in ascending order.
+
+    Branches are removed while there are more than `_MAX_COMBINATIONS` combinations: in each step
+    the branch whose cost exceeds the smallest cost of its limb by most. So no combination with a
+    smaller excess than that of a removed branch is lost.
+
+    Args:
+        costs: Costs of the branches of each limb.
+    """
+    kept = [list(range(len(cost))) for cost in costs]
+    excess = sorted(
+        (
+            (float(cost[number] - cost.min()), limb, number)
+            for limb, cost in enumerate(costs)
+            for number in range(len(cost))
+        ),
+        reverse=True,
+    )
+    for _, limb, number in excess:
+        if math.prod(map(len, kept)) <= _MAX_COMBINATIONS:
+            break
+        if len(kept[limb]) > 1:
+            kept[limb].remove(number)
+    return kept

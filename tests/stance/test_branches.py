@@ -15,9 +15,7 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
-from pupper_analysis.stance.branches import (
-    find_branches,
-)
+from pupper_analysis.stance.branches import Branch, Limb, combine_branches, find_branches
 from tests.support.engines import evaluate_mujoco
 from tests.support.variants import load
 
@@ -140,3 +138,26 @@ def test_stand_uses_another_branch_if_a_thigh_would_be_in_the_ground(
         stand = pa.solve_stand(robot, replace(task, **{angle: value}), explain=False)
         assert stand.ground_clearance is not None
         assert stand.ground_clearance.distance > -1e-6
+
+
+def test_best_combinations_of_many_limbs_need_little_memory() -> None:
+    """Reference: the sums of costs of all combinations with at most one limb off its best branch.
+
+    12 limbs with 6 branches have 2e9 combinations, whose costs need 16 GB.
+    """
+    limbs = [Limb((f"foot{number}",), np.array([number])) for number in range(12)]
+    random = np.random.default_rng(0)
+    positions = {limb: 1.0 + np.cumsum(random.uniform(0.01, 1, 6)) for limb in limbs}
+    found = {
+        limb: tuple(Branch(np.array([place]), 0.0) for place in places)
+        for limb, places in positions.items()
+    }
+    combinations = list(itertools.islice(combine_branches(found, np.zeros(12)), 3))
+    np.testing.assert_array_equal(combinations[0], [places[0] for places in positions.values()])
+    steps = sorted(
+        (places[1] - places[0], number) for number, places in enumerate(positions.values())
+    )
+    for combination, (step, number) in zip(combinations[1:], steps, strict=False):
+        changed = combination - combinations[0]
+        assert np.flatnonzero(changed).tolist() == [number]
+        assert changed[number] == pytest.approx(step)
