@@ -3,20 +3,27 @@
 The files are found as the tests find them: in the folder of ``PUPPER_ROBOTS``, in ``build/robots``
 (``make setup-ci``), or in the site-packages of the environment. Robots that are not installed are
 left out.
+
+`make benchmark` includes these commands. `python benchmarks/published.py --tables docs/data` runs
+only these commands, and writes the table with the commit. Times are processor times (user and
+system), which other processes on the machine increase by 10 to 40 %.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import click
 import numpy as np
+from tables import write_csv
 
 ROOT = Path(__file__).parents[1]
 _DATA = "cmeel.prefix/share/example-robot-data/robots"
@@ -25,9 +32,17 @@ ROBOTS = {
     "Panda": f"{_DATA}/panda_description/urdf/panda.urdf",
     "Go2": f"{_DATA}/go2_description/urdf/go2.urdf",
     "ANYmal B": f"{_DATA}/anymal_b_simple_description/robots/anymal.urdf",
-    "G1": "mjlab/asset_zoo/robots/unitree_g1/xmls/g1.xml",
+    "G1 (URDF)": f"{_DATA}/g1_description/urdf/g1_29dof_rev_1_0.urdf",
+    "G1 (MJCF)": "mjlab/asset_zoo/robots/unitree_g1/xmls/g1.xml",
+    "Talos": f"{_DATA}/talos_data/robots/talos_reduced.urdf",
 }
 """{robot: file in the folder of published robots}."""
+
+_FIXED_ROBOTS = ("Panda",)
+"""Robots with a fixed base, which are measured with ``hold``."""
+
+_TABLE = ("robot", "joints", "command", "processor time", "peak memory", "commit")
+"""Columns of the table of published robots."""
 
 COMMANDS: Mapping[str, Sequence[str]] = {
     "stand": ("stand", "{robot}"),
@@ -39,26 +54,31 @@ COMMANDS: Mapping[str, Sequence[str]] = {
 """{command: arguments}, for legged robots."""
 
 _LOAD = """
-import sys, pupper_analysis as pa
+import sys, time
+import mujoco, pinocchio, pupper_analysis as pa
+pa.load_robot
+start = time.process_time()
 robot = pa.load_robot(sys.argv[1])
-print(robot.pin_model.nv, robot.nu)
+robot.pin_model
+print(time.process_time() - start, robot.nu)
 """
-"""Program that loads a robot with this package."""
+"""Program that loads a robot with this package, and prints processor time [s] and joints."""
 
 _BARE = """
-import sys
+import sys, time
+import mujoco, pinocchio as pin
+from pathlib import Path
+start = time.process_time()
 if sys.argv[1].endswith(".urdf"):
-    import pinocchio as pin
-    from pathlib import Path
     path = Path(sys.argv[1])
     model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
     folders = [str(folder) for folder in path.parents]
     pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, package_dirs=folders)
 else:
-    import mujoco
     mujoco.MjModel.from_xml_path(sys.argv[1])
+print(time.process_time() - start)
 """
-"""Program that loads a model with Pinocchio or MuJoCo alone."""
+"""Program that loads a model with Pinocchio or MuJoCo alone, and prints the processor time [s]."""
 
 
 @dataclass(frozen=True)
@@ -139,30 +159,59 @@ def measure_process(code: str, *arguments: str) -> Use:
         return Use(used.ru_utime + used.ru_stime, int(peak) / 1000, "\n".join(lines).strip())
 
 
-def measure_robots(repeats: int = 3) -> list[tuple[str, ...]]:
+def measure_robots(repeats: int = 3, names: Collection[str] | None = None) -> list[tuple[str, ...]]:
     """Measure all commands by turns; return a table with header.
 
-    Each value is the least of the repeats. Panda has a fixed base, and is measured with ``hold``.
+    Each value is the smallest of the repeats. The time of a load does not contain the imports; the
+    time of a command does.
+
+    Args:
+        repeats: Number of runs of each command.
+        names: Names of the robots; all that are installed by default.
     """
-    robots = find_robots()
-    best: dict[tuple[str, str], Use] = {}
+    robots = {
+        name: robot for name, robot in find_robots().items() if names is None or name in names
+    }
+    best: dict[tuple[str, str], tuple[float, float]] = {}
+    joints: dict[str, int] = {}
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(repeats):
             for name, robot in robots.items():
                 for command, arguments in _list_processes(name, robot, Path(folder)).items():
-                    used, known = measure_process(*arguments), best.get((name, command))
-                    if known is None or used.seconds < known.seconds:
-                        best[name, command] = used
-    joints = {name: int(best[name, "load"].output.split()[1]) for name in robots}
+                    click.echo(f"{name}: {command} ...", err=True)
+                    used = measure_process(*arguments)
+                    seconds = used.seconds
+                    if command.startswith("load"):
+                        printed = used.output.split()
+                        seconds = float(printed[0])
+                        joints |= {name: int(printed[1])} if len(printed) > 1 else {}
+                    known = best.get((name, command), (math.inf, math.inf))
+                    best[name, command] = (
+                        min(seconds, known[0]),
+                        min(used.megabytes, known[1]),
+                    )
+    commit = find_commit()
     rows = [
-        (name, str(joints[name]), command, f"{used.seconds:.2f} s", f"{used.megabytes:.0f} MB")
-        for (name, command), used in best.items()
+        (name, str(joints[name]), command, f"{took:.3g} s", f"{memory:.0f} MB", commit)
+        for (name, command), (took, memory) in best.items()
     ]
-    stands = [(joints[name], best[name, "stand"].seconds) for name in robots if name != "Panda"]
-    if len(stands) > 1:
+    legged = [name for name in robots if name not in _FIXED_ROBOTS]
+    if len(legged) > 1:
+        stands = [(joints[name], best[name, "stand"][0]) for name in legged]
         exponent = np.polyfit(*np.log(np.array(stands)).T, 1)[0]
-        rows.append(("all", "", "stand: exponent of the joints", f"{exponent:.2f}", ""))
-    return [("robot", "joints", "command", "processor time", "peak memory"), *rows]
+        row = "all", "", "stand: exponent of the joints", f"{exponent:.2f}", "", commit
+        rows.append(row)
+    return [_TABLE, *rows]
+
+
+def find_commit() -> str:
+    """Return the commit of the checkout, with ``+`` if files differ from it; empty without git."""
+    words = ["git", "describe", "--always", "--abbrev=8", "--exclude=*", "--dirty=+"]
+    try:
+        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return done.stdout.strip()
 
 
 def _list_processes(name: str, robot: str, folder: Path) -> dict[str, list[str]]:
@@ -170,7 +219,7 @@ def _list_processes(name: str, robot: str, folder: Path) -> dict[str, list[str]]
     processes = {"load": [_LOAD, robot]}
     if name != "v3":
         processes["load, bare engine"] = [_BARE, robot]
-    commands = {"hold": ("hold", "{robot}")} if name == "Panda" else COMMANDS
+    commands = {"hold": ("hold", "{robot}")} if name in _FIXED_ROBOTS else COMMANDS
     for command, words in commands.items():
         if command == "convert" and not robot.endswith(".urdf"):
             continue
@@ -180,3 +229,20 @@ def _list_processes(name: str, robot: str, folder: Path) -> dict[str, list[str]]
         arguments = [word.format(**values) for word in words]
         processes[command] = [_RUN_COMMAND, *arguments, *forced]
     return processes
+
+
+@click.command()
+@click.option("--repeats", default=3, show_default=True, help="Number of runs of each command.")
+@click.option("--robot", "names", multiple=True, help="Measure only this robot. Repeatable.")
+@click.option("--tables", type=click.Path(path_type=Path), help="Write a CSV file here.")
+def main(repeats: int, names: tuple[str, ...], tables: Path | None) -> None:
+    """Measure commands on published robots."""
+    header, *rows = measure_robots(repeats, names or None)
+    for row in (header, *rows):
+        click.echo("  ".join(row))
+    if tables is not None:
+        write_csv(tables / "benchmarks-published-robots.csv", header, rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -147,6 +147,7 @@ def make_setting_table(found: dict[str, Any]) -> list[tuple[str, str]]:
     return [
         ("what", "value"),
         ("time", where["time"]),
+        ("commit", published.find_commit()),
         ("processor", where["processor"]),
         ("cores", str(where["cores"])),
         ("load at the start", f"{where['load'][0]:.1f}"),
@@ -240,6 +241,7 @@ def main(
         found["default run"] = whole.measure_default_run(pa.VARIANTS)
         found["published robots"] = published.measure_robots()
         found["growth"] = growth.measure_growth(variant, max(growth.COUNTS), 0.5)
+        found["growth"] |= growth.measure_robot_growth(0.2)
     made = make_tables(found, rows)
     for title, lines in made.items():
         print_table(title, lines)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import csv
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -78,3 +79,4 @@ def test_published_robots_are_found_and_processes_are_measured(
     processes = published._list_processes("Go2", str(file), tmp_path)
     assert {*published.COMMANDS, "load", "load, bare engine"} == set(processes)
     assert processes["payload"][1:] == ["payload", str(file)]
+    assert re.fullmatch(r"([0-9a-f]{8,}\+?)?", published.find_commit())
