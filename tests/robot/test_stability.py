@@ -330,7 +330,7 @@ def test_a_nudge_of_a_base_without_friction_does_not_decay(condim: int, decays: 
     found = measure_response(model, before, states, resting)
     assert found.decayed is decays
     if not decays:
-        assert found.left == pytest.approx(1e-3, rel=0.01)
+        assert found.left == pytest.approx(1e-3, rel=1e-9)
 
 
 @pytest.mark.parametrize(("rate", "grows"), [(5e-5, False), (2e-4, True)])

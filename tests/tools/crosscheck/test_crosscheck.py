@@ -117,7 +117,7 @@ def test_inertia_deviation_is_relative_to_its_own_link() -> None:
     joint = robot.pin_model.getJointId("leg_front_r_1")
     scale = np.abs(robot.pin_model.inertias[joint].inertia).max()
     assert scale < 1e-2 * np.abs(robot.pin_model.inertias[1].inertia).max()
-    assert found.scale == pytest.approx(scale, rel=0.2)  # in the MJCF's axes, and 1e-6 less
+    assert found.scale == pytest.approx(scale, rel=1e-9)
     assert found.relative == pytest.approx(found.deviation / found.scale, rel=1e-12)
     assert found.relative > 0.3e-6 / scale
 

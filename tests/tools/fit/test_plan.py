@@ -38,8 +38,10 @@ def test_the_chosen_make_the_determinant_largest() -> None:
         return float(np.linalg.slogdet(before + sum(each[place] for place in places))[1])
 
     best = max(combinations(range(12), 4), key=determinant)
-    assert determinant(choose_stands(each, before, 4)) == pytest.approx(determinant(best), rel=0.02)
-    assert len(set(choose_stands(each, before, 4))) == 4
+    found = choose_stands(each, before, 4)
+    # The search exchanges single measurements, and may end in another local maximum.
+    assert determinant(found) == pytest.approx(determinant(best), rel=0.02)
+    assert len(set(found)) == 4
 
 
 def test_number_of_rare_stands_is_bounded() -> None:
