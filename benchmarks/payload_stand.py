@@ -7,8 +7,9 @@
 Robots are the six variants, random robots of the tests, and public robots of FOLDER. Each robot is
 loaded in its own process, within a time limit. Its limit is that of `payload`; `stand` then judges
 0, 30, 60, 97 and 103 % of this limit. Some robots also stand with one foot on a slope, a vertical
-wall or a bar. A row of the table is consistent if `stand` holds up to 97 % of the limit, and fails
-or has no stance at 103 %. Rows are written to `docs/data/payload-stand.csv` as soon as a robot is
+wall or a bar, and every robot with two kinds of contact that are drawn from ``DRAWN``. A row of the
+table is consistent if `stand` holds up to 97 % of the limit, and fails or has no stance at 103 %.
+Rows are written to `docs/data/payload-stand.csv` as soon as a robot is
 finished; a further run omits robots with a row, unless `--again` is given.
 """
 
@@ -17,6 +18,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import random
 import subprocess
 import sys
 import tempfile
@@ -104,6 +106,25 @@ ON_ONE_FOOT = (
 )
 """Robots that are also judged with the contacts of ``ONE_FOOT``."""
 
+DRAWN = (
+    *("slope:4deg", "slope:10deg", "slope:10deg,uphill=90deg", "slope:25deg", "slope:90deg"),
+    *("bar", "ledge", "hollow", "slippery", "weld"),
+)
+"""Kinds of contact of the first foot from which each robot gets ``NUM_DRAWN``.
+
+A ledge is level and higher than the ground, a hollow lower, each by ``STEP_RATIO`` of the height of
+the base. A slippery place is level and has the friction coefficient ``LOW_FRICTION``.
+"""
+
+NUM_DRAWN = 2
+"""Number of kinds of ``DRAWN`` per robot."""
+
+STEP_RATIO = 0.06
+"""Height of a ledge, relative to the height of the base above the ground."""
+
+LOW_FRICTION = 0.3
+"""Sliding friction coefficient of a slippery place."""
+
 _NUM_QUICK = 24
 """Number of robots that are judged on level ground before the cases of ``ONE_FOOT``."""
 
@@ -148,7 +169,34 @@ def list_cases(folder: Path, scratch: Path) -> list[Case]:
         if name in robots
     ]
     level = [Case(name, "", robots[name]) for name in order if name in robots]
-    return [*level[:_NUM_QUICK], *on_one_foot, *level[_NUM_QUICK:]]
+    drawn = [
+        Case(case.robot, contact, case.selection)
+        for case in level
+        for contact in random.Random(case.robot).sample(DRAWN, NUM_DRAWN)
+        if contact not in ONE_FOOT or case.robot not in ON_ONE_FOOT
+    ]
+    return [*level[:_NUM_QUICK], *on_one_foot, *level[_NUM_QUICK:], *drawn]
+
+
+def describe_contact(robot: Any, foot: str, kind: str) -> str:
+    """Return the text of `--contact` for a kind of contact of a foot in the default stand."""
+    from pupper_analysis import solve_stand
+
+    if kind not in ("bar", "ledge", "hollow", "slippery"):
+        return kind
+    stand = solve_stand(robot)
+    point = robot.feet[foot][0]
+    x, y, z = (float(value) for value in stand.foot_targets[point])
+    z -= robot.contact_radius[point]
+    step = STEP_RATIO * (float(stand.qpos[2]) - z)
+    match kind:
+        case "bar":
+            return f"bar:{x}m,{y}m,{z - BAR_RADIUS}m,0,1,0,{BAR_RADIUS}m"
+        case "ledge":
+            return f"table:{z + step}m"
+        case "hollow":
+            return f"table:{z - step}m"
+    return f"slope:0deg,mu={LOW_FRICTION}"
 
 
 def judge_case(case: Case) -> dict[str, Any]:
@@ -173,11 +221,7 @@ def judge_case(case: Case) -> dict[str, Any]:
     task = pa.StandTask()
     if case.contact:
         foot = next(iter(robot.feet))
-        surface = case.contact
-        if surface == "bar":
-            x, y, z = (float(value) for value in pa.solve_stand(robot).foot_targets[foot])
-            z -= BAR_RADIUS + robot.contact_radius[robot.feet[foot][0]]
-            surface = f"bar:{x}m,{y}m,{z}m,0,1,0,{BAR_RADIUS}m"
+        surface = describe_contact(robot, foot, case.contact)
         contact = parse_contact("contact", surface, surface)
         task = pa.StandTask(contacts={foot: contact})
     try:

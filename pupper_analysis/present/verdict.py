@@ -281,7 +281,8 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
     """Yield the clauses of a verdict about the published file, simulated from a keyframe.
 
     One clause about the run with the file's own commands, one about the run with joint angles as
-    commands if that run exists, then one about each cause of a failure. None without a run.
+    commands if that run exists, then one about each cause of a failure. None without a run. The
+    clause of a file that MuJoCo refuses does not support the stand.
     """
     for run in (
         ()
@@ -319,7 +320,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
             commanded=joint is not None and joint.commanded_away,
             **how,
         )
-        yield Clause(not (run.falls or run.is_tilted), message)
+        yield Clause(not (run.falls or run.is_tilted or run.missing), message)
     for cause in () if keyframe_run is None else keyframe_run.causes:
         yield Clause(False, describe_cause(cause))
 

@@ -22,7 +22,7 @@ from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import _is_ctrl_angles, own_run, settles_in_place
 from pupper_analysis.prepare.published_model import HoldCommands
 from pupper_analysis.prepare.self_check import name_remaining_cause
-from pupper_analysis.present.verdict import verdict_clauses
+from pupper_analysis.present.verdict import split_verdict_lines, verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.audit.audit import audit_model
@@ -245,6 +245,8 @@ def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path
     assert own.missing == ("gone.stl",)
     said = [str(clause.message) for clause in verdict_clauses(judged(robot))]
     assert any("MuJoCo refuses the file" in line and "gone.stl" in line for line in said)
+    short, _ = split_verdict_lines(judged(robot))
+    assert any("MuJoCo refuses the file" in str(line) for line in short)
     severities = {
         finding.severity
         for finding in audit_model(tmp_path / "robot.xml").findings
