@@ -135,6 +135,10 @@ SLIPS: list[tuple[Any, ...]] = [
     ("axis-zero", "urdf joint FL_HAA", '<axis', '"1 0 0"', '"0 0 0"'),
     ("range-empty", "urdf joint FL_HFE", '<limit', 'upper="1.2"', 'upper="-1.8"'),
     ("limits-without-effect", "urdf joint FL_HFE", '<limit', 'revolute', 'continuous'),
+    ("limits-without-effect", "mjcf joint FL_HAA", '',
+     'class="HAA"', 'class="HAA" range="0 0" limited="auto"'),
+    ("limits-without-effect", "mjcf general FL_HAA", '',
+     'joint="FL_HAA"', 'joint="FL_HAA" ctrlrange="0 0" ctrllimited="auto"'),
     ("limits-in-wrong-unit", "urdf joint FL_HFE", '<limit',
      'lower="-1.8" upper="1.2"', 'lower="-103" upper="69"'),
     ("effort-or-velocity-zero", "urdf joint FL_HFE", '<limit', 'effort="18"', 'effort="0"'),
@@ -266,8 +270,9 @@ def sound() -> dict[str, Audit]:
 # ------------------------------------------------------------------------------------- the rules
 
 
-ESCALATED = {"limits-in-wrong-unit", "mass-beyond-motors"}
-"""Rules with severity WARNING that report values beyond ten times their limit as ERROR."""
+ESCALATED = {"limits-in-wrong-unit", "mass-beyond-motors", "limits-without-effect"}
+"""Rules that report some findings with a higher severity than their own: WARNING rules, values
+beyond ten times their limit as ERROR; limits-without-effect, ranges of an MJCF as WARNING."""
 
 
 @pytest.mark.slow

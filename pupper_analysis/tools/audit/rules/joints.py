@@ -24,6 +24,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.efforts import Motor, null_efforts, placeholder_efforts
 from pupper_analysis.models.loading import CheckFinding
+from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.mjcf import find_element_place
 from pupper_analysis.models.stated.model import (
     HINGE_JOINT,
@@ -162,13 +163,43 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find joints without position limits (URDF type ``continuous``) with stated limits."""
+    """Find joints without position limits (URDF type ``continuous``) with stated limits.
+
+    In an MJCF also ranges of joints, tendons and servos from a number to the same number, which
+    MuJoCo ignores: WARNING.
+    """
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
         if joint.moves and math.isinf(joint.lower) and lower < upper:
             low, high = Quantity(lower, "rad"), Quantity(upper, "rad")
             message = diagnose("limits-without-effect", lower=low, upper=high)
             yield CheckFinding("joint", joint.name, message, "limit")
+    if isinstance(robot, MjcfModel) and robot.refusal is None:
+        yield from _find_ranges_with_equal_ends(robot.file)
+
+
+def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
+    """Yield ranges with equal ends and ``limited="auto"`` of named joints, tendons and servos.
+
+    Control ranges of motors are torque limits, and are findings of `effort_or_velocity_zero`.
+    """
+    servos = [act for act in file.spec.actuators if act.biastype != mujoco.mjtBias.mjBIAS_NONE]
+    for tag, elements, name, switch in (
+        ("joint", file.spec.joints, "range", "limited"),
+        ("tendon", file.spec.tendons, "range", "limited"),
+        ("actuator", servos, "ctrlrange", "ctrllimited"),
+    ):
+        for element in elements:
+            low, high = np.array(getattr(element, name)).reshape(-1)[:2]
+            automatic = getattr(element, switch) == mujoco.mjtLimited.mjLIMITED_AUTO
+            if not automatic or low != high or not element.name:
+                continue
+            place = file.find_attribute(tag, element.name, (name,))
+            if place is not None:
+                message = diagnose("range-inverted", attribute=name, low=low, high=high)
+                yield CheckFinding(
+                    tag, element.name, message, place=place, severity=Severity.WARNING
+                )
 
 
 @rule
