@@ -10,10 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis import cli
+from pupper_analysis.stance.sag.steady_state import steady_state
 from tests.support.repository import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -47,6 +49,27 @@ def test_table_of_variants_equals_the_computed_values() -> None:
         assert float(utilisation.split()[0]) == pytest.approx(
             100 * statics.motor_utilisation.max(), abs=0.05
         )
+
+
+@pytest.mark.slow
+def test_simulated_sags_are_those_of_a_plain_mujoco_simulation() -> None:
+    """Reference: MuJoCo alone for 12 s, from the stand, commanded to its joint angles.
+
+    The sags without sliding are those that `stand` predicts.
+    """
+    (stated,) = re.findall(
+        r"After 12 s, v3 is ([\d.]+) mm lower than commanded, and v3-heavy ([\d.]+) mm", README
+    )
+    for name, sag in zip(("v3", "v3-heavy"), map(float, stated), strict=True):
+        robot = pa.load_variant(name)
+        model, stand = robot.mj_model, pa.stance.solve_stand_as_simulated(robot)
+        data = mujoco.MjData(model)
+        data.qpos[:], data.ctrl[:] = stand.qpos, stand.qpos[7:]
+        mujoco.mj_step(model, data, nstep=round(12 / model.opt.timestep))
+        assert sag == pytest.approx(1e3 * (stand.qpos[2] - data.qpos[2]), abs=0.05)
+        (predicted,) = re.findall(rf"\| {name} \|.*\| sags by ([\d.]+) mm \|", README)
+        settled = steady_state(robot, stand)
+        assert float(predicted) == pytest.approx(1e3 * settled.height_loss, abs=0.05)
 
 
 def commands(text: str) -> list[str]:

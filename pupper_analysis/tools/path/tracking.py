@@ -456,9 +456,10 @@ def track_path(
         saturated, torque_error = _compare_torques(plan, states)
         failures += saturated
     if path.peak_utilisation > 1:
-        failures.append(diagnose("motor-overloaded-on-path", share=path.peak_utilisation))
+        share = _as_finite(path.peak_utilisation)
+        failures.append(diagnose("motor-overloaded-on-path", share=share))
     if path.peak_speed_utilisation > 1:
-        fastest, share = ("joint", path.fastest_joint), path.peak_speed_utilisation
+        fastest, share = ("joint", path.fastest_joint), _as_finite(path.peak_speed_utilisation)
         failures.append(diagnose("joint-too-fast", subject=fastest, share=share))
     if not torque_error <= TORQUE_TOLERANCE:
         failures.append(diagnose("motor-torque-off-path", error=torque_error))
@@ -507,6 +508,11 @@ def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic
         events.append(diagnose("motor-at-limit", subject=motor, time=moment))
     largest = float(np.abs(plan.path.torques).max())
     return events, float(np.abs(torques - plan.torques).max()) / largest
+
+
+def _as_finite(utilisation: float) -> float | None:
+    """Return a utilisation; None if it is infinite, as that of a limit of 0 or less is."""
+    return utilisation if math.isfinite(utilisation) else None
 
 
 def _check_states(
