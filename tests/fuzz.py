@@ -47,8 +47,8 @@ KEPT = ROOT / "build" / "fuzz"
 
 SECONDS = 60
 """Processor time [s] after which a command counts as hanging; the limit on elapsed time is five
-times as long, as other processes share the processor. The slowest input so far needs 26 s:
-``payload v3 --impratio 1e308``, whose contacts chatter in each nudged simulation."""
+times as long, as other processes share the processor. The slowest input so far needed 26 s:
+``payload v3 --impratio 1e308``, which is refused now (``MAX_IMPRATIO``)."""
 
 STATUSES = (0, 1, 2)
 """Documented exit statuses: verified, not verified, bad input. Status 3, an internal error, is a
