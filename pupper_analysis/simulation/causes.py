@@ -44,7 +44,9 @@ the constraint solver. Measured: with the solvers CG and PGS and MuJoCo's defaul
 at rest move at 0.02 to 0.12 of the nudge without end."""
 
 
-def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
+def find_instability(
+    stability: Stability, nudge: Nudge | None, *, bounces: bool = False
+) -> list[Diagnostic]:
     """Report the fastest growing mode, or else a nudge that does not decay.
 
     A joint that the nudge displaces too far, at the end or temporarily, is reported as well.
@@ -52,11 +54,13 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
     Args:
         stability: Stability at the settled state. Modes are reported only if the state is at rest.
         nudge: Response to the nudge; None if the stand was not nudged.
+        bounces: Whether the motion that does not decay is that of a bouncing foot with almost no
+            load, and does not grow. It is not reported then.
     """
     leaving = stability.modes_growing_within() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]
     is_noise = nudge is not None and nudge.left <= _SOLVER_NOISE_RATIO * nudge.speed
-    if nudge is not None and not nudge.decayed and not is_noise and not messages:
+    if nudge is not None and not (nudge.decayed or is_noise or bounces or messages):
         after = Quantity(nudge.duration, "s")
         messages.append(
             diagnose("nudge-does-not-decay", speed=nudge.speed, after=after, left=nudge.left)

@@ -395,6 +395,35 @@ def measure_response(
     )
 
 
+BOUNCING_TIME = 28.0
+"""Simulated time [s] in which the motion of a stand with a bouncing light foot must not grow.
+Chosen with the 12 s of a verified stand: 40 s in total."""
+
+
+def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) -> bool:
+    """Return True if the motion that a nudge has left does not grow in another ``BOUNCING_TIME``.
+
+    A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. The
+    motion does not grow if its speed in the last third of the time is at most the speed after the
+    nudge, and if all joints stay within ``MAX_JOINT_DISPLACEMENT``. The motion must also be slower
+    than the nudge.
+
+    Args:
+        model: MuJoCo model.
+        end: State at the end of the nudged simulation (mjSTATE_FULLPHYSICS).
+        ctrl: Actuator commands, shape (model.nu,).
+        nudge: Response in the nudged simulation.
+    """
+    known = max(nudge.motion, nudge.left)
+    if not known < nudge.speed:
+        return False
+    steps = round(BOUNCING_TIME / float(model.opt.timestep))
+    states = simulate_commands(model, end, np.tile(ctrl, (steps, 1)))
+    further = measure_response(model, end, states)
+    is_finite = not monitor.has_diverged(states, float(model.opt.timestep))
+    return is_finite and further.left <= known and further.stays
+
+
 def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str]:
     """Return the largest joint displacement, and its unit ``"rad"`` or ``"m"``.
 

@@ -46,9 +46,11 @@ from pupper_analysis.simulation.rollout import (
     weld_generalized_forces,
 )
 from pupper_analysis.simulation.stability import (
+    BOUNCING_TIME,
     Nudge,
     evaluate_final_stability,
     measure_response,
+    remains_small,
     simulate_nudge,
 )
 from pupper_analysis.simulation.verdict import Creep, Outcome
@@ -296,7 +298,15 @@ def verify_stand(
     failures = _find_standing_failures(robot, reference, run.states, record, result)
     if failures:
         failures += find_creep(robot, stand, prediction)
-    failures += find_instability(result.stability, result.nudge)
+    nudge, lifted = result.nudge, record.lifted
+    bounces = bool(
+        lifted
+        and not failures
+        and nudge is not None
+        and not nudge.decayed
+        and remains_small(drive.model, run.states[-1], ctrl, nudge)
+    )
+    failures += find_instability(result.stability, nudge, bounces=bounces)
     stays = not failures
     if feedforward:
         failures += _find_deviations(robot, stand, record, result)
@@ -316,8 +326,12 @@ def verify_stand(
             share=Quantity(shares.get(foot, 0.0), "1"),
             time=Quantity(moment, "s"),
         )
-        for foot, moment in record.lifted.items()
+        for foot, moment in lifted.items()
     ]
+    if bounces and nudge is not None:
+        after = Quantity(nudge.duration, "s")
+        further = Quantity(BOUNCING_TIME, "s")
+        notes.append(diagnose("light-foot-bounces", left=nudge.left, after=after, further=further))
     if not result.collapses:
         notes += describe_refuted(result.stability)
     judged = replace(
