@@ -46,7 +46,10 @@ class Description:
         made_frames: Contact points without a frame in either file.
         added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written
             get the same additions.
-        made_servos: Servos in ``mjcf`` that the file does not contain.
+        made_servos: Servos in ``mjcf`` that the file does not contain, without those of
+            ``passive_joints``.
+        passive_joints: Joints that no motor drives: the effort in the URDF is zero, and the MJCF
+            has actuators at other joints only. Their servos in ``mjcf`` exert no torque.
         efforts: {joint: effort limit} in place of the limits in ``mjcf``: requested limits, and
             limits of motors that were replaced by servos.
         null_efforts: {joint: empty force range of the MJCF}; a compiled model lacks them.
@@ -67,6 +70,7 @@ class Description:
     made_frames: frozenset[str] = frozenset()
     added: tuple[Addition, ...] = ()
     made_servos: tuple[MadeServo, ...] = ()
+    passive_joints: tuple[str, ...] = ()
     efforts: Mapping[str, EffortLimit] = field(default_factory=dict)
     null_efforts: Mapping[str, EffortStatement] = field(default_factory=dict)
     converted: str = ""

@@ -23,7 +23,11 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import UNSTATED
-from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
+from pupper_analysis.models.transmission import (
+    actuator_gear,
+    fixed_tendon_levers,
+    list_joint_actuators,
+)
 
 if TYPE_CHECKING:
     from pupper_analysis.models.mjcf_file import MjcfFile
@@ -228,9 +232,12 @@ def _list_statements(
     """Return the force ranges that an MJCF states for a joint, on the joint or on its actuators.
 
     Actuator ranges are converted to joint torques [N m, N]. If several actuators drive the joint
-    and each has a limit, their ranges are added.
+    and each has a limit, their ranges are added. The limits of the actuator of a fixed tendon apply
+    to a joint of the tendon without other actuators.
     """
     statements = read_joint_effort(model, joint)
+    if not drives:
+        return statements + _read_tendon_efforts(model, joint)
     if len(drives) == 1:
         return statements + read_actuator_efforts(model, drives[0])
     by_drive = [read_actuator_efforts(model, actuator) for actuator in drives]
@@ -243,6 +250,29 @@ def _list_statements(
             EffortStatement.of("MJCF", "actuator", names, least.attribute, (lower, upper))
         )
     return statements
+
+
+def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
+    """Return the torque limits at a joint of a fixed tendon, from the actuator of the tendon.
+
+    Empty unless exactly one actuator at a fixed tendon acts on the joint.
+    """
+    levers = fixed_tendon_levers(model)
+    actuators = [actuator for actuator, by_joint in levers.items() if joint in by_joint]
+    if len(actuators) != 1:
+        return []
+    lever, gear = levers[actuators[0]][joint], float(actuator_gear(model, actuators[0])[0])
+    return [
+        EffortStatement.of(
+            limit.file,
+            limit.element,
+            limit.name,
+            limit.attribute,
+            limit.stated,
+            limit.factor * lever / gear,
+        )
+        for limit in read_actuator_efforts(model, actuators[0])
+    ]
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:

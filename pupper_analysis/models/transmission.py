@@ -71,20 +71,47 @@ def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
 
 def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the actuators at fixed tendons in which a joint has a nonzero coefficient."""
+    return [actuator for actuator, joints in fixed_tendon_levers(model).items() if joint in joints]
+
+
+def fixed_tendon_levers(model: mujoco.MjModel) -> dict[int, dict[int, float]]:
+    """Return the levers of the actuators at fixed tendons.
+
+    A fixed tendon is a linear combination of joint positions. The torque at a joint is the force of
+    the actuator times the lever, which is the gear times the coefficient of the joint.
+
+    Returns:
+        {actuator id: {joint id: lever}}, without levers that are zero.
+    """
+    levers = {}
     at_tendons = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value)
-    found = []
     for actuator in at_tendons.tolist():
-        tendon = int(model.actuator_trnid[actuator, 0])
+        tendon, gear = (
+            int(model.actuator_trnid[actuator, 0]),
+            float(actuator_gear(model, actuator)[0]),
+        )
         first = int(model.tendon_adr[tendon])
         wraps = range(first, first + int(model.tendon_num[tendon]))
         parts = [wrap for wrap in wraps if model.wrap_type[wrap] == _WRAPS_JOINT]
-        if any(model.wrap_objid[wrap] == joint and model.wrap_prm[wrap] != 0 for wrap in parts):
-            found.append(actuator)
-    return found
+        levers[actuator] = {
+            int(model.wrap_objid[wrap]): gear * float(model.wrap_prm[wrap])
+            for wrap in parts
+            if gear * model.wrap_prm[wrap] != 0
+        }
+    return levers
 
 
 _WRAPS_JOINT = mujoco.mjtWrap.mjWRAP_JOINT.value
 """Type of a part of a fixed tendon: a joint."""
+
+
+def list_tendon_servos(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Return the position servos at fixed tendons in which a joint has a nonzero coefficient."""
+    return [
+        actuator
+        for actuator in tendon_actuators(model, joint)
+        if _classify_actuator(model, actuator) is Drive.SERVO
+    ]
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from pupper_analysis.models.additions import (
     Servo,
 )
 from pupper_analysis.models.attributes import BY_KIND, UNSTATED
+from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
@@ -212,13 +213,43 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
     Returns:
         Robot with servos, and notes.
     """
+    robot = _mark_passive_joints(robot, mjcf)
     made, messages = _add_servos_of_stand(_remove_zero_limits(robot), mjcf)
-    return _restore_zero_limits(made, robot), messages
+    return _restore_zero_limits(made, robot), [*notes.report_passive_joints(robot), *messages]
+
+
+def _mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
+    """Return a robot whose description lists the passive joints (`Description.passive_joints`).
+
+    The robot is returned unchanged if there are none, or if the MJCF has no actuators or was
+    derived from the URDF: an effort of zero in one file alone may be a mistake.
+    """
+    model, dependent = mjcf.model, list_dependent_joints(robot)
+    if mjcf.of_urdf or not model.nactuator:
+        return robot
+    passive = []
+    for index, limit in enumerate(robot.efforts):
+        name = robot.joint_names[index]
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        is_driven = joint < 0 or classify_joint_drive(model, joint) is not Drive.NONE
+        if limit.code is EffortCode.ZERO and not is_driven and index not in dependent:
+            passive.append(name)
+    if not passive:
+        return robot
+    return replace(robot, description=replace(robot.description, passive_joints=tuple(passive)))
 
 
 def _remove_zero_limits(robot: Robot) -> Robot:
-    """Return the robot with unknown in place of zero torque limits; unchanged if none is zero."""
-    null = [limit.joint for limit in robot.efforts if limit.without_torque]
+    """Return the robot with unknown in place of zero torque limits; unchanged if none is zero.
+
+    Passive joints keep the limit.
+    """
+    passive = robot.description.passive_joints
+    null = [
+        limit.joint
+        for limit in robot.efforts
+        if limit.without_torque and limit.joint not in passive
+    ]
     if not null:
         return robot
     urdf = UrdfTree.of(robot.description.urdf)
@@ -271,8 +302,9 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos to a robot with a fixed base, at joints without one; return notes."""
+    robot = _mark_passive_joints(robot, mjcf)
     made, messages = _add_servos_of_fixed_base(_remove_zero_limits(robot), mjcf)
-    return _restore_zero_limits(made, robot), messages
+    return _restore_zero_limits(made, robot), [*notes.report_passive_joints(robot), *messages]
 
 
 def _add_servos_of_fixed_base(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
@@ -299,13 +331,17 @@ def _report_added_servos(
     """
     recorded = _record_added_servos(built, kp, kd, mjcf)
     added = recorded.description.made_servos
-    num_own = robot.nu - len(added) - len(list_dependent_joints(robot))
+    if not added:  # all are at passive joints, and exert no torque
+        return recorded, []
+    num_passive = len(robot.description.passive_joints)
+    num_own = robot.nu - len(added) - num_passive - len(list_dependent_joints(robot))
     return recorded, [*notes.report_added_servos(added, num_own, built.mj_model.opt.timestep)]
 
 
 def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
     """Return a robot whose description lists the added servos with their gains."""
     added = {addition.joint for addition in built.description.added if isinstance(addition, Servo)}
+    added -= set(built.description.passive_joints)
     records = []
     for index, name in enumerate(built.joint_names):
         if name in added:

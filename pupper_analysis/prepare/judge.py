@@ -16,10 +16,12 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.prepare.limits import (
+    describe_loaded_passive_joints,
     describe_unknown_limits,
     describe_zero_torque_limits,
     loads_motor_without_torque,
 )
+from pupper_analysis.prepare.notes import report_tendon_joints
 from pupper_analysis.prepare.own_run import (
     describe_import_failure,
     get_loaded_robot,
@@ -117,10 +119,14 @@ def judge_simulation(
         fed, null = replace(fed, failures=(*fed.failures, null)), None
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
+        strained = describe_loaded_passive_joints(robot, statics)
+        if strained is not None and not fed.passed:
+            fed = replace(fed, failures=(*fed.failures, strained))
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
     overloaded_motors = () if statics is None else _list_overloaded_joints(robot, statics)
     remarks = (
         *(remark for remark in (null, masses, unknown) if remark is not None),
+        *(() if servos.source is ServoSource.GIVEN else report_tendon_joints(robot)),
         *report_limbs_without_feet(robot),
         *(robot.description.report_replaced_soles() if stand.stance_feet else ()),
         *list_file_remarks(robot),

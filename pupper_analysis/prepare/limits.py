@@ -14,15 +14,41 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.efforts import EffortCode, EffortLimit, EffortStatement
 from pupper_analysis.robot.alike import sibling_joints
-from pupper_analysis.robot.joints import free_joints
+from pupper_analysis.robot.joints import free_joints, is_slide
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import MIN_TORQUE_PER_MASS, GravityCompensation
 
 
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
-    """Return the torque limits of the independent joints; dependent joints need no motor."""
+    """Return the torque limits of the joints that have a motor of their own.
+
+    Dependent joints of loops, and passive joints (`Description.passive_joints`), need no motor.
+    """
     following = () if robot.closure is None else robot.closure.dependent_joints.tolist()
-    return [limit for index, limit in enumerate(robot.efforts) if index not in following]
+    passive = robot.description.passive_joints
+    return [
+        limit
+        for index, limit in enumerate(robot.efforts)
+        if index not in following and limit.joint not in passive
+    ]
+
+
+def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
+    """Create the message about passive joints that would have to hold a torque in a stance.
+
+    The message names the passive joints (`Description.passive_joints`) and the largest torque. None
+    if no passive joint is loaded; torques [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the
+    robot are rounding.
+    """
+    needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques).tolist(), strict=True))
+    least = MIN_TORQUE_PER_MASS * robot.total_mass
+    loaded = [joint for joint in robot.description.passive_joints if needed[joint] > least]
+    if not loaded:
+        return None
+    hardest = max(loaded, key=needed.__getitem__)
+    unit = "N" if is_slide(robot, hardest) else "N m"
+    torque = Quantity(needed[hardest], unit)
+    return diagnose("passive-joints-loaded", joints=loaded, hardest=hardest, torque=torque)
 
 
 def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:

@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.models.transmission import MadeServo, is_at_one_joint
+from pupper_analysis.models.transmission import (
+    Drive,
+    MadeServo,
+    fixed_tendon_levers,
+    is_at_one_joint,
+)
 from pupper_analysis.prepare.feet import Foot, has_ellipsoids, is_ball
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.matching.match import Match
@@ -49,6 +54,42 @@ def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
     for names, where in ((matched.only_urdf, "URDF"), (matched.only_mjcf, "MJCF")):
         if names:
             yield diagnose("joints-held-at-zero", joints=names, file=where)
+
+
+def report_passive_joints(robot: Robot) -> Iterator[Diagnostic]:
+    """Report the joints that neither file drives (`Description.passive_joints`)."""
+    if robot.description.passive_joints:
+        yield diagnose("joints-passive", joints=robot.description.passive_joints)
+
+
+def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
+    """Report the joints that the MJCF drives through fixed tendons, and that got an added servo.
+
+    Results such as static deflection and payload are computed with the added servo. The simulations
+    of the unmodified file use the actuators at the tendons.
+    """
+    file = None if robot.published is None else robot.published.file
+    driven = [
+        servo.joint for servo in robot.description.made_servos if servo.instead_of is Drive.TENDON
+    ]
+    if file is None or not driven:
+        return
+    model, levers = file.model, fixed_tendon_levers(file.model)
+    joints = [model.joint(name).id for name in driven]
+    actuators = [actuator for actuator, lever in levers.items() if set(lever) & set(joints)]
+    matrix = [[levers[actuator].get(joint, 0.0) for actuator in actuators] for joint in joints]
+    yield diagnose(
+        "joints-at-tendons",
+        joints=driven,
+        actuators=[model.actuator(actuator).name or f"#{actuator}" for actuator in actuators],
+        tendons=list(
+            dict.fromkeys(
+                model.tendon(int(model.actuator_trnid[actuator, 0])).name or f"#{actuator}"
+                for actuator in actuators
+            )
+        ),
+        too_few=int(np.linalg.matrix_rank(matrix)) < len(driven),
+    )
 
 
 def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:

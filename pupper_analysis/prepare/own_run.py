@@ -19,8 +19,14 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.transmission import Drive, list_joint_actuators, read_actuator_law
+from pupper_analysis.models.transmission import (
+    Drive,
+    list_joint_actuators,
+    list_tendon_servos,
+    read_actuator_law,
+)
 from pupper_analysis.prepare.published_model import (
+    NO_EXTERNAL_SERVOS,
     HoldCommands,
     PublishedModel,
     compile_published_model,
@@ -57,16 +63,6 @@ _CTRL_ANGLE_RTOL = 0.1
 """Upper bound of ``|ctrl - angles| / |angles|`` (norms over all joints) with which the ctrl of a
 keyframe count as joint angles instead of torques. Chosen, not tuned: position commands differ from
 the angles by the deflection that carries the weight."""
-
-NO_EXTERNAL_SERVOS = (
-    np.zeros(0, dtype=np.intp),
-    np.zeros(0),
-    np.zeros(0),
-    np.zeros(0),
-    np.zeros(0),
-)
-"""Value of ``HoldCommands.external`` without external servos, which are servos that the simulation
-computes for joints without a position servo in the file."""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""
@@ -402,7 +398,7 @@ def _simulate_commands(
     else:
         motion, end = simulate_held_keyframe(published.model, start, advance)
     joints = _joint_deviations(published, robot, start, end, hold.ctrl)
-    unheld = _unheld_joints(robot, joints)
+    unheld = _unheld_joints(published, robot, joints)
     imported = robot.published is not None and robot.published.imported is not None
     timestep = float(published.model.opt.timestep)
     is_finer = imported and timestep < robot.mj_model.opt.timestep
@@ -443,11 +439,14 @@ def _joint_deviations(
     ]
 
 
-def _unheld_joints(robot: Robot, joints: list[JointOff]) -> list[JointOff]:
+def _unheld_joints(
+    published: PublishedModel, robot: Robot, joints: list[JointOff]
+) -> list[JointOff]:
     """Return the joints without position servo that moved by more than ``MIN_UNHELD_DISPLACEMENT``.
 
-    Coupled joints (no actuator, and no added servo) are excluded. The result is empty unless more
-    than half of the joints have a position servo.
+    Joints that a position servo at a fixed tendon drives are excluded, and coupled joints (no
+    actuator, and no added servo). The result is empty unless more than half of the joints have a
+    position servo.
     """
     num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
     if 2 * num_servos <= len(joints):
@@ -458,6 +457,10 @@ def _unheld_joints(robot: Robot, joints: list[JointOff]) -> list[JointOff]:
         for joint in joints
         if joint.drive is not Drive.SERVO
         and (joint.drive is not Drive.NONE or joint.joint in added)
+        and not (
+            joint.drive is Drive.TENDON
+            and list_tendon_servos(published.model, published.model.joint(joint.joint).id)
+        )
         and _absolute_displacement(joint) > MIN_UNHELD_DISPLACEMENT
     ]
 

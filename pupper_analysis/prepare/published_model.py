@@ -34,8 +34,10 @@ from pupper_analysis.models.transmission import (
     Drive,
     MadeServo,
     classify_joint_drive,
+    fixed_tendon_levers,
     is_at_one_joint,
     list_joint_actuators,
+    list_tendon_servos,
     read_actuator_law,
 )
 from pupper_analysis.robot.fall import was_reset_by_mujoco
@@ -419,20 +421,32 @@ class HoldCommands:
 
     Attributes:
         ctrl: Controls of all actuators, shape (model.nu,): commands of position servos at joints of
-            the robot; without force for position servos on tendons and sites; zero for other
-            actuators.
+            the robot, and at fixed tendons of joints without actuator; without force for other
+            position servos on tendons and sites; zero for other actuators.
         act: States of the actuator filters, shape (model.na,).
         external: External servos, which the simulation computes for n joints without position
             servo: dof addresses, kp [N m/rad], kd [N m s/rad], target positions [rad], feed-forward
-            torques [N m], each of shape (n,).
+            torques, lower and upper torque limits [N m], each of shape (n,).
         motor_laws: {dof: (index of the control, lever, offset)} of the joints with an external
             servo that have an actuator: at rest the joint torque [N m] is lever * ctrl + offset.
     """
 
     ctrl: Array
     act: Array
-    external: tuple[NDArray[np.intp], Array, Array, Array, Array]
+    external: tuple[NDArray[np.intp], Array, Array, Array, Array, Array, Array]
     motor_laws: dict[int, tuple[int, float, float]]
+
+
+NO_EXTERNAL_SERVOS = (
+    np.zeros(0, dtype=np.intp),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+)
+"""Value of ``HoldCommands.external`` without external servos."""
 
 
 def compute_hold_commands(
@@ -444,7 +458,12 @@ def compute_hold_commands(
 ) -> HoldCommands:
     """Compute the commands with which the joints of a published model hold target positions.
 
-    A joint with neither a position servo of the file nor an added servo is not held.
+    Joints without actuator in a fixed tendon are held by the tendon's position servos, whose forces
+    are those of smallest norm that give the torques of these joints. Own actuators of other joints
+    in the tendon compensate the tendon's torque there.
+
+    A joint with neither a position servo of the file nor an added servo is not held, nor is a joint
+    whose torque limit is zero, such as a passive joint with a spring.
 
     Args:
         published: Published model.
@@ -459,25 +478,68 @@ def compute_hold_commands(
     added = {servo.joint: servo for servo in robot.description.made_servos}
     rows: list[tuple[float, ...]] = []
     motors: dict[int, tuple[int, float, float]] = {}
+    wanted = np.zeros(robot.nu) if torques is None else np.array(torques)
+    at_tendons = _set_tendon_commands(published, robot, ctrl, targets, wanted)
     for index, name in enumerate(robot.joint_names):
         joint, drive = model.joint(name).id, published.drives[index]
-        torque = 0.0 if torques is None else float(torques[index])
+        torque = float(wanted[index])
         target = float(targets[index])
+        if index in at_tendons:
+            continue
         if drive in _POSITION_DRIVES or _has_unequal_gain(
             model, list_joint_actuators(model, joint), drive
         ):
             _set_position_commands(model, list_joint_actuators(model, joint), ctrl, target, torque)
-        elif name in added:
-            dof = int(model.jnt_dofadr[joint])
-            rows.append((dof, added[name].kp, added[name].kd, target, torque))
+        elif name in added and not robot.efforts[index].without_torque:
+            dof, limits = int(model.jnt_dofadr[joint]), robot.effort_ranges[index].tolist()
+            rows.append((dof, added[name].kp, added[name].kd, target, torque, *limits))
             law = _measure_command_law(model, data, dof, list_joint_actuators(model, joint))
             if law is not None:
                 motors[dof] = law
-    dofs, kp, kd, target_positions, feedforward = np.array(rows, dtype=float).reshape(-1, 5).T
-    outside = (dofs.astype(np.intp), kp, kd, target_positions, feedforward)
+    dofs, *columns = np.array(rows, dtype=float).reshape(-1, len(NO_EXTERNAL_SERVOS)).T
+    kp, kd, target_positions, feedforward, lower, upper = columns
+    outside = (dofs.astype(np.intp), kp, kd, target_positions, feedforward, lower, upper)
     return HoldCommands(
         ctrl, settled_activations(model, ctrl, MAX_SETTLED_TIME_CONSTANT), outside, motors
     )
+
+
+def _set_tendon_commands(
+    published: PublishedModel, robot: Robot, ctrl: Array, targets: Array, torques: Array
+) -> set[int]:
+    """Set the controls of position servos at fixed tendons that drive joints without actuator.
+
+    Args:
+        published: Published model.
+        robot: Prepared robot.
+        ctrl: Controls, shape (model.nu,); those of these servos are set.
+        targets: Target positions, shape (nu,) [rad].
+        torques: Joint torques, shape (nu,) [N m]; the torques of these servos are subtracted.
+
+    Returns:
+        Indices of the joints without actuator that these servos drive.
+    """
+    model = published.model
+    joints = [model.joint(name).id for name in robot.joint_names]
+    servos_by_joint = {
+        index: servos
+        for index, drive in enumerate(published.drives)
+        if drive is Drive.TENDON and (servos := list_tendon_servos(model, joints[index]))
+    }
+    servos = sorted({servo for group in servos_by_joint.values() for servo in group})
+    if not servos:
+        return set()
+    levers = fixed_tendon_levers(model)
+    matrix = np.array([[levers[servo].get(joint, 0.0) for servo in servos] for joint in joints])
+    rows = list(servos_by_joint)
+    forces = np.linalg.lstsq(matrix[rows], torques[rows], rcond=None)[0]
+    for servo, force in zip(servos, forces.tolist(), strict=True):
+        law = read_actuator_law(model, servo)
+        length = float(targets @ matrix[:, servos.index(servo)])
+        command = (force + law.stiffness * length) / law.gain
+        ctrl[int(model.actuator_ctrladr[servo])] = command
+    torques -= matrix @ forces
+    return set(rows)
 
 
 _POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
@@ -542,7 +604,7 @@ def simulate_published(
         MuJoCo adds to actuator forces (``actuatorgravcomp``) is subtracted.
     """
     model = published.model
-    dofs, kp, kd, targets, feedforward = hold.external
+    dofs, kp, kd, targets, feedforward, lower, upper = hold.external
     num_steps = max(1, round(seconds / float(model.opt.timestep)))
     num_recorded = max(1, min(num_steps, round(FORCE_WINDOW / float(model.opt.timestep))))
     low, high = np.full(model.nv, np.inf), np.full(model.nv, -np.inf)
@@ -561,6 +623,7 @@ def simulate_published(
         for step in range(num_unrecorded, num_steps):
             if len(dofs):
                 torque = feedforward + kp * (targets - data.qpos[addresses])
+                torque = np.minimum(np.maximum(torque, lower), upper)
                 outside[:] = 0.0
                 for dof, joint_torque in zip(dofs.tolist(), torque.tolist(), strict=True):
                     if dof in hold.motor_laws:

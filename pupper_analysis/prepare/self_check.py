@@ -332,7 +332,8 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
         Predictions: with feed-forward, then without. For a fixed base, only with feed-forward.
         Empty if the stand on soft ground cannot be solved. The prediction without feed-forward is
         left out if a joint of the prepared robot has no position servo, if a servo of the file was
-        replaced, or if no steady state without failures is found.
+        replaced, if the file drives a joint through a tendon, or if no steady state without
+        failures is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -345,7 +346,7 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     torques = stand_statics(robot, held).joint_torques
     predictions = [PredictedRest(True, held.qpos, torques, held.joint_positions(robot))]
     added = robot.description.made_servos
-    replaced = any(servo.instead_of is Drive.SERVO for servo in added)
+    replaced = any(servo.instead_of in (Drive.SERVO, Drive.TENDON) for servo in added)
     if len(list_position_servos(robot)) < robot.nu or replaced:
         return predictions  # the file's joints deflect differently from those with added servos
     with contextlib.suppress(PupperAnalysisError):

@@ -400,7 +400,8 @@ def find_servos_used(
         source, made, chosen = ServoSource.GIVEN, (), found.kp > 0
     else:
         source = ServoSource.ADDED if made else ServoSource.FILE
-        chosen = chosen if made else found.kp > 0
+        passive = [name in robot.description.passive_joints for name in robot.joint_names]
+        chosen = chosen if made else (found.kp > 0) & ~np.array(passive)
     stiffness, damping = found.kp[chosen], found.kd[chosen]
     return ServosUsed(
         source,

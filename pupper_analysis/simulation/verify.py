@@ -661,6 +661,8 @@ def describe_drive_limits(
 ) -> list[Diagnostic]:
     """Create messages about saturated motors, and about commands beyond the command range.
 
+    Passive joints have no motor that could saturate.
+
     Args:
         robot: The robot.
         run: Simulation that deviates from the prediction.
@@ -669,6 +671,7 @@ def describe_drive_limits(
     """
     weakest, strongest = robot.effort_ranges.T * (1 - _SATURATION_RTOL)
     saturated = (run.joint_torques <= weakest) | (run.joint_torques >= strongest)
+    saturated &= ~np.isin(robot.joint_names, robot.description.passive_joints)
     low, high = command_ranges(robot).T
     command = positions + compute_command_lead(predicted, run.kp)
     is_clipped = ((command < low) | (command > high)) & run.feedforward

@@ -243,7 +243,9 @@ def gravity_compensation(
     contacts and welds, an external wrench holds the base, and tau is the joint part of g.
 
     In closed loops and couplings, joints without a motor have no torque: the constraints transfer
-    the load of such joints to the motors (`Configuration.transfer_to_motors`).
+    the load of such joints to the motors (`Configuration.transfer_to_motors`). Passive joints
+    (`Description.passive_joints`) have no torque either, if that is feasible: contact forces are
+    selected accordingly, for example with another centre of pressure.
 
     A second-order cone program is solved if the optimum without friction cones violates the cones,
     and always for ``MIN_MAX_TORQUE``. Balance holds to rounding, independent of the tolerance of
@@ -315,12 +317,17 @@ def balance_load(
     load, transposed = config.transfer_to_motors(load), config.transfer_to_motors(contacts)
     problem = carrying.balance(transposed, load)
     friction = None if held else carrying.friction
-    if criterion is ForceDistribution.MIN_MAX_TORQUE:
-        forces = problem.min_max_torque(friction, robot.effort_limits)
-    elif criterion is ForceDistribution.MIN_TORQUE:
-        forces = problem.solve(friction, problem.joint_rows, problem.joint_load)
-    else:
-        forces = _solve_minimum_tangential(robot, problem, carrying, friction)
+
+    def distribute(problem: Balance) -> Array | None:
+        """Return the forces that ``criterion`` selects; None if no forces are feasible."""
+        if criterion is ForceDistribution.MIN_MAX_TORQUE:
+            return problem.min_max_torque(friction, robot.effort_limits)
+        if criterion is ForceDistribution.MIN_TORQUE:
+            return problem.solve(friction, problem.joint_rows, problem.joint_load)
+        return _solve_minimum_tangential(robot, problem, carrying, friction)
+
+    distributions = map(distribute, _list_balances(robot, problem))
+    forces = next((found for found in distributions if found is not None), None)
     if forces is None:
         point = config.center_of_mass() if point is None else point
         raise explain_infeasibility(config, point, problem, carrying, tipping)
@@ -328,6 +335,23 @@ def balance_load(
         check_loops(config, full_load - contacts @ forces)
     remainder = load - transposed @ forces
     return _make_result(config, remainder, load, carrying, forces, point)
+
+
+def _list_balances(robot: Robot, problem: Balance) -> list[Balance]:
+    """Return the equations of balance in the order in which they are tried.
+
+    For a robot with passive joints, the first equations include the condition that these joints
+    have no torque. The last equations are ``problem`` itself.
+    """
+    passive = [robot.joint_names.index(name) for name in robot.description.passive_joints]
+    if not passive:
+        return [problem]
+    relieved = replace(
+        problem,
+        base_rows=np.vstack([problem.base_rows, problem.joint_rows[passive]]),
+        base_load=np.concatenate([problem.base_load, problem.joint_load[passive]]),
+    )
+    return [relieved, problem]
 
 
 def distribute_loads(
@@ -350,7 +374,11 @@ def distribute_loads(
     forces, torques = [], []
     for load in map(config.transfer_to_motors, loads):
         problem = carrying.balance(transposed, load)
-        found = _solve_minimum_tangential(config.robot, problem, carrying, carrying.friction)
+        distributions = (
+            _solve_minimum_tangential(config.robot, balance, carrying, carrying.friction)
+            for balance in _list_balances(config.robot, problem)
+        )
+        found = next((force for force in distributions if force is not None), None)
         if found is None:
             com, tipping = config.center_of_mass(), Infeasibility.COM_OUTSIDE
             raise explain_infeasibility(config, com, problem, carrying, tipping)

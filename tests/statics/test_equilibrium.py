@@ -4,6 +4,7 @@ Euler, and with MuJoCo's inverse dynamics.
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -19,6 +20,7 @@ from pupper_analysis.statics.cone_program import Balance
 from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import balance_load, friction_utilisation_of
 from pupper_analysis.statics.support_polygon import com_margin
+from tests.support import random_legged
 from tests.support.engines import addresses, evaluate_mujoco, with_efforts
 from tests.support.states import numbers
 from tests.support.variants import NAMES, load, stand_of
@@ -735,3 +737,33 @@ def test_load_of_zero_needs_no_torques_and_forces() -> None:
     held = balance_load(config, np.zeros(config.robot.nv), contacts)
     assert not held.joint_torques.any()
     assert not np.array(list(held.contact_forces.values())).any()
+
+
+@pytest.mark.slow
+def test_passive_joints_have_no_torque_if_other_forces_balance(tmp_path: Path) -> None:
+    """Reference: the forces lift the weight, and have no moment about the centre of mass.
+
+    The roll joints of both flat feet are passive, with springs of 38 N m/rad that are displaced by
+    0.01 rad. The minimum tangential forces do not balance the springs; other centres of pressure
+    do.
+    """
+    drawn = replace(
+        random_legged.drawn(720007), motors="position", base="free", keyframe=True, floor=True
+    )
+    pair = random_legged.written(drawn, tmp_path)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    passive = [robot.joint_names.index(name) for name in robot.description.passive_joints]
+    assert len(passive) == 2
+    qpos = pa.solve_stand(robot).qpos.copy()
+    qpos[7:][passive] += 0.01
+    config = pa.Configuration(robot, qpos)
+    driven = replace(robot, description=replace(robot.description, passive_joints=()))
+    usual = pa.gravity_compensation(pa.Configuration(driven, config.qpos))
+    assert np.abs(usual.joint_torques[passive]).min() > 0.3
+    found = pa.gravity_compensation(config)
+    assert np.abs(found.joint_torques[passive]).max() < 1e-9
+    forces = np.array([*found.contact_forces.values()])
+    levers = np.array([*found.contact_points.values()]) - config.center_of_mass()
+    assert forces.sum(axis=0) == pytest.approx([0.0, 0.0, robot.weight], abs=1e-7)
+    assert np.cross(levers, forces).sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-7)
+    assert forces[:, 2].min() >= 0.0

@@ -1,0 +1,113 @@
+"""Joints that an actuator drives through a fixed tendon: commands, limits and verdicts."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.models.transmission import Drive
+from pupper_analysis.prepare.own_run import get_published_model
+from pupper_analysis.prepare.published_model import (
+    PublishedModel,
+    compute_hold_commands,
+    place_published,
+)
+from pupper_analysis.simulation.verdict import Ending, VerdictCode
+from tests.support.slips import standing
+
+KNEE = r'<position joint="FL_knee" ([^>]*)/>'
+"""Servo of the knee that a tendon drives instead."""
+
+TENDON = (
+    '<tendon><fixed name="cord"><joint joint="FL_pitch" coef="0.5"/>'
+    '<joint joint="FL_knee" coef="2"/></fixed></tendon><actuator>'
+)
+"""Tendon of length 0.5 q_pitch + 2 q_knee."""
+
+
+def with_tendon(folder: Path, stiffness: str = "", length: float = -2.1) -> pa.Robot:
+    """Load a quadruped whose FL_knee is driven by the servo ``winch`` of a tendon.
+
+    Args:
+        folder: Folder of the files.
+        stiffness: Further attributes of the servo. Default: the gains of the knee's servo.
+        length: Commanded length of the tendon in the keyframe. The length in the pose of the
+            keyframe is 0.5 * 0.6 - 2 * 1.2.
+    """
+    pair = standing(folder)
+    text = pair.mjcf.read_text().replace("<actuator>", TENDON, 1)
+    text, count = re.subn(
+        KNEE,
+        lambda found: f'<position name="winch" tendon="cord" {stiffness or found[1]}/>',
+        text,
+    )
+    assert count == 1
+    text = re.sub(r'ctrl="0 0.6 -1.2', f'ctrl="0 0.6 {length}', text)
+    pair.mjcf.write_text(text)
+    return pa.load_robot(pair.urdf, pair.mjcf)
+
+
+@pytest.mark.slow
+def test_the_servo_of_a_tendon_holds_its_joints_in_the_published_file(tmp_path: Path) -> None:
+    """Reference: ``qfrc_actuator`` of bare MuJoCo at rest, with the computed commands.
+
+    The servo at the tendon gives the torque of the knee, 2 F; the servo of the pitch joint gives
+    the rest of its torque, tau - 0.5 F.
+    """
+    robot = with_tendon(tmp_path)
+    assert [servo.instead_of for servo in robot.description.made_servos] == [Drive.TENDON]
+    stand = pa.solve_stand_as_simulated(robot)
+    torques = pa.stance.stand_statics(robot, stand).joint_torques
+    model = get_published_model(robot)
+    assert model is not None
+    published = PublishedModel.from_model(model, robot)
+    data = place_published(published, robot, stand.qpos)
+    assert data is not None
+    targets = stand.joint_positions(robot)
+    hold = compute_hold_commands(published, robot, data, torques, targets)
+    assert not len(hold.external[0])
+    data.ctrl[:] = hold.ctrl
+    mujoco.mj_forward(model, data)
+    dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in robot.joint_names]
+    assert data.qfrc_actuator[dofs] == pytest.approx(torques, abs=1e-9)
+    knee = robot.joint_names.index("FL_knee")
+    assert abs(torques[knee]) > 0.1
+    assert 2 * data.actuator("winch").force[0] == pytest.approx(torques[knee], abs=1e-9)
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    assert data.qfrc_actuator[dofs] == pytest.approx(torques, abs=0.01 * np.abs(torques).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [-2.1, 2.1])
+def test_the_unmodified_file_decides_about_joints_at_tendons(tmp_path: Path, length: float) -> None:
+    """Bare MuJoCo stands on the tendon's servo, and falls over if its command has the wrong sign.
+
+    The prepared robot, with a servo at the joint, stands in both cases.
+    """
+    robot = with_tendon(tmp_path, length=length)
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot))
+    assert verdict.with_feedforward is Ending.HOLDS
+    assert verdict.passed is (length < 0)
+    assert (verdict.code is VerdictCode.OWN_DRIVES_FAIL) is (length > 0)
+    [remark] = [one for one in verdict.remarks if one.code == "joints-at-tendons"]
+    assert remark.values["joints"] == ("FL_knee",)
+    assert remark.values["tendons"] == ("cord",)
+    assert remark.values["actuators"] == ("winch",)
+    assert remark.values["too_few"] is False
+    assert verdict.published is not None
+    assert [run.feedforward for run in verdict.published.runs] == [True]
+
+
+def test_the_force_range_of_a_tendon_limits_the_joint_that_it_drives_alone(tmp_path: Path) -> None:
+    """Closed form: 3 N at the tendon are 6 N m at the knee, whose lever is 2."""
+    robot = with_tendon(tmp_path, 'kp="40" kv="2" forcerange="-3 3"')
+    limits = {limit.joint: limit for limit in robot.efforts}
+    assert (limits["FL_knee"].lower, limits["FL_knee"].upper) == (-6.0, 6.0)
+    assert limits["FL_knee"].origin is not None
+    assert limits["FL_knee"].origin.name == "winch"
+    assert limits["FL_pitch"].upper == limits["FR_pitch"].upper
