@@ -155,9 +155,9 @@ def with_requested_gains(
 
     The actuator of a joint becomes a position servo with these gains. A joint gets an external
     servo (``HoldCommands``) if the joint has no actuator, several actuators, or an actuator that is
-    not meant to hold a position (for example, a torque motor). Joints with a stiffness of zero
-    depend on other joints, and are unchanged. The returned robot is for comparisons only: the
-    MuJoCo model has gains that the description lacks.
+    not meant to hold a position (for example, a torque motor). Passive joints, and joints with a
+    stiffness of zero, which depend on other joints, are unchanged. The returned robot is for
+    comparisons only: the MuJoCo model has gains that the description lacks.
 
     Args:
         published: Published model.
@@ -173,7 +173,7 @@ def with_requested_gains(
     added = []
     for index, name in enumerate(robot.joint_names):
         stiffness, damping = float(drive.kp[index]), float(drive.kd[index])
-        if stiffness == 0:  # a dependent joint
+        if stiffness == 0 or name in robot.description.passive_joints:  # or a dependent joint
             continue
         kind, actuators = published.drives[index], list_joint_actuators(model, model.joint(name).id)
         if kind in _NOT_POSITION_SERVOS or len(actuators) != 1:
@@ -426,21 +426,19 @@ class HoldCommands:
         act: States of the actuator filters, shape (model.na,).
         external: External servos, which the simulation computes for n joints without position
             servo: dof addresses, kp [N m/rad], kd [N m s/rad], target positions [rad], feed-forward
-            torques, lower and upper torque limits [N m], each of shape (n,).
+            torques [N m], each of shape (n,).
         motor_laws: {dof: (index of the control, lever, offset)} of the joints with an external
             servo that have an actuator: at rest the joint torque [N m] is lever * ctrl + offset.
     """
 
     ctrl: Array
     act: Array
-    external: tuple[NDArray[np.intp], Array, Array, Array, Array, Array, Array]
+    external: tuple[NDArray[np.intp], Array, Array, Array, Array]
     motor_laws: dict[int, tuple[int, float, float]]
 
 
 NO_EXTERNAL_SERVOS = (
     np.zeros(0, dtype=np.intp),
-    np.zeros(0),
-    np.zeros(0),
     np.zeros(0),
     np.zeros(0),
     np.zeros(0),
@@ -462,8 +460,8 @@ def compute_hold_commands(
     are those of smallest norm that give the torques of these joints. Own actuators of other joints
     in the tendon compensate the tendon's torque there.
 
-    A joint with neither a position servo of the file nor an added servo is not held, nor is a joint
-    whose torque limit is zero, such as a passive joint with a spring.
+    A joint with neither a position servo of the file nor an added servo is not held, for example a
+    passive joint with a spring.
 
     Args:
         published: Published model.
@@ -490,15 +488,15 @@ def compute_hold_commands(
             model, list_joint_actuators(model, joint), drive
         ):
             _set_position_commands(model, list_joint_actuators(model, joint), ctrl, target, torque)
-        elif name in added and not robot.efforts[index].without_torque:
-            dof, limits = int(model.jnt_dofadr[joint]), robot.effort_ranges[index].tolist()
-            rows.append((dof, added[name].kp, added[name].kd, target, torque, *limits))
+        elif name in added:
+            dof = int(model.jnt_dofadr[joint])
+            rows.append((dof, added[name].kp, added[name].kd, target, torque))
             law = _measure_command_law(model, data, dof, list_joint_actuators(model, joint))
             if law is not None:
                 motors[dof] = law
     dofs, *columns = np.array(rows, dtype=float).reshape(-1, len(NO_EXTERNAL_SERVOS)).T
-    kp, kd, target_positions, feedforward, lower, upper = columns
-    outside = (dofs.astype(np.intp), kp, kd, target_positions, feedforward, lower, upper)
+    kp, kd, target_positions, feedforward = columns
+    outside = (dofs.astype(np.intp), kp, kd, target_positions, feedforward)
     return HoldCommands(
         ctrl, settled_activations(model, ctrl, MAX_SETTLED_TIME_CONSTANT), outside, motors
     )
@@ -604,7 +602,7 @@ def simulate_published(
         MuJoCo adds to actuator forces (``actuatorgravcomp``) is subtracted.
     """
     model = published.model
-    dofs, kp, kd, targets, feedforward, lower, upper = hold.external
+    dofs, kp, kd, targets, feedforward = hold.external
     num_steps = max(1, round(seconds / float(model.opt.timestep)))
     num_recorded = max(1, min(num_steps, round(FORCE_WINDOW / float(model.opt.timestep))))
     low, high = np.full(model.nv, np.inf), np.full(model.nv, -np.inf)
@@ -623,7 +621,6 @@ def simulate_published(
         for step in range(num_unrecorded, num_steps):
             if len(dofs):
                 torque = feedforward + kp * (targets - data.qpos[addresses])
-                torque = np.minimum(np.maximum(torque, lower), upper)
                 outside[:] = 0.0
                 for dof, joint_torque in zip(dofs.tolist(), torque.tolist(), strict=True):
                     if dof in hold.motor_laws:

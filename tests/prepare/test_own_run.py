@@ -290,34 +290,10 @@ def test_an_external_servo_compensates_the_constant_torque_of_an_actuator() -> N
     data = mujoco.MjData(model)
     motor_laws = {0: published_model._measure_command_law(model, data, 0, [0])}
     assert motor_laws[0] == pytest.approx((0, 6.0, 0.8))
-    external = (np.array([0]), *np.array([[20.0], [2.0], [0.3], [0.0], [-np.inf], [np.inf]]))
+    external = (np.array([0]), *np.array([[20.0], [2.0], [0.3], [0.0]]))
     hold = HoldCommands(np.zeros(1), np.zeros(0), external, motor_laws)
     published = SimpleNamespace(model=model)
     low, high = published_model.simulate_published(published, data, hold, 5.0)
     assert data.qpos[0] == pytest.approx(0.3, abs=1e-6)
     assert low[0] == pytest.approx(0.0, abs=1e-5)
     assert high[0] == pytest.approx(0.0, abs=1e-5)
-
-
-def test_an_external_servo_is_bounded_by_the_torque_limit_of_the_joint() -> None:
-    """Against a spring of 1 N m/rad, a servo with at most 0.1 N m rests at 0.1 rad: closed form.
-
-    Without the limit it would rest at 0.3 rad * 20 / 21.
-    """
-    model = mujoco.MjModel.from_xml_string("""
-        <mujoco>
-          <option gravity="0 0 0"/>
-          <worldbody>
-            <body>
-              <joint name="turn" axis="0 1 0" stiffness="1"/>
-              <geom size="0.1" pos="0.2 0 0" mass="1"/>
-            </body>
-          </worldbody>
-        </mujoco>""")
-    data = mujoco.MjData(model)
-    external = (np.array([0]), *np.array([[20.0], [2.0], [0.3], [0.0], [-0.1], [0.1]]))
-    hold = HoldCommands(np.zeros(0), np.zeros(0), external, {})
-    published = SimpleNamespace(model=model)
-    _, high = published_model.simulate_published(published, data, hold, 40.0)
-    assert data.qpos[0] == pytest.approx(0.1, abs=1e-5)
-    assert high[0] == pytest.approx(0.1, abs=1e-4)

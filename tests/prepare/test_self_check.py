@@ -334,6 +334,8 @@ def test_passive_joints_with_springs_get_no_servo(tmp_path: Path) -> None:
     verdict = pa.judge_stand(robot, pa.solve_stand(robot))
     assert verdict.code is VerdictCode.HOLDS
     assert not {remark.code for remark in verdict.remarks} & {"motors-without-torque"}
+    stiff = pa.judge_stand(robot, pa.solve_stand(robot), kp=38.2, kd=1.91)
+    assert stiff.passed
     loaded = with_payload(robot, 1.26, (0.0, 0.037, 0.0))
     disagreeing = pa.judge_stand(loaded, pa.solve_stand(loaded))
     assert disagreeing.code is VerdictCode.DISAGREES  # with the spring, the feet are not flat
