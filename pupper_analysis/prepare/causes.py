@@ -18,8 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.models.additions import Ball
+from pupper_analysis.models.mjcf import scalar_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
+from pupper_analysis.models.transmission import (
+    Drive,
+    actuator_gear,
+    classify_joint_drive,
+    list_joint_actuators,
+    list_tendon_servos,
+)
 from pupper_analysis.prepare.published_model import (
     MAX_SETTLED_TIME_CONSTANT,
     PublishedModel,
@@ -445,8 +452,20 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield actuators at tendons, sites, ball joints and bodies, and slow actuator filters."""
-    model, others = published.model, list_uncommanded_actuators(published.model)
+    """Yield actuators at tendons, sites, ball joints and bodies, and slow actuator filters.
+
+    Servos at fixed tendons that drive joints without actuator are commanded, and left out.
+    """
+    model = published.model
+    commanded = {
+        servo
+        for joint in scalar_joints(model).tolist()
+        if classify_joint_drive(model, joint) is Drive.TENDON
+        for servo in list_tendon_servos(model, joint)
+    }
+    others = [
+        actuator for actuator in list_uncommanded_actuators(model) if actuator not in commanded
+    ]
     named = _name_elements(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, others)
     yield from _yield_if_any("motors-elsewhere", named, "actuator_gainprm actuator_biasprm", others)
     filtered = np.isin(model.actuator_dyntype, FILTER_DYNAMICS)
