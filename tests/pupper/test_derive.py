@@ -246,3 +246,31 @@ def test_heavier_torso_is_marked_by_a_block_without_mass_in_both_files(
 def base_name(base: str) -> str:
     """The name of the variant that equals a base model."""
     return {"skeleton": "original", "v3": "v3"}[base]
+
+
+@pytest.mark.parametrize("source", BODIES)
+def test_scales_do_not_change_hips_and_scale_the_inertia_of_the_torso(source: str) -> None:
+    """Legs scaled by 1.7 and torso mass by 2.5: hips are unchanged, the torso's inertia scales."""
+    for base in ("skeleton", "v3"):
+        start, end = bodies_of(source, base), bodies_of(source, base, 1.7, 2.5)
+        hips = [name for name in start if name.endswith(("_1", "_HAA"))]
+        assert hips or base == "skeleton"
+        for name in hips:
+            np.testing.assert_allclose(end[name].inertia, start[name].inertia, rtol=1e-12)
+            assert end[name].mass == start[name].mass
+            np.testing.assert_allclose(end[name].position, start[name].position, atol=1e-15)
+        np.testing.assert_allclose(end["base"].inertia, 2.5 * start["base"].inertia, atol=1e-15)
+        np.testing.assert_allclose(end["base"].com, start["base"].com, atol=1e-15)
+        assert end["base"].mass == pytest.approx(2.5 * 1.506, rel=1e-12)
+
+
+@pytest.mark.parametrize("base", ["original", "v3"])
+@pytest.mark.parametrize("scale", [0.5, 2.5])
+def test_scaled_home_has_the_foot_height_of_the_base_model(base: str, scale: float) -> None:
+    """Reference: lowest foot of the unscaled robot in its home configuration [m]."""
+    spec = pa.pupper.VariantSpec("v3" if base == "v3" else "skeleton", scale)
+    heights = []
+    for robot in (load(base), pa.load_variant(spec)):
+        feet = pa.Configuration(robot, robot.home).foot_positions().values()
+        heights.append(min(foot[2] for foot in feet))
+    assert heights[1] == pytest.approx(heights[0], abs=1e-12)

@@ -10,6 +10,7 @@ from pupper_analysis.robot.impedance import (
     EqualityCompliance,
     _solve_violation,
     clip_solimp,
+    effective_solref,
     solimp_impedance,
 )
 
@@ -110,3 +111,31 @@ def test_opening_satisfies_the_equation_of_its_impedance(force: float) -> None:
     d, _ = solimp_impedance(solimp, opened)
     assert 0 < opened < solimp[2]
     assert opened == pytest.approx(force * (1 - d) / d**2, rel=1e-12)
+
+
+def measure_rest_height(solref: str) -> float:
+    """Height [m] at which MuJoCo's ball of 0.1 m rests on its floor."""
+    geom = f'<geom size="0.1" mass="1" solref="{solref}"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><geom type="plane" size="1 1 1" solref="{solref}"/>'
+        f'<body pos="0 0 0.1"><freejoint/>{geom}</body></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 1000)
+    return float(data.qpos[2])
+
+
+@pytest.mark.parametrize("solref", [(0.0, 1.0), (0.02, -1.0), (-100.0, 1.0), (0.05, 0.0)])
+def test_solref_of_mixed_formats_is_mujocos_default(solref: tuple[float, float]) -> None:
+    """Reference: rest height of MuJoCo's ball."""
+    assert effective_solref(solref) == (0.02, 1.0)
+    height = measure_rest_height(f"{solref[0]} {solref[1]}")
+    assert height == pytest.approx(measure_rest_height("0.02 1"), abs=1e-12)
+
+
+@pytest.mark.parametrize("solref", [(0.05, 0.5), (-100.0, -10.0), (0.0, 0.0)])
+def test_solref_of_one_format_is_unchanged(solref: tuple[float, float]) -> None:
+    """Reference: MuJoCo's ball rests 0.1 mm or more from its height with the default."""
+    assert effective_solref(solref) == solref
+    height = measure_rest_height(f"{solref[0]} {solref[1]}")
+    assert abs(height - measure_rest_height("0.02 1")) > 1e-4

@@ -149,3 +149,24 @@ def test_derived_values_are_computed_once_per_robot() -> None:
 def test_fixed_base_has_no_default_height() -> None:
     """The home configuration of a fixed-base robot contains joint positions only."""
     assert replace(arm(), home=np.ones(4)).base_height == 0.0
+
+
+@pytest.mark.parametrize("first", ["bend", "push"])
+def test_fixed_base_is_at_the_pose_in_the_mjcf_for_either_joint_order(
+    tmp_path: Path, first: str
+) -> None:
+    """Reference: positions and bias forces of MuJoCo. Joint ``bend`` is not at the base."""
+    turned = replaced(TINY_MJCF, 'pos="0 0 0.5"', 'pos="0.1 0.2 0.5" euler="0.3 -0.2 0.4"')
+    if first == "push":
+        motors = '<motor joint="push"/><motor joint="bend"/>'
+        turned = replaced(turned, '<motor joint="bend"/><motor joint="push"/>', motors)
+    robot = load_files(write(tmp_path, mjcf=turned), fixed_base=True)
+    assert robot.joint_names[0] == first
+    joints = np.array([0.3, 0.1, -0.7])
+    data = evaluate_mujoco(robot, joints)
+    config = pa.Configuration(robot, joints)
+    np.testing.assert_allclose(config.frame_position("foot"), data.site("foot").xpos, atol=1e-14)
+    np.testing.assert_allclose(config.center_of_mass(), data.body("base").subtree_com, atol=1e-14)
+    np.testing.assert_allclose(config.frame_position("base"), [0.1, 0.2, 0.5], atol=1e-15)
+    gravity = data.qfrc_bias[robot.mj_convention.qvel_index]
+    np.testing.assert_allclose(config.gravity(), gravity, atol=1e-13)

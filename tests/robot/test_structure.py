@@ -116,3 +116,15 @@ def test_static_load_derivative_equals_differences_if_joint_orders_differ(tiny: 
 
     rates = config.static_load_derivative(wrenches)
     np.testing.assert_allclose(rates, differences(left, tiny.nv, 1e-4), rtol=0, atol=1e-8)
+
+
+def test_changed_armature_of_pinocchios_model_is_used_by_the_same_configuration() -> None:
+    """The diagonal of the mass matrix grows by the added armature of 0.25 kg m^2."""
+    robot = pa.load_variant("v3")
+    config = pa.Configuration(robot, robot.home)
+    before, rest = config.mass_matrix(), config.forward_dynamics(np.zeros(robot.nv))
+    robot.pin_model.armature[robot.pin_convention.v_index] += 0.25
+    added = np.diag(config.mass_matrix() - before)[6:]
+    np.testing.assert_allclose(added, np.full(robot.nu, 0.25), rtol=1e-12)
+    slower = config.forward_dynamics(np.zeros(robot.nv))
+    assert np.abs(slower[6:]).max() < 0.5 * np.abs(rest[6:]).max()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -114,3 +115,21 @@ def test_payload_on_a_geom_shifts_the_com_by_its_place_in_mujoco(frame: str) -> 
     before = Configuration(robot, robot.neutral()).center_of_mass() * robot.total_mass
     after = Configuration(loaded, loaded.neutral()).center_of_mass() * loaded.total_mass
     np.testing.assert_allclose(after - before, mass * expected, atol=1e-9)
+
+
+TWO_HINGES = """<mujoco><worldbody><body name="arm"><joint name="pan" axis="0 0 1"/>
+<joint name="tilt" axis="0 1 0"/><geom size="0.05" pos="0.3 0 0" mass="1"/>
+<site name="end" pos="0.5 0 0"/></body></worldbody>
+<actuator><position joint="pan" kp="100" kv="10"/>
+<position joint="tilt" kp="100" kv="10"/></actuator>
+</mujoco>"""
+
+
+def test_tool_on_a_body_with_two_hinges_moves_with_both(tmp_path: Path) -> None:
+    """Reference: closed form of the position at a tilt of 0.4 rad."""
+    (tmp_path / "two.xml").write_text(TWO_HINGES)
+    robot = pa.load_robot(tmp_path / "two.xml")
+    tool, tilt = find_tool(robot, "end"), 0.4
+    assert tool.chain == ("pan", "tilt")
+    position = tool.position(Configuration(robot, np.array([0.0, tilt])))
+    assert position == pytest.approx([0.5 * np.cos(tilt), 0.0, -0.5 * np.sin(tilt)], abs=1e-12)

@@ -238,3 +238,20 @@ def test_refused_clearance_names_the_wall_of_the_contact() -> None:
     (blocked,) = refusal.value.blocked
     assert blocked.text("en").endswith("mm from the ceiling of FR")
     assert "FR 的顶面" in blocked.text("zh")
+
+
+def test_sunk_foot_lowers_the_ground_for_its_calf() -> None:
+    """The skeleton's calf ends in its foot, 7 mm above the ground; the foot sinks by 9 mm."""
+    robot, shapes = load("original"), ClearanceShapes(load("original"))
+    stand = pa.solve_stand(robot)
+    qpos = stand.qpos.copy()
+    qpos[2] -= 0.009
+    at, targets = shapes.move_to(qpos), stand.foot_targets
+    rigid = shapes.find_lowest_part(at, pa.Ground(), targets, {})
+    depths = dict.fromkeys(robot.contact_points, 0.009)
+    soft = shapes.find_lowest_part(at, pa.Ground(), targets, depths)
+    assert rigid is not None
+    assert soft is not None
+    assert rigid.links[0].endswith("_calf")
+    assert rigid.distance == pytest.approx(-0.002)
+    assert soft.distance == pytest.approx(0.007)

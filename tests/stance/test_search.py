@@ -240,3 +240,18 @@ def test_search_terminates_if_it_returns_to_its_start(
     with pytest.raises(pa.StanceUnreachableError):
         pa.solve_stand(robot, pa.StandTask(pitch=-1.24609375), explain=False)
     assert len(tried) > 1
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.1])
+def test_foot_lifted_over_its_step_is_above_the_step_by_the_swing_height(slope: float) -> None:
+    """Reference: the step's box in MuJoCo's model; the simulation reports no touching foot."""
+    robot = load("v3")
+    ground = pa.Ground(slope=slope, heights={"FL": 0.01})
+    task = pa.StandTask(swing={"FL": 0.015}, ground=ground, com="inside", com_margin=0.01)
+    stand = pa.solve_stand(robot, task)
+    model = build_on_ground(robot, ground, stand.foot_targets).mj_model
+    step, normal = model.geom("step_FL"), ground.normal()
+    above = (stand.foot_targets["FL"] - step.pos) @ normal - step.size[2]
+    assert above == pytest.approx(robot.contact_radius["FL"] + 0.015 * normal[2], abs=1e-9)
+    failures = pa.verify_stand(robot, stand, duration=2.0, nudged=0).failures
+    assert not any("touches" in str(failure) for failure in failures)

@@ -93,3 +93,20 @@ def test_a_wrong_task_is_refused_before_any_is_solved() -> None:
     with pytest.raises(pa.ConfigurationError, match=r"tasks: .* is not a sequence"):
         pa.solve_stands(robot, np.array([0.12]))  # type: ignore[arg-type]
     assert pa.solve_stands(robot, []) == ()
+
+
+def test_joint_limits_that_change_between_calls_are_obeyed() -> None:
+    """A limit below the stand makes the stand unreachable; the stand is equal after the limit is
+    restored. PlaCo keeps the limits of the previous solve.
+    """
+    robot = pa.load_variant("v3")
+    stand = pa.solve_stand(robot)
+    positions = stand.joint_positions(robot)
+    joint = int(np.argmax(positions))
+    index, upper = robot.pin_convention.q_index[joint], float(robot.upper_limits[joint])
+    robot.pin_model.upperPositionLimit[index] = positions[joint] - 0.1
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stands(robot, [pa.StandTask(), pa.StandTask()])
+    robot.pin_model.upperPositionLimit[index] = upper
+    again = pa.solve_stands(robot, [pa.StandTask()])[0]
+    np.testing.assert_allclose(again.qpos, stand.qpos, atol=ROUNDING)

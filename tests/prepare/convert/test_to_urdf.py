@@ -151,3 +151,28 @@ def test_body_option_is_refused_for_a_urdf() -> None:
 
     with pytest.raises(pa.ConfigurationError, match="it names a body of an MJCF"):
         pa.load_robot(find_model_folder("urdf") / "pupper_v3.urdf", body="base_link")
+
+
+def test_contact_parameters_and_options_that_a_urdf_cannot_state_are_listed(
+    tmp_path: Path,
+) -> None:
+    """Contact parameters of a geom without contact are not listed."""
+    text = FINGERS.format("").replace(
+        "<default>",
+        '<option impratio="7" integrator="RK4"/><default><geom friction="0.6 0.1 0.2" condim="6"/>',
+    )
+    seen = '<geom size="0.01" friction="0.1" contype="0" conaffinity="0"/></body>\n</body>'
+    source, urdf = tmp_path / "r.xml", tmp_path / "r.urdf"
+    source.write_text(text.replace("</body>\n</body>", seen, 1))
+    listed = {
+        str(part.values["what"]): part.values["values"]
+        for part in pa.convert_model(source, urdf).not_converted
+        if part.code in ("contact-number-not-in-urdf", "option-not-in-urdf")
+    }
+    assert listed == {
+        "friction": ("0.6 0.1 0.2",),
+        "condim": ("6",),
+        "impratio": ("7",),
+        "integrator": ("1",),
+    }
+    assert not any(word in urdf.read_text() for word in listed)

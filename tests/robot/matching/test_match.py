@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError, UnknownNameError
@@ -345,3 +346,34 @@ def test_base_mass_is_no_cause_if_the_base_is_fused_with_the_world(tmp_path: Pat
     comparison = compare_texts(tmp_path, URDF, fused.replace("</worldbody>", other))
     assert comparison.differences == ()
     assert "'door' is not part of the robot" in " ".join(map(str, comparison.notes))
+
+
+def test_mjcf_base_in_the_frame_of_the_massless_root_link_agrees(tmp_path: Path) -> None:
+    """The URDF's base is 0.1 m above its root link; the MJCF's base body has the root's frame."""
+    lift = np.array([0.0, 0.0, 0.1])
+    lifted = {
+        name: replace(
+            part,
+            position=tuple(part.position + lift) if part.parent == "base" else part.position,
+            com=tuple(part.com + lift) if name == "base" else part.com,
+        )
+        for name, part in quadruped().items()
+    }
+    text = with_root("fixed", '<origin xyz="0 0 0.1"/>')
+    mjcf = mjcf_text(lifted).replace('<body name="base"', '<body name="world_"')
+    assert found(compare_texts(tmp_path, text, mjcf)) == []
+
+
+def test_two_unnamed_hinges_of_one_body_match_two_joints_of_the_urdf(tmp_path: Path) -> None:
+    """A universal joint: two hinges in one body, and a massless link between them in the URDF."""
+    fork = Part("fork", "base", "roll", position=(0.3, 0.0, 0.0), mass=0.0)
+    wheel = replace(light("wheel", "fork", axis=(0.0, 1.0, 0.0)), position=(0.0, 0.0, 0.0))
+    urdf = urdf_text(quadruped() | {"fork": fork, "wheel": wheel})
+    body = (
+        '<body pos="0.3 0 0"><joint axis="1 0 0" range="-1 1" damping="0.1" armature="0.01" '
+        'frictionloss="0.2"/><joint axis="0 1 0" range="-1 1" damping="0.1" armature="0.02" '
+        'frictionloss="0.2"/><inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    )
+    comparison = compare_texts(tmp_path, urdf, MJCF.replace("<freejoint/>", f"<freejoint/>{body}"))
+    assert set(comparison.guessed) == {"roll", "to_wheel"}
+    assert {kind for kind, _ in found(comparison)} <= {"effort"}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.contract import facts
 from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
     decode_integers,
@@ -14,6 +16,7 @@ from pupper_analysis.tools.contract.readers import (
     get_text,
     python,
     read_onnx,
+    tables,
 )
 from tests.tools.contract.sources import field, onnx, value
 
@@ -60,3 +63,21 @@ def test_tables_of_a_python_file_are_read(text: str, name: str, tmp_path: Path) 
     found = [(statement.quantity, statement.value) for statement in source.statements]
     angles = [("default angle", -0.52), ("default angle", 0.26)]
     assert sorted(found) == [*angles, ("kd", 0.5), ("kp", 20.0)]
+
+
+def test_rtneural_file_gives_layer_sizes_and_no_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file has 600 weights, more values than are read of a source."""
+    monkeypatch.setattr(facts, "MAX_VALUES", 100)
+    path = tmp_path / "policy.json"
+    weights = [[[0.5] * 30] * 20]
+    layers = [
+        {"type": "dense", "shape": [None, 8], "weights": weights},
+        {"type": "dense", "shape": [None, 12]},
+    ]
+    path.write_text(json.dumps({"in_shape": [None, 36], "layers": layers, "kp": 5.0}))
+    (source,) = tables.read(Request(path))
+    statements = {statement.quantity: statement.value for statement in source.statements}
+    assert source.role == "policy"
+    assert statements == {"actions": 12, "observed numbers": 36, "kp": 5.0}

@@ -480,3 +480,20 @@ def test_new_urdf_of_a_robot_with_a_footless_leg_fails(tmp_path: Path) -> None:
     converted = pa.convert_model(source, tmp_path / "quad.urdf")
     assert [failure.code for failure in converted.failures] == ["limb-without-foot"]
     assert converted.agree
+
+
+@pytest.mark.slow
+def test_converted_robot_does_not_jump_from_qpos0(quad: Path) -> None:
+    """Simulations without a reset to the keyframe start at ``qpos0``, where all joints are zero and
+    beyond their limits; MuJoCo's feet must not be in the ground.
+    """
+    model = compile_file(quad)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert all(contact.dist > -1e-5 for contact in data.contact)
+    assert model.qpos0[2] >= model.key_qpos[0, 2]
+    highest = 0.0
+    while data.time < 3.0:
+        mujoco.mj_step(model, data)
+        highest = max(highest, float(data.qpos[2]))
+    assert highest < model.qpos0[2] + 0.1

@@ -14,6 +14,7 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.tools.study.design import DesignBuilder
@@ -378,3 +379,15 @@ def test_simulated_metrics_equal_the_direct_calls() -> None:
 def test_time_limit_of_a_study_is_kept_in_its_data(limit: float | None) -> None:
     made = study({"leg_scale": [1.0, 1.2]}, time_limit=limit)
     assert pa.Study.of(made.to_dict()).time_limit == limit
+
+
+def test_com_moves_by_the_same_distance_in_files_of_different_mass() -> None:
+    """MuJoCo's base is 10 % heavier than the URDF's; its CoM moves by the requested 10 mm."""
+    robot = load("v3")
+    spec = robot.description.mjcf.copy()
+    spec.body(robot.mj_base).mass *= 1.1
+    heavier = rebuild_robot(robot, mjcf=spec)
+    after = scale_robot(heavier, {f"com_y:{robot.base}": 0.01})
+    base = heavier.mj_model.body(heavier.mj_base).id
+    moved = after.mj_model.body_ipos[base] - heavier.mj_model.body_ipos[base]
+    assert np.linalg.norm(moved) == pytest.approx(0.01)
