@@ -24,7 +24,7 @@ from pupper_analysis.robot.servos import (
 )
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import stand_statics
-from tests.robots.test_wheels import wheeled
+from tests.robots.test_wheels import add_wheels
 from tests.support import legged, random_legged
 from tests.support.legged import Pair
 
@@ -52,17 +52,17 @@ def biped(folder: Path) -> Pair:
 
 def wheels(folder: Path) -> Pair:
     """Write a generated robot with four wheels."""
-    return wheeled(folder, "FL", "FR", "RL", "RR")
+    return add_wheels(folder, "FL", "FR", "RL", "RR")
 
 
 def hexapod(folder: Path) -> Pair:
     """Write a generated robot with six legs of three joints, free base and torque motors."""
-    robots = (random_legged.drawn(seed) for seed in range(1000))
+    robots = (random_legged.draw_robot(seed) for seed in range(1000))
     robot = next(robot for robot in robots if "6 legs of 3" in robot.said)
     robot.links = [link for link in robot.links if link.joint != "wag"]
     robot.base, robot.motors, robot.prefix, robot.gear = "free", "motor", "", 1.0
     robot.offset, robot.degrees, robot.limited = (0.0, 0.0, 0.0), False, "motors"
-    return random_legged.written(robot, folder)
+    return random_legged.write_robot(robot, folder)
 
 
 def make_pupper_writer(name: str) -> Callable[[Path], Pair]:

@@ -159,7 +159,7 @@ def list_cases(folder: Path, scratch: Path) -> list[Case]:
     for seed in RANDOM_SEEDS:
         place = scratch / f"random-{seed}"
         place.mkdir()
-        pair = random_legged.written(random_legged.drawn(seed), place)
+        pair = random_legged.write_robot(random_legged.draw_robot(seed), place)
         robots[f"random {seed}"] = (str(pair.urdf), str(pair.mjcf))
     order = [*VARIANTS, *(f"random {seed}" for seed in RANDOM_SEEDS), *PUBLIC]
     on_one_foot = [

@@ -287,12 +287,12 @@ EDITS: dict[str, Edit] = {
 
 def write_robot(seed: int, folder: Path, edit: str | None = None) -> tuple[Path, Path] | None:
     """Write URDF and MJCF of a random robot; None if the edit changes nothing."""
-    robot = random_legged.drawn(seed)
+    robot = random_legged.draw_robot(seed)
     robot = replace(robot, base="free", keyframe=True, floor=True)
     if edit or seed % 3:
         robot = replace(robot, motors="position")
     folder.mkdir(exist_ok=True, parents=True)
-    pair = random_legged.written(robot, folder)
+    pair = random_legged.write_robot(robot, folder)
     urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
     if robot.motors == "position":
         commands = [
@@ -565,7 +565,7 @@ def judge_robot(seed: int, results: Path, folder: Path, done: set[tuple[int, str
     keyframe: dict[str, Any] = {}
     try:
         robot = pa.load_robot(*files)
-        strongest = max(link.effort for link in random_legged.drawn(seed).links)
+        strongest = max(link.effort for link in random_legged.draw_robot(seed).links)
         cases: dict[str, dict[str, Any]] = {"sound": {}}
         cases |= draw_options(robot, random, strongest)
     except pa.PupperAnalysisError as error:

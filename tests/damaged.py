@@ -166,7 +166,7 @@ _BASELINE = b"""# known
 """
 
 
-def _measured() -> tuple[Kind, ...]:
+def list_fit_kinds() -> tuple[Kind, ...]:
     """Return the kinds of files that ``fit`` reads, for a package with that tool."""
     from pupper_analysis.tools.fit.measurements.log import read_log
     from pupper_analysis.tools.fit.measurements.stands import read_stands
@@ -187,7 +187,7 @@ def _measured() -> tuple[Kind, ...]:
 def kinds() -> tuple[Kind, ...]:
     """Return all kinds of files."""
     return (
-        *(_measured() if "fit" in own_tools() else ()),
+        *(list_fit_kinds() if "fit" in own_tools() else ()),
         Kind(
             "stance.toml", b"height = '12cm'\nroll = 0.1\n[swing]\nFL = '2cm'\n", read_stance_file
         ),

@@ -45,7 +45,7 @@ def main() -> int:
     print(f"seed {options.seed}: {len(drawn)} pairs of edit and command, {failures} failed")
     for seed in random.Random(options.seed).sample(range(1000, 100_000), options.robots):
         for check in (check_robot, check_payload):
-            failures += failed(check, seed)
+            failures += run_check(check, seed)
     print(f"seed {options.seed}: {options.robots} random robots")
     return int(failures > 0)
 
@@ -55,7 +55,7 @@ def check_payload(seed: int, folder: Path) -> None:
     check_random_robot(seed, 0, folder)
 
 
-def failed(check: Callable[[int, Path], None], seed: int) -> bool:
+def run_check(check: Callable[[int, Path], None], seed: int) -> bool:
     """Run a check with a seed; print and return whether it fails."""
     with tempfile.TemporaryDirectory() as folder:
         try:

@@ -130,10 +130,10 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
         yield f"it took {taken:.0f} s"
     if "Traceback (most recent call last)" in said:
         yield f"a traceback: {said[-500:]}"
-    yield from _shown(said, case.arguments)
-    yield from _written(folder, before, case.arguments)
+    yield from find_unsafe_output(said, case.arguments)
+    yield from find_wrong_files(folder, before, case.arguments)
     if status == 0 and command in ("audit", "crosscheck", "stand", "convert", "check"):
-        refusal = _refused(folder, case)
+        refusal = read_mujoco_refusal(folder, case)
         if refusal and "--help" not in case.arguments and "-h" not in case.arguments:
             yield f"accepted, and MuJoCo refuses it: {refusal}"
 
@@ -180,13 +180,13 @@ def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, flo
     return status, out.getvalue(), time.process_time() - start
 
 
-def _shown(said: str, arguments: tuple[str, ...]) -> Iterator[str]:
+def find_unsafe_output(said: str, arguments: tuple[str, ...]) -> Iterator[str]:
     """Yield control characters in the printed text, and lines that a CI service executes."""
     github = "github" in arguments
     joiner = "\u2060" if "markdown" in arguments else ""  # which keeps names from acting there
     for letter in sorted(set(said) - {"\n", joiner}):
         if unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp"):
-            yield f"{letter!a} is shown as it is: {_around(said, letter)!a}"
+            yield f"{letter!a} is shown as it is: {quote_around(said, letter)!a}"
     obeyed = re.search(r"(?m)^\s*(::|##\[).*$", said)
     if obeyed and not github:
         yield f"a line that CI obeys: {obeyed[0]!a}"
@@ -196,17 +196,17 @@ def _shown(said: str, arguments: tuple[str, ...]) -> Iterator[str]:
                 yield f"a line that CI obeys: {line!a}"
 
 
-def _around(said: str, letter: str) -> str:
+def quote_around(said: str, letter: str) -> str:
     """Return the text around the first occurrence of a character."""
     place = said.index(letter)
     return said[max(0, place - 40) : place + 40]
 
 
-def _written(
+def find_wrong_files(
     folder: Path, before: Mapping[str, bytes], arguments: tuple[str, ...]
 ) -> Iterator[str]:
     """Yield files that are missing, incomplete, temporary, or changed without permission."""
-    read = _checked(folder, arguments) if arguments else []
+    read = list_checked_mjcfs(folder, arguments) if arguments else []
     for name, content in before.items():
         path = folder / name
         if not path.is_file():
@@ -247,7 +247,7 @@ def _no_constant(word: str) -> None:
     raise ValueError(f"{word} is in it")
 
 
-def _refused(folder: Path, case: Case) -> str | None:
+def read_mujoco_refusal(folder: Path, case: Case) -> str | None:
     """Return the error of MuJoCo's own reader for the MJCF that a command was given.
 
     None if there is no error or no MJCF, or if the command has overwritten the file, as by
@@ -258,7 +258,7 @@ def _refused(folder: Path, case: Case) -> str | None:
     given, arguments = folder / "robot.xml", case.arguments
     if not given.is_file() or given.read_bytes() != case.files.get("robot.xml"):
         return None
-    for name in (*arguments, *_checked(folder, arguments)):
+    for name in (*arguments, *list_checked_mjcfs(folder, arguments)):
         if name in ("robot.xml", "--mjcf=robot.xml"):
             mujoco.set_mju_user_warning(lambda _: None)
             try:
@@ -268,7 +268,7 @@ def _refused(folder: Path, case: Case) -> str | None:
     return None
 
 
-def _checked(folder: Path, arguments: tuple[str, ...]) -> list[str]:
+def list_checked_mjcfs(folder: Path, arguments: tuple[str, ...]) -> list[str]:
     """Return the MJCFs that ``check`` reads by its configuration; empty for other commands."""
     if arguments[0] != "check":
         return []

@@ -79,7 +79,7 @@ class Job:
     why: str = ""
 
 
-def tilted(robot: pa.Robot) -> pa.StandTask:
+def make_tilted_task(robot: pa.Robot) -> pa.StandTask:
     """Return a task that sets all its numbers, within reach of every variant."""
     return pa.StandTask(
         height=0.94 * robot.stand_height,
@@ -143,20 +143,23 @@ def statics(distribution: str) -> Callable[[pa.Robot, pa.Stand], object]:
 
     def compute(robot: pa.Robot, stand: pa.Stand) -> object:
         """Return the static loads of three stands."""
-        stands = (stand, *(pa.solve_stand(robot, task(robot)) for task in (tilted, three_legged)))
+        stands = (
+            stand,
+            *(pa.solve_stand(robot, task(robot)) for task in (make_tilted_task, three_legged)),
+        )
         return [pa.stance.stand_statics(robot, one, distribution=distribution) for one in stands]
 
     return compute
 
 
-def moving(robot: pa.Robot, stand: pa.Stand) -> object:
+def compute_slow_motion(robot: pa.Robot, stand: pa.Stand) -> object:
     """Return the forces of a slow motion at the nominal stand."""
     pace = np.arange(robot.nv)
     config = pa.Configuration(robot, stand.qpos, 0.05 * np.sin(pace))
     return pa.statics.inverse_dynamics(config, 0.3 * np.cos(pace))
 
 
-def checked(robot: pa.Robot, _: pa.Stand) -> object:
+def cross_check_robot(robot: pa.Robot, _: pa.Stand) -> object:
     """Return whether the engines agree, and the scale of each quantity; their differences are
     rounding.
     """
@@ -197,7 +200,7 @@ def payload(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
 JOBS = {
     "configuration": Job(configuration),
     "nominal stand": Job(lambda _, stand: stand),
-    "tilted stand": Job(lambda robot, _: pa.solve_stand(robot, tilted(robot))),
+    "tilted stand": Job(lambda robot, _: pa.solve_stand(robot, make_tilted_task(robot))),
     "stand on three feet": Job(lambda robot, _: pa.solve_stand(robot, three_legged(robot))),
     "stand off centre": Job(
         lambda robot, _: pa.solve_stand(robot, pa.StandTask(offset=(0.004, -0.003)))
@@ -207,10 +210,10 @@ JOBS = {
     "minimum torque": Job(statics("minimum torque"), CONES),
     "min-max torque": Job(statics("min-max torque"), CONES),
     "nominal statics": Job(lambda robot, stand: pa.stance.stand_statics(robot, stand)),
-    "inverse dynamics": Job(moving, CONES),
+    "inverse dynamics": Job(compute_slow_motion, CONES),
     "steady state": Job(lambda robot, stand: pa.steady_state(robot, stand), EIGENVALUE),
     "path": Job(lambda robot, _: pa.stance.stance_path(robot, squat(robot), 2.0, rate=8.0), CONES),
-    "cross-check": Job(checked),
+    "cross-check": Job(cross_check_robot),
     "payload": Job(payload, 2e-3, slow=True, same_engines=True, why=SEARCHED),
     "verification": Job(verification, STEPPED, same_engines=True, why=SIMULATED),
     "minimum stiffness": Job(
@@ -234,7 +237,7 @@ JOBS = {
 """{name of a computation: function and tolerances}."""
 
 
-def computed(name: str, job: str) -> dict[str, Any]:
+def compute_numbers(name: str, job: str) -> dict[str, Any]:
     """Return the numbers of a job for a variant, or those of its error."""
     try:
         return numbers(JOBS[job].compute(load(name), stand_of(name)))
@@ -293,7 +296,7 @@ def setting() -> dict[str, str]:
 
 def main() -> None:
     """Write the file of recorded numbers."""
-    results = {name: {job: computed(name, job) for job in JOBS} for name in NAMES}
+    results = {name: {job: compute_numbers(name, job) for job in JOBS} for name in NAMES}
     FILE.parent.mkdir(exist_ok=True)
     FILE.write_bytes(orjson.dumps({"setting": setting(), "results": results}) + b"\n")
     print(f"{FILE}: {FILE.stat().st_size // 1000} kB")

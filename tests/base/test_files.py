@@ -364,7 +364,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def both(folder: Path, **options: bool) -> tuple[Path, ...]:
+def write_both(folder: Path, **options: bool) -> tuple[Path, ...]:
     return write_all(
         [Writing(folder / x, b"new", OWN_KIND, old) for x, old in OLD.items()], **options
     )
@@ -394,7 +394,7 @@ def test_first_file_is_restored_if_the_second_fails(
     fails_at("b", monkeypatch, error)
     expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else OutputError
     with pytest.raises(expected) as raised:
-        both(folder, backup=True)
+        write_both(folder, backup=True)
     assert contents(folder) == OLD
     assert (folder / "a").stat().st_ino == before.st_ino  # the file itself, not a copy
     if expected is OutputError:
@@ -411,7 +411,7 @@ def test_first_file_is_restored_from_a_copy_without_hard_links(
     monkeypatch.setattr(os, "link", no_links)
     fails_at("b", monkeypatch, OSError(errno.EIO, "Input/output error"))
     with pytest.raises(OutputError, match="Input/output error"):
-        both(folder)
+        write_both(folder)
     assert contents(folder) == OLD
     assert (folder / "a").stat().st_mode & 0o777 == 0o640
 
@@ -429,7 +429,7 @@ def test_backup_is_named_and_kept_if_it_cannot_be_restored(
 
     monkeypatch.setattr(Path, "replace", only_once)
     with pytest.raises(OutputError, match="cannot be put back") as raised:
-        both(folder)
+        write_both(folder)
     assert (folder / "a.old1").read_bytes() == b"old a"  # not hidden: no later run clears it
     assert str(folder / "a.old1") in str(raised.value)
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
@@ -464,7 +464,7 @@ def test_no_file_is_changed_if_a_problem_is_known_before(
         (folder / "b").mkdir()
         del expected["b"]
     with pytest.raises(OutputError) as raised:
-        both(folder, backup=True)
+        write_both(folder, backup=True)
     assert raised.value.path == folder / "b"
     if problem == "a folder":
         (folder / "b").rmdir()
@@ -483,7 +483,7 @@ def test_concurrent_change_of_a_file_is_kept(folder: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(Path, "replace", replace)
     with pytest.raises(OutputError, match="changed meanwhile"):
-        both(folder)
+        write_both(folder)
     assert contents(folder) == {"a": b"old a", "b": b"another's"}
 
 
@@ -504,5 +504,5 @@ def test_contents_are_synced_before_files_are_replaced(
 
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(Path, "replace", replaced)
-    both(folder)
+    write_both(folder)
     assert done[:4] == ["fsync", "fsync", "rename", "rename"]

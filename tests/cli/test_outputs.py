@@ -86,10 +86,10 @@ def _link(folder: Path, file: Path, link: Callable[[Path, Path], None]) -> Path:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with files of every kind that commands read."""
-    return fill(tmp_path_factory.mktemp("inputs"))
+    return write_inputs(tmp_path_factory.mktemp("inputs"))
 
 
-def fill(folder: Path) -> Path:
+def write_inputs(folder: Path) -> Path:
     """Puts files of every kind that commands read into a folder."""
     pair = legged.quadruped(folder, floor=True, actuators="position")
     urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
@@ -196,7 +196,9 @@ def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parame
             yield option, None
 
 
-def cases(command: Command) -> Iterator[tuple[list[str], str, str, click.Parameter, Path | None]]:
+def list_cases(
+    command: Command,
+) -> Iterator[tuple[list[str], str, str, click.Parameter, Path | None]]:
     """Yields (command line, input, kind of link, output, file in that folder)."""
     for line in lines_of(command):
         named = reads(command, line)
@@ -208,7 +210,7 @@ def cases(command: Command) -> Iterator[tuple[list[str], str, str, click.Paramet
                     yield line, file, link, option, inside
 
 
-def aimed(
+def aim_output_at_input(
     folder: Path,
     line: list[str],
     file: str,
@@ -248,8 +250,8 @@ def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> N
     files keep their SHA-256.
     """
     before, count = sums(folder), 0
-    for case in cases(command):
-        words = aimed(folder, *case)
+    for case in list_cases(command):
+        words = aim_output_at_input(folder, *case)
         for force in ([], ["--force"]):
             given = answer(*words, *force, folder=folder)
             messages = (*words, *force, given)

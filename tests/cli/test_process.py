@@ -227,14 +227,14 @@ def test_a_signal_ends_a_command_whose_threads_compute(number: signal.Signals) -
 
 
 @click.command()
-def broken() -> None:
+def raise_error() -> None:
     raise ZeroDivisionError("of\nsomething")
 
 
 def test_an_unexpected_error_is_one_line_and_exit_status_3(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert status_of(broken, []) == 3
+    assert status_of(raise_error, []) == 3
     err = capsys.readouterr().err
     assert err.startswith("error: unexpected: ZeroDivisionError: of\\nsomething.")
     assert err.count("\n") == 1
@@ -281,7 +281,7 @@ def test_commands_accept_file_names_that_are_not_utf8_and_invalid_window_setting
 
 
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status_of(broken, ["--debug"]) == 3
+    assert status_of(raise_error, ["--debug"]) == 3
     err = capsys.readouterr().err
     assert "Traceback" in err
     assert 'raise ZeroDivisionError("of' in err

@@ -89,7 +89,7 @@ def rows() -> list[object]:
     ]
 
 
-def edited(folder: Path, name: str, edit: str) -> Path:
+def write_edited(folder: Path, name: str, edit: str) -> Path:
     """Write a robot's file with the edit of a row."""
     if name == "quad.urdf":
         text = quadruped(folder).urdf.read_text()
@@ -114,24 +114,24 @@ def edited(folder: Path, name: str, edit: str) -> Path:
     return path
 
 
-def typed(folder: Path, row: dict[str, str]) -> list[str]:
+def list_arguments(folder: Path, row: dict[str, str]) -> list[str]:
     """Return the arguments of a command: the edited file, beside unedited ones if it takes two."""
     name, command = row["file"], row["command"]
-    path = edited(folder, name, row["edit"])
+    path = write_edited(folder, name, row["edit"])
     pair = {"arm.urdf": "arm.xml", "arm.xml": "arm.urdf"}
     beside = folder / "unedited"
     beside.mkdir()
     match command:
         case "crosscheck":
-            other = edited(beside, pair[name], "")
+            other = write_edited(beside, pair[name], "")
             return [str(file) for file in sorted([path, other], key=lambda file: file.suffix)]
         case "sync":
-            other = edited(beside, pair[name], "")
+            other = write_edited(beside, pair[name], "")
             files = sorted([path, other], key=lambda file: file.suffix)
             side = "urdf" if name.endswith("urdf") else "mjcf"
             return [*map(str, files), "--take", side, "--dry-run"]
         case "diff":
-            return [str(edited(beside, name, "")), str(path)]
+            return [str(write_edited(beside, name, "")), str(path)]
         case "convert":
             new = "new.xml" if name.endswith("urdf") else "new.urdf"
             return [str(path), "-o", str(folder / new)]
@@ -162,7 +162,7 @@ def test_command_output_equals_the_row_of_the_table(
     """
     command, output = row["command"], tmp_path / "out.json"
     asked = [] if command == "live" else ["--json", str(output)]
-    status, out, err = run_command(capfd, command, *typed(tmp_path, row), *asked)
+    status, out, err = run_command(capfd, command, *list_arguments(tmp_path, row), *asked)
     assert status == int(row["exit status"]), out + err
     assert "unexpected" not in err
     lines = [line for line in out.splitlines() if not line.startswith(("note: ", "… "))]

@@ -17,7 +17,7 @@ from pupper_analysis.tools.study.write import format_stance
 from tests.support.commands import check_refusal
 
 
-def asked(*arguments: str) -> RobotAndTask:
+def parse_options(*arguments: str) -> RobotAndTask:
     """Return the options of a stance that a command line specifies."""
     messages: list[RobotAndTask] = []
 
@@ -37,7 +37,7 @@ def test_stance_file_gives_the_task_of_its_entries(tmp_path: Path) -> None:
         'swing.FL = "2cm"\nmove = { RL = ["-1cm", 0.02] }\nkp = 20\nkd = { "*_3" = 0.5 }\n'
         "payload = 1\n"
     )
-    found = asked("--stance", str(file))
+    found = parse_options("--stance", str(file))
     assert found.task() == StandTask(
         height=0.11,
         pitch=0.05,
@@ -57,7 +57,7 @@ def test_list_in_place_of_a_table_is_refused_with_the_valid_form(
     file, name = tmp_path / "stance.toml", given.split(" ")[0]
     file.write_text(given)
     with pytest.raises(ConfigurationError, match=rf'is not of the form {name}\."[^"]+" = "'):
-        asked("--stance", str(file))
+        parse_options("--stance", str(file))
 
 
 def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:
@@ -67,8 +67,8 @@ def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:
         ["--stance", str(file), "--roll", "0.2"],
         ["--roll", "0.2", "--stance", str(file)],
     ):
-        assert asked(*arguments).task() == StandTask(height=0.11, roll=0.2)
-    assert asked().task() == StandTask()
+        assert parse_options(*arguments).task() == StandTask(height=0.11, roll=0.2)
+    assert parse_options().task() == StandTask()
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:
 )
 def test_invalid_contact_is_refused_in_one_line(typed: str, message: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
-        asked("--contact", typed).task()
+        parse_options("--contact", typed).task()
     assert refused.value.field == "contact"
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
@@ -114,12 +114,12 @@ def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
         "FL=wall:40cm,mu=0.6",
         "hand=plane:0.1,0.2,30cm,0,3,4,place=0.1/0.2/0.4,offset=5cm/0/0",
     ]
-    assert asked(*(part for one in typed for part in ("--contact", one))).task() == task
+    assert parse_options(*(part for one in typed for part in ("--contact", one))).task() == task
     file = tmp_path / "lean.toml"
     file.write_text(format_stance(task))
-    assert asked("--stance", str(file)).task() == task
+    assert parse_options("--stance", str(file)).task() == task
     with pytest.raises(ConfigurationError, match="FL has one contact, and two are stated"):
-        asked("--contact", typed[0], "--contact", "FL=table:1cm").task()
+        parse_options("--contact", typed[0], "--contact", "FL=table:1cm").task()
 
 
 @pytest.mark.parametrize(

@@ -29,14 +29,14 @@ from pupper_analysis.simulation.verdict import Outcome
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.conversions import compile_file, convert_file, write_standing_urdf
 from tests.support.engines import change_model
-from tests.support.legged import Pair, biped, quadruped, rewritten
+from tests.support.legged import Pair, biped, quadruped, rewrite_file
 from tests.support.variants import load, stand_of
 
 WAYS = ("forcerange", "actuatorfrcrange", "ctrlrange")
 KP, KD = 20.0, 0.4
 
 
-def limited(way: str, limit: float, gear: float = 1.0) -> pa.Robot:
+def limit_torque(way: str, limit: float, gear: float = 1.0) -> pa.Robot:
     """Return v3, whose URDF has an effort of 3 N m, with another limit [N m] in one attribute of
     its MJCF. With `ctrlrange` its actuators are torque motors.
     """
@@ -78,7 +78,7 @@ def bare_height(robot: pa.Robot, seconds: float = 4.0) -> float:
 @pytest.mark.parametrize("way", WAYS)
 def test_weak_motors_are_reported_for_each_kind_of_limit(way: str) -> None:
     """v3's knees hold 0.46 N m. Bare MuJoCo collapses with 0.3, and keeps its height with 3."""
-    stand, weak, strong = stand_of("v3"), limited(way, 0.3), limited(way, 3.0)
+    stand, weak, strong = stand_of("v3"), limit_torque(way, 0.3), limit_torque(way, 3.0)
     assert bare_height(weak) < 0.6 * stand.qpos[2] < 0.9 * stand.qpos[2] < bare_height(strong)
     np.testing.assert_allclose(weak.effort_limits, 0.3, rtol=1e-15)
     assert {limit.origin.attribute for limit in weak.efforts if limit.origin} == {way}
@@ -100,7 +100,7 @@ def test_payload_is_equal_for_each_kind_of_limit() -> None:
     only."""
     stand, masses = stand_of("v3"), []
     for way in WAYS:
-        found = pa.payload_limit(limited(way, 0.8), stand, (0, 0, 0.05), kp=40.0, kd=0.8)
+        found = pa.payload_limit(limit_torque(way, 0.8), stand, (0, 0, 0.05), kp=40.0, kd=0.8)
         masses.append((found.mass, found.motors.mass, found.servos.mass))
     np.testing.assert_allclose(masses, np.tile(masses[0], (3, 1)), rtol=1e-9)
     assert 0 < masses[0][0] < 10
@@ -150,7 +150,7 @@ def test_smaller_limit_counts_if_directions_differ() -> None:
 
     Reference of the servos: MuJoCo's `qfrc_actuator`, -0.9 and 0.5 N m.
     """
-    spec = limited("forcerange", 0.9).description.mjcf.copy()
+    spec = limit_torque("forcerange", 0.9).description.mjcf.copy()
     for actuator in spec.actuators:
         actuator.forcerange = (-0.9, 0.5)
     robot, stand = rebuild_robot(load("v3"), mjcf=spec), stand_of("v3")
@@ -212,7 +212,7 @@ def test_hinge_has_no_range_if_its_limit_states_none(
     limit: str, free: bool, tmp_path: Path
 ) -> None:
     """All knees; `audit` still reports the range of the file as empty."""
-    urdf = rewritten(quadruped(tmp_path).urdf, (KNEE, limit))
+    urdf = rewrite_file(quadruped(tmp_path).urdf, (KNEE, limit))
     notes = [note for note in read_urdf(urdf).notes if note.code == "range-unstated"]
     assert bool(notes) is free
     if free:
@@ -223,7 +223,7 @@ def test_hinge_has_no_range_if_its_limit_states_none(
 
 
 def test_slide_stays_locked_if_its_limit_states_no_range(tmp_path: Path) -> None:
-    urdf = rewritten(
+    urdf = rewrite_file(
         quadruped(tmp_path).urdf,
         (KNEE, 'effort="80"'),
         ('_knee" type="revolute"', '_knee" type="prismatic"'),
@@ -238,7 +238,7 @@ def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
     The comparison reports the limits unless the MJCF has none either.
     """
     pair = quadruped(tmp_path)
-    rewritten(pair.urdf, (KNEE, 'effort="80"'))
+    rewrite_file(pair.urdf, (KNEE, 'effort="80"'))
     robot = pa.load_robot(*pair)
     knees = [robot.joint_names.index(f"{leg}_knee") for leg in ("FL", "FR", "RL", "RR")]
     np.testing.assert_allclose(robot.lower_limits[knees], -2.6)
@@ -248,14 +248,18 @@ def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
     differing = pa.compare_models(pair.urdf, pair.mjcf).differences
     assert {one.kind for one in differing} == {"lower limit", "upper limit", "effort"}
     # And where neither has one, they agree.
-    rewritten(pair.mjcf, (' range="-2.6 -0.4"', ""), ('ctrlrange="-30 30"', 'ctrlrange="-80 80"'))
+    rewrite_file(
+        pair.mjcf, (' range="-2.6 -0.4"', ""), ('ctrlrange="-30 30"', 'ctrlrange="-80 80"')
+    )
     assert pa.compare_models(pair.urdf, pair.mjcf).agree
 
 
 @pytest.mark.slow
 def test_converted_hinge_has_no_limits_without_a_range(tmp_path: Path) -> None:
     """Reference: `jnt_limited` of MuJoCo's compiled model."""
-    urdf = rewritten(write_standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
+    urdf = rewrite_file(
+        write_standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort")
+    )
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert not any(left.code == "empty-range-left" for left in found.not_converted)
@@ -303,7 +307,7 @@ def test_motor_has_no_torque_if_its_range_is_zero(
 
 
 def _without_effort(pair: Pair, effort: str = "") -> Pair:
-    rewritten(pair.urdf, ('effort="80" velocity="20"', effort))
+    rewrite_file(pair.urdf, ('effort="80" velocity="20"', effort))
     return pair
 
 
@@ -333,7 +337,7 @@ def test_effort_is_read_from_the_mjcf_if_the_urdf_has_none(tmp_path: Path) -> No
     stand = pa.solve_stand(robot)
     held = pa.stance.stand_statics(robot, stand)
     np.testing.assert_allclose(held.motor_utilisation, np.abs(held.joint_torques) / 30, rtol=1e-12)
-    rewritten(pair.mjcf, (' ctrlrange="-30 30"', ""))
+    rewrite_file(pair.mjcf, (' ctrlrange="-30 30"', ""))
     robot = pa.load_robot(*pair)
     assert {limit.code for limit in robot.efforts} == {"unknown"}
     assert np.isnan(pa.stance.stand_statics(robot, stand).motor_utilisation).all()
@@ -366,7 +370,7 @@ def test_urdf_effort_of_zero_fails_and_names_the_mjcf_limit(tmp_path: Path) -> N
 def test_effort_of_zero_is_reported_with_the_effort_of_a_sibling_limb(tmp_path: Path) -> None:
     """One hip of four has no effort; the others have 80 N m."""
     pair = quadruped(tmp_path)
-    rewritten(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
+    rewrite_file(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
     robot = pa.load_robot(pair.urdf)
     cause = describe_zero_torque_limits(robot)
     assert cause is not None
@@ -380,7 +384,7 @@ def test_other_failures_stay_if_a_motor_without_torque_holds_nothing(
 ) -> None:
     """A time step that is too long was reported as a motor without torque, at an idle joint."""
     pair = quadruped(tmp_path)
-    rewritten(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
+    rewrite_file(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
     robot = pa.load_robot(*pair)
     stand, statics = pa.solve_stand(robot), pa.stance.stand_statics
     monkeypatch.setattr(judge, "explain_own_run", lambda _: None)
@@ -401,8 +405,8 @@ def test_stand_fails_if_the_urdf_effort_is_too_small(tmp_path: Path) -> None:
     """The MJCF has no force limit, so servos get the effort of the URDF; without effort in the
     URDF, the stand passes."""
     pair = biped(tmp_path)
-    rewritten(pair.urdf, ('effort="80"', 'effort="1"'))
-    rewritten(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
+    rewrite_file(pair.urdf, ('effort="80"', 'effort="1"'))
+    rewrite_file(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
     robot = pa.load_robot(*pair)
     result = study_stance(robot, pa.StandTask())
     assert not result.verification.passed
@@ -410,7 +414,7 @@ def test_stand_fails_if_the_urdf_effort_is_too_small(tmp_path: Path) -> None:
     assert result.overloaded_motors
     assert not result.passed
     pair = _without_effort(biped(tmp_path))  # nobody states one
-    rewritten(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
+    rewrite_file(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
     result = study_stance(pa.load_robot(*pair), pa.StandTask())
     assert result.passed
     assert not result.overloaded_motors

@@ -14,7 +14,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.spec_tree import join_free_base
 from tests.support.conversions import convert_file
-from tests.support.legged import Pair, quadruped, rewritten
+from tests.support.legged import Pair, quadruped, rewrite_file
 
 SLIDES = "".join(
     f'<joint name="pelvis_t{word}" type="slide" axis="{axis}" range="-5 5"/>'
@@ -30,7 +30,7 @@ POSE = "0 0 0.35 1 0 0 0"
 
 def replace_free_joint(pair: Pair, turning: str, place: str) -> Pair:
     """Replace the free joint of the base by slides and the given joints, as in OpenSim's models."""
-    rewritten(pair.mjcf, ("<freejoint/>", SLIDES + turning), (POSE, place))
+    rewrite_file(pair.mjcf, ("<freejoint/>", SLIDES + turning), (POSE, place))
     return pair
 
 
@@ -77,7 +77,7 @@ def test_base_joints_are_not_joined_if_held_or_driven(
 ) -> None:
     """A spring, three slides in one plane, or a motor at the base: the spec keeps its joints."""
     pair = replace_free_joint(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
-    spec = mujoco.MjSpec.from_file(str(rewritten(pair.mjcf, change)))
+    spec = mujoco.MjSpec.from_file(str(rewrite_file(pair.mjcf, change)))
     count = len(spec.joints)
     assert not join_free_base(spec)
     assert len(spec.joints) == count

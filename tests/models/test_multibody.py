@@ -15,7 +15,7 @@ from pupper_analysis.robot.compare.differences import changes_between
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from tests.support.engines import to_pinocchio
-from tests.support.robots import matched, mjcf_text, quadruped, urdf_text, write
+from tests.support.robots import match_files, mjcf_text, quadruped, urdf_text, write
 from tests.support.variants import load
 
 
@@ -25,7 +25,7 @@ def test_damping_and_armature_of_a_free_joint_are_kept(tmp_path: Path) -> None:
     """
     free = '<joint type="free" damping="0.5" armature="0.3"/>'
     text = mjcf_text(quadruped()).replace("<freejoint/>", free)
-    robot = matched(write(tmp_path, urdf_text(quadruped()), text)).robot
+    robot = match_files(write(tmp_path, urdf_text(quadruped()), text)).robot
     model = pinocchio_from_mujoco(robot.mj_model)
     values = multibody.from_pinocchio(model, "base", robot.joint_names, {})
     assert (values.base_damping, values.base_armature) == (0.5, 0.3)

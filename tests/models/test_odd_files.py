@@ -12,7 +12,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.urdf_file import MAX_DEPTH, read_urdf
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO
-from tests.support.robots import compared, mjcf_text, quadruped, urdf_text, write
+from tests.support.robots import compare_files, mjcf_text, quadruped, urdf_text, write
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 POINTER = (
@@ -23,7 +23,7 @@ POINTER = (
 
 def test_urdf_with_a_mujoco_block_is_compared_in_mujoco(tmp_path: Path) -> None:
     block = '<mujoco><compiler meshdir="meshes" balanceinertia="true"/></mujoco></robot>'
-    comparison = compared(write(tmp_path, URDF.replace("</robot>", block), MJCF))
+    comparison = compare_files(write(tmp_path, URDF.replace("</robot>", block), MJCF))
     assert comparison.agree
     assert not [note for note in comparison.check.notes if URDF_MUJOCO in str(note)]
     assert "engines (URDF)" in comparison.check.quantities[0].edge_deviations
@@ -34,7 +34,7 @@ def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
     asset = '<asset><mesh name="shell" file="shell.stl"/></asset><worldbody>'
     seen = '<freejoint/><geom type="mesh" mesh="shell" contype="0"/>'
     text = MJCF.replace("<worldbody>", asset).replace("<freejoint/>", seen)
-    comparison = compared(write(tmp_path, URDF, text))
+    comparison = compare_files(write(tmp_path, URDF, text))
     assert comparison.agree
     values = {note.code: note for note in comparison.notes if not isinstance(note, str)}
     assert values["files-missing"].values["files"] == ("shell.stl",)

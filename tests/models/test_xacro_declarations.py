@@ -14,7 +14,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.loading import kind_of, read_model
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.compare.compare import compare_files
-from tests.support.robots import changed, quadruped, write_parts
+from tests.support.robots import change_part, quadruped, write_parts
 
 XACRO = ' xmlns:xacro="http://www.ros.org/wiki/xacro"'
 MATERIALS = f'<robot{XACRO}><xacro:property name="x" value="1"/><material name="grey"/></robot>'
@@ -56,7 +56,7 @@ def files(tmp_path: Path) -> Any:
     (parts / "all.xacro").write_text(
         MATERIALS.replace("<material", '<xacro:include filename="parts/arm.xacro"/><material')
     )
-    return write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0))
+    return write_parts(tmp_path, quadruped(), change_part(quadruped(), "base", mass=7.0))
 
 
 def with_xacro(urdf: Path, content: str) -> int:

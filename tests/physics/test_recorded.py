@@ -10,7 +10,7 @@ import numpy as np
 import orjson
 import pytest
 
-from tests.recorded import COARSE, ENGINES, FILE, JOBS, computed, setting
+from tests.recorded import COARSE, ENGINES, FILE, JOBS, compute_numbers, setting
 from tests.support.repository import ROOT
 from tests.support.variants import NAMES
 
@@ -19,12 +19,12 @@ SLOW_JOBS = [name for name, job in JOBS.items() if job.slow]
 
 
 @cache
-def recorded() -> dict[str, Any]:
+def read_recorded() -> dict[str, Any]:
     content: dict[str, Any] = orjson.loads(FILE.read_bytes())
     return content
 
 
-def coarse(where: str) -> list[float]:
+def list_tolerances(where: str) -> list[float]:
     return [0.0, *(limit for field, limit in COARSE.items() if where.endswith(field))]
 
 
@@ -39,7 +39,7 @@ def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -
         scale = max(1.0, float(np.abs(other).max()))
         if one.shape != other.shape:
             messages.append(f"{where} had {other.shape} numbers, and has {one.shape}")
-        elif not np.abs(one - other).max() <= max(tolerance, *coarse(where)) * scale:
+        elif not np.abs(one - other).max() <= max(tolerance, *list_tolerances(where)) * scale:
             messages.append(f"{where} was {old}, and is {found[where]}")
     return messages
 
@@ -47,15 +47,15 @@ def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -
 def check(name: str, job: str) -> None:
     """Compare the numbers of a job with the recorded numbers."""
     wanted, now = JOBS[job], setting()
-    then = recorded()["setting"]
+    then = read_recorded()["setting"]
     if wanted.same_engines and now != then:
         other = ", ".join(
             f"{key} {then[key]}, now {now[key]}" for key in now if now[key] != then[key]
         )
         pytest.skip(f"{wanted.why}; recorded with {other}")
-    found = computed(name, job)
+    found = compute_numbers(name, job)
     assert found, "nothing was computed"
-    assert changes(found, recorded()["results"][name][job], wanted.tolerance) == []
+    assert changes(found, read_recorded()["results"][name][job], wanted.tolerance) == []
 
 
 @pytest.mark.parametrize("job", QUICK_JOBS)
@@ -75,8 +75,8 @@ def test_numbers_of_long_searches_and_simulations_are_unchanged(name: str, job: 
 
 def test_all_jobs_of_all_variants_are_recorded() -> None:
     """Reference: the variants and the jobs of `recorded.py`, in their order."""
-    assert list(recorded()["results"]) == list(NAMES)
-    for results in recorded()["results"].values():
+    assert list(read_recorded()["results"]) == list(NAMES)
+    for results in read_recorded()["results"].values():
         assert list(results) == list(JOBS)
 
 
@@ -84,6 +84,6 @@ def test_the_group_recorded_installs_the_recorded_engines() -> None:
     """``make setup-quick`` installs this group; with other engines, tests of recorded values may
     be skipped."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    then = recorded()["setting"]
+    then = read_recorded()["setting"]
     pinned = [f"{name}=={then[name]}" for name in ENGINES]
     assert project["dependency-groups"]["recorded"] == pinned

@@ -15,11 +15,11 @@ from pupper_analysis.robot import stability
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.simulation import growth
 from pupper_analysis.stance.sag import steady_state
-from tests.support.random_legged import drawn, written
+from tests.support.random_legged import draw_robot, write_robot
 from tests.support.variants import load
 
 
-def resized(robot: pa.Robot, size: float, density: float = 1.0) -> pa.Robot:
+def resize_robot(robot: pa.Robot, size: float, density: float = 1.0) -> pa.Robot:
     """The robot with lengths times a size and a density times another; times go as the size's root.
 
     Masses then go as its third power, torques as the fourth, inertias as the fifth.
@@ -121,7 +121,7 @@ def published_numbers() -> dict[str, float]:
 def test_dimensionless_results_do_not_depend_on_mass(mass: float) -> None:
     """Reference: results of the published robot; all masses, torques and gains are scaled alike."""
     robot, factor = load("v3"), mass / load("v3").total_mass
-    found = numbers(resized(robot, 1.0, factor), factor)
+    found = numbers(resize_robot(robot, 1.0, factor), factor)
     assert found == pytest.approx(published_numbers(), rel=1e-6)
 
 
@@ -146,7 +146,7 @@ def test_dimensionless_results_do_not_depend_on_size(
         monkeypatch.setattr(growth, name, getattr(growth, name) * size**0.5)
     for name in ("NUDGE_SPEED", "FREEING_SPEED"):
         monkeypatch.setattr(growth, name, getattr(growth, name) / size**0.5)
-    two = numbers(resized(robot, size), factor, size)
+    two = numbers(resize_robot(robot, size), factor, size)
     assert two.pop("payload") == pytest.approx(one.pop("payload"), rel=0.02)
     assert two == pytest.approx(one, rel=1e-6)
 
@@ -155,7 +155,7 @@ def test_sliding_rest_position_does_not_depend_on_mass() -> None:
     """Reference: scaling law of statics. A penalty of 1e-3 N/m changed the height by 0.6 um."""
     losses = []
     for factor in (1.0, 0.02 / load("v3").total_mass):
-        robot = resized(load("v3"), 1.0, factor)
+        robot = resize_robot(load("v3"), 1.0, factor)
         stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, roll=0.04))
         losses.append(pa.steady_state(robot, stand, feet="sliding").height_loss)
     assert losses[1] == pytest.approx(losses[0], rel=1e-9)
@@ -164,10 +164,10 @@ def test_sliding_rest_position_does_not_depend_on_mass() -> None:
 @pytest.mark.slow
 def test_verdict_changes_once_around_the_minimum_stiffness(tmp_path: Path) -> None:
     """The robot falls below the minimum and stands above; a verdict must not alternate."""
-    drawn_one = drawn(14)
+    drawn_one = draw_robot(14)
     drawn_one.motors, drawn_one.base = "position", "free"
     drawn_one.links = [link for link in drawn_one.links if link.name != "tail"]
-    pair = written(drawn_one, tmp_path)
+    pair = write_robot(drawn_one, tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, roll=0.04))
     least = pa.stance.minimum_stiffness(robot, stand, tolerance=1e-3)

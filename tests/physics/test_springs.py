@@ -30,7 +30,7 @@ def with_springs(pair: Pair, joint: str) -> Pair:
     return pair
 
 
-def compensated(pair: Pair, body: str, share: float) -> Pair:
+def compensate_gravity(pair: Pair, body: str, share: float) -> Pair:
     text = pair.mjcf.read_text()
     assert f'<body name="{body}"' in text
     pair.mjcf.write_text(
@@ -39,7 +39,9 @@ def compensated(pair: Pair, body: str, share: float) -> Pair:
     return pair
 
 
-def verified(robot: Robot, stand: pa.Stand | None = None) -> pa.simulation.StandVerification:
+def verify_stand_without_error(
+    robot: Robot, stand: pa.Stand | None = None
+) -> pa.simulation.StandVerification:
     found = pa.verify_stand(robot, stand or pa.stance.solve_stand_on_soft_ground(robot))
     assert found.passed, found.failures
     assert max(found.torque_error, found.force_error) < 1e-5
@@ -73,7 +75,7 @@ def test_knee_springs_reduce_the_motor_torques_as_in_closed_form(tmp_path: Path)
     assert np.abs(spring).max() > 0.1
     for foot, force in two.contact_forces.items():
         np.testing.assert_allclose(one.contact_forces[foot], force, atol=1e-9)
-    verified(sprung)
+    verify_stand_without_error(sprung)
 
 
 @pytest.mark.slow
@@ -82,13 +84,13 @@ def test_a_quadruped_with_springs_stands_as_predicted(joint: str, tmp_path: Path
     """Reference: MuJoCo's simulation of the stand."""
     robot = load(with_springs(quadruped(tmp_path), joint))
     assert any(note.code == "springs-are-the-mjcfs" for note in robot.notes)
-    verified(robot)
+    verify_stand_without_error(robot)
 
 
 @pytest.mark.slow
 def test_a_biped_with_springs_stands_as_predicted(tmp_path: Path) -> None:
     """Reference: MuJoCo's simulation of the stand."""
-    verified(load(with_springs(biped(tmp_path), "_ankle")))
+    verify_stand_without_error(load(with_springs(biped(tmp_path), "_ankle")))
 
 
 @pytest.mark.slow
@@ -106,7 +108,7 @@ def test_springs_of_tendons_count(tmp_path: Path) -> None:
     wanted = torques_at(plain, qpos).copy()
     wanted[[pitch, knee]] -= pull * np.array([1.0, 0.5])
     np.testing.assert_allclose(torques_at(robot, qpos), wanted, atol=1e-9)
-    verified(robot)
+    verify_stand_without_error(robot)
 
 
 @pytest.mark.slow
@@ -115,8 +117,8 @@ def test_gravity_compensation_takes_weight_off_motors_and_feet(
     motors: bool, tmp_path: Path
 ) -> None:
     """Half of a trunk of 4 kg is carried by nothing: 8.4 kg weigh as 6.4."""
-    pair = compensated(quadruped(tmp_path), "trunk", 0.5)
-    pair = compensated(pair, "FL_calf", 1.0)
+    pair = compensate_gravity(quadruped(tmp_path), "trunk", 0.5)
+    pair = compensate_gravity(pair, "FL_calf", 1.0)
     if motors:
         text = pair.mjcf.read_text()
         pair.mjcf.write_text(text.replace('" axis=', '" actuatorgravcomp="true" axis='))
@@ -126,7 +128,7 @@ def test_gravity_compensation_takes_weight_off_motors_and_feet(
     statics = pa.stance.stand_statics(robot, stand)
     held = sum(float(force[2]) for force in statics.contact_forces.values())
     assert held == pytest.approx((8.4 - 2.0 - 0.2) * 9.81, rel=1e-9)
-    verified(robot, stand)
+    verify_stand_without_error(robot, stand)
 
 
 @pytest.mark.slow
@@ -146,7 +148,7 @@ def test_sag_of_a_quadruped_with_knee_springs_equals_the_simulation(tmp_path: Pa
 
 def test_torque_derivatives_equal_finite_differences(tmp_path: Path) -> None:
     """Reference: central differences of the static load, with gravity compensation and springs."""
-    robot = load(with_springs(compensated(quadruped(tmp_path), "trunk", 0.3), "_knee"))
+    robot = load(with_springs(compensate_gravity(quadruped(tmp_path), "trunk", 0.3), "_knee"))
     random = np.random.default_rng(3)
     qpos = pa.solve_stand(robot).qpos
     config = pa.Configuration(robot, qpos)

@@ -17,8 +17,8 @@ from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
-from tests.support.legged import quadruped, rewritten
-from tests.support.random_legged import drawn, written
+from tests.support.legged import quadruped, rewrite_file
+from tests.support.random_legged import draw_robot, write_robot
 
 
 def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> None:
@@ -27,7 +27,7 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
     Gains and limits in notes are those at the joint.
     """
     pair = quadruped(tmp_path, floor=True)
-    rewritten(pair.mjcf, ('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
+    rewrite_file(pair.mjcf, ('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
     robot = pa.load_robot(*pair)
     made = {servo.joint: servo for servo in robot.description.made_servos}
     assert set(made) == set(robot.joint_names)
@@ -50,7 +50,7 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
 @pytest.mark.parametrize("seed", [701, 708])
 def test_added_servos_suit_the_time_step_of_the_file(tmp_path: Path, seed: int) -> None:
     """At 2 ms 701's file shook on the servos that stood at 1 ms, kp 2700 and kd 130."""
-    robot = pa.load_robot(written(drawn(seed), tmp_path).mjcf)
+    robot = pa.load_robot(write_robot(draw_robot(seed), tmp_path).mjcf)
     assert robot.published is not None
     assert robot.published.file is not None
     assert robot.mj_model.opt.timestep == robot.published.file.model.opt.timestep == 2e-3
@@ -162,7 +162,7 @@ def test_gains_of_joints_with_coupled_fingers_do_not_oscillate(tmp_path: Path) -
 def test_nominal_stand_is_compared_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A verdict without payload and a verdict with payload use the same comparison."""
     pair = quadruped(tmp_path, floor=True)
-    rewritten(pair.mjcf, ('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
+    rewrite_file(pair.mjcf, ('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
     robot = pa.load_robot(*pair)
     simulated = []
     simulate = self_check.simulate_prediction

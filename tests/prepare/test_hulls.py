@@ -12,7 +12,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
-from tests.support.legged import quadruped, rewritten
+from tests.support.legged import quadruped, rewrite_file
 
 _SHANK = '<geom type="capsule" size="0.01" fromto="0 0 -0.1 0 0 -0.2" solref="{} 1"/>'
 
@@ -27,7 +27,7 @@ def _soft_footed(folder: Path, gap: float, time_constant: float = 0.004) -> pa.R
     """
     foot = f'<geom type="sphere" size="{0.01 + gap}" pos="0 0 -0.2" solimp="0.015 1 0.036"/>'
     pair = quadruped(folder, foot=foot + _SHANK.format(time_constant), floor=True)
-    rewritten(pair.mjcf, ("<worldbody>", '<option cone="elliptic"/><worldbody>'), count=1)
+    rewrite_file(pair.mjcf, ("<worldbody>", '<option cone="elliptic"/><worldbody>'), count=1)
     return pa.load_robot(pair.mjcf)
 
 

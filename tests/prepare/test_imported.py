@@ -17,22 +17,22 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.own_run import get_published_model, own_run
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
-from tests.support.legged import biped, quadruped, rewritten
+from tests.support.legged import biped, quadruped, rewrite_file
 
 
-def touching(urdf: Path, *shapes: tuple[str, str]) -> Path:
+def add_collision_shapes(urdf: Path, *shapes: tuple[str, str]) -> Path:
     """Gives links of a URDF collision shapes, each as it is in a <geometry>, 0.2 m below."""
     for link, shape in shapes:
         begin = f'<link name="{link}">'
         low = "" if "mesh" in shape else '<origin xyz="0 0 -0.2"/>'
         collision = f"<collision>{low}<geometry>{shape}</geometry></collision>"
-        rewritten(urdf, (begin, begin + collision))
+        rewrite_file(urdf, (begin, begin + collision))
     return urdf
 
 
 def four_legs(folder: Path) -> Path:
     feet = ((f"{leg}_calf", '<sphere radius="0.02"/>') for leg in ("FL", "FR", "RL", "RR"))
-    return touching(quadruped(folder).urdf, *feet)
+    return add_collision_shapes(quadruped(folder).urdf, *feet)
 
 
 def two_legs(folder: Path) -> Path:
@@ -45,7 +45,7 @@ def two_legs(folder: Path) -> Path:
     )
     trimesh.convex.convex_hull(points + np.array([0.02, 0, 0])).export(folder / "sole.stl")
     soles = ((f"{side}_tilt_link", '<mesh filename="sole.stl"/>') for side in ("left", "right"))
-    return touching(biped(folder).urdf, *soles)
+    return add_collision_shapes(biped(folder).urdf, *soles)
 
 
 def verdict_of(robot: pa.Robot) -> Verdict:
@@ -118,7 +118,7 @@ def test_time_step_of_the_import_suits_the_soles_of_the_file(tmp_path: Path) -> 
 @pytest.mark.slow
 def test_refused_mujoco_import_is_stated_in_the_verdict(tmp_path: Path) -> None:
     """A cone is left out by the conversion and refused by MuJoCo's importer."""
-    urdf = touching(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))
+    urdf = add_collision_shapes(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))
     verdict = verdict_of(pa.load_robot(urdf))
     assert verdict.keyframe_run is None
     assert verdict.passed

@@ -20,7 +20,7 @@ from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from tests.prepare.test_imported import four_legs, verdict_of
 from tests.support import arm, features, random_legged, slips
-from tests.support.legged import edited_by, quadruped, rewritten
+from tests.support.legged import edited_by, quadruped, rewrite_file
 
 Slip = Callable[[str], str]
 
@@ -30,7 +30,7 @@ def _shape(geometry: str) -> Slip:
     return lambda text: text.replace('<link name="trunk">', shape)
 
 
-def _stated(word: str, value: str) -> Slip:
+def _state_inertial(word: str, value: str) -> Slip:
     """States another number of FL_thigh's inertial."""
     found = re.compile(rf'(<link name="FL_thigh">.*?{word}=")[^"]*', re.DOTALL)
     return lambda text: found.sub(rf"\g<1>{value}", text, count=1)
@@ -38,10 +38,13 @@ def _stated(word: str, value: str) -> Slip:
 
 # The slip, and what of it stands in the verdict; none where the robot is refused.
 SLIPS: dict[str, tuple[Slip, str | None]] = {
-    "mass-not-positive": (_stated("mass value", "-0.5"), "no positive mass is stated"),
-    "triangle-inequality": (_stated("ixx", "0.02"), "inertia of link 'FL_thigh' was repaired"),
+    "mass-not-positive": (_state_inertial("mass value", "-0.5"), "no positive mass is stated"),
+    "triangle-inequality": (
+        _state_inertial("ixx", "0.02"),
+        "inertia of link 'FL_thigh' was repaired",
+    ),
     "inertia-not-positive-definite": (
-        _stated("ixx", "-0.002"),
+        _state_inertial("ixx", "-0.002"),
         "inertia of link 'FL_thigh' was repaired",
     ),
     "range-empty": (
@@ -57,7 +60,7 @@ SLIPS: dict[str, tuple[Slip, str | None]] = {
 }
 
 
-def slipped(folder: Path, slip: Slip) -> Path:
+def write_slip(folder: Path, slip: Slip) -> Path:
     (folder / "bad.stl").write_text("no mesh")
     return edited_by(four_legs(folder), slip)
 
@@ -69,7 +72,7 @@ def test_audit_errors_appear_in_the_verdict(tmp_path: Path, rule: str) -> None:
     refused on loading.
     """
     slip, message = SLIPS[rule]
-    urdf = slipped(tmp_path, slip)
+    urdf = write_slip(tmp_path, slip)
     errors = {found.rule for found in pa.audit_model(urdf).findings if found.severity == "error"}
     assert errors == {rule}
     if message is None:
@@ -140,7 +143,7 @@ def test_negative_dry_friction_appears_in_the_verdict(tmp_path: Path) -> None:
 )
 def test_impossible_values_appear_in_the_verdict(tmp_path: Path, slip: Slip, message: str) -> None:
     """A negative effort limit, and a sphere of radius 0."""
-    urdf = slipped(tmp_path, slip)
+    urdf = write_slip(tmp_path, slip)
     (found,) = (one for one in pa.audit_model(urdf).findings if one.severity == "error")
     assert found.rule in ("value-impossible", "effort-negative")
     assert f"audit lists them): {message}" in format_verdict(verdict_of(pa.load_robot(urdf)))
@@ -150,7 +153,7 @@ def test_impossible_values_appear_in_the_verdict(tmp_path: Path, slip: Slip, mes
 def test_a_robot_without_friction_fails_and_slides_in_mujoco(tmp_path: Path) -> None:
     """In bare MuJoCo a nudge of 0.05 m/s moves the robot on at 0.04 m/s or more after 10 s."""
     pair = slips.standing(tmp_path)
-    rewritten(pair.mjcf, ('<geom type="plane"', '<geom condim="1" priority="1" type="plane"'))
+    rewrite_file(pair.mjcf, ('<geom type="plane"', '<geom condim="1" priority="1" type="plane"'))
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -173,12 +176,12 @@ def test_a_stand_that_needs_feedforward_is_nudged_from_all_sides(tmp_path: Path)
     half a metre and more.
     """
     drawn = replace(
-        random_legged.drawn(690000), base="free", keyframe=True, floor=True, motors="position"
+        random_legged.draw_robot(690000), base="free", keyframe=True, floor=True, motors="position"
     )
-    pair = random_legged.written(drawn, tmp_path)
+    pair = random_legged.write_robot(drawn, tmp_path)
     moving = [link for link in drawn.links if link.where != "urdf" and link.effort]
     commands = " ".join(f"{drawn.gear * link.home:.9g}" for link in moving)
-    rewritten(pair.mjcf, ('"/></keyframe>', f'" ctrl="{commands}"/></keyframe>'))
+    rewrite_file(pair.mjcf, ('"/></keyframe>', f'" ctrl="{commands}"/></keyframe>'))
     loaded = with_payload(pa.load_robot(pair.urdf, pair.mjcf), 65.053)
     stand = pa.solve_stand(loaded)
     held = make_stand_start(loaded, solve_stand_as_simulated(loaded, stand))

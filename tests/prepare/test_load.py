@@ -17,7 +17,7 @@ from pupper_analysis.prepare import drives
 from pupper_analysis.prepare.feet import report_sideways_limbs
 from pupper_analysis.robot.robot import Robot
 from tests.support.conversions import write_standing_urdf
-from tests.support.legged import Pair, biped, from_the_ground, fused, quadruped, rewritten
+from tests.support.legged import Pair, biped, from_the_ground, fuse_trunk, quadruped, rewrite_file
 
 
 def load(pair: Pair, **values: object) -> Robot:
@@ -42,7 +42,7 @@ def verify_held_stand(robot: Robot) -> pa.simulation.StandVerification:
 
 def test_limbs_attached_to_the_world_are_not_a_fixed_base(tmp_path: Path) -> None:
     """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
-    robot = load(fused(quadruped(tmp_path, keyframe="", floor=True)))
+    robot = load(fuse_trunk(quadruped(tmp_path, keyframe="", floor=True)))
     assert not robot.floating
     (held,) = (note for note in robot.notes if note.code == "base-kept-in-the-world")
     assert "attaches the limbs to the world" in str(held)
@@ -216,7 +216,7 @@ def test_urdf_with_a_lying_base_is_refused_with_a_remedy(
         '<link name="lying"/><joint name="down" type="fixed"><parent link="lying"/>'
         f'<child link="trunk"/><origin rpy="{rpy}" xyz="0 0 0"/></joint></robot>'
     )
-    rewritten(path, ("</robot>", lying))
+    rewrite_file(path, ("</robot>", lying))
     told = " ".join(map(str, report_sideways_limbs(pa.load_robot(path, fixed_base=True))))
     if turn == "xx":
         with pytest.raises(PupperAnalysisError) as refused:
@@ -237,7 +237,7 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     places = 0.025 * directions / np.linalg.norm(directions, axis=1)[:, None]
     text = " ".join(f"{value:.9g}" for value in places.ravel())
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="ball" pos="0 0 -0.2"/>')
-    rewritten(pair.mjcf, ("<worldbody>", MESH.format("ball", text)))
+    rewrite_file(pair.mjcf, ("<worldbody>", MESH.format("ball", text)))
     robot = load(pair)
     find_note(robot, "fitted to what is round there")
     for radius in robot.contact_radius.values():
@@ -261,7 +261,7 @@ def test_foot_mesh_that_is_not_round_gives_a_note(tmp_path: Path) -> None:
     corners = itertools.product((-0.03, 0.03), (-0.02, 0.02), (-0.02, 0.02))
     vertices = " ".join(str(value) for corner in corners for value in corner)
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
-    rewritten(pair.mjcf, ("<worldbody>", MESH.format("block", vertices)))
+    rewrite_file(pair.mjcf, ("<worldbody>", MESH.format("block", vertices)))
     robot = load(pair)
     find_note(robot, "replaced by spheres where they are lowest")
     verify_held_stand(robot)
@@ -276,7 +276,7 @@ def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) 
         'type="box"/></default><worldbody>'
     )
     sphere = 'type="sphere"'
-    rewritten(pair.mjcf, ("<worldbody>", default), (sphere, f'{sphere} contype="1" margin="0"'))
+    rewrite_file(pair.mjcf, ("<worldbody>", default), (sphere, f'{sphere} contype="1" margin="0"'))
     robot = load(pair)
     plain = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><geom type="plane" size="0 0 1"/></worldbody></mujoco>'
@@ -298,7 +298,7 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     )
     turned = origin.replace('-0.2"/>', '-0.2" rpy="0 -0.3 0"/>')
     turned = turned.replace('lower="-2.6" upper="-0.4"', 'lower="-2.3" upper="-0.1"')
-    rewritten(pair.urdf, (origin, turned))
+    rewrite_file(pair.urdf, (origin, turned))
     robot = load(pair)
     assert "FL_knee by +17.19 deg" in find_note(robot, "another zero angle")
     np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
@@ -331,7 +331,7 @@ def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
     whose joints are continuous in the URDF.
     """
     pair = quadruped(tmp_path, keyframe="")
-    rewritten(pair.mjcf, ('range="-1.5 2.5"', 'range="-1.5 0.6"'))
+    rewrite_file(pair.mjcf, ('range="-1.5 2.5"', 'range="-1.5 0.6"'))
     robot = load(pair)
     assert "_pitch -1.5 to 0.6" in find_note(robot, "narrower limits of the MJCF")
     names = [name for name in robot.joint_names if name.endswith("_pitch")]
@@ -385,7 +385,7 @@ def test_base_with_three_slides_and_a_ball_joint_is_free(tmp_path: Path) -> None
     pair = quadruped(tmp_path)
     parts = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
     free = ("<freejoint/>", f'{parts}<joint type="ball"/>')
-    rewritten(pair.mjcf, free, ('qpos="0 0 0.35', 'qpos="0 0 0'))
+    rewrite_file(pair.mjcf, free, ('qpos="0 0 0.35', 'qpos="0 0 0'))
     robot = load(pair)
     find_note(robot, "free by three slides and a ball joint")
     assert robot.floating

@@ -45,13 +45,13 @@ def _option(words: str) -> Slip:
     return lambda text: text.replace('<option integrator="implicitfast"/>', f"<option {words}")
 
 
-def slipped(folder: Path, slip: Slip) -> pa.Robot:
+def load_slip(folder: Path, slip: Slip) -> pa.Robot:
     pair = standing(folder)
     edited_by(pair.mjcf, slip)
     return pa.load_robot(*pair)
 
 
-def judged(robot: pa.Robot) -> Verdict:
+def judge_nominal_stand(robot: pa.Robot) -> Verdict:
     return judge_stand(robot, pa.solve_stand(robot))
 
 
@@ -86,7 +86,7 @@ def test_a_keyframe_with_zero_commands_fails_if_the_file_falls(
     def slip(text: str) -> str:
         return re.sub(_CTRL, zeros, _lying(text))
 
-    robot = slipped(tmp_path, slip)
+    robot = load_slip(tmp_path, slip)
     assert not stands(tmp_path / "robot.xml")
     own = own_run(robot)
     assert own is not None
@@ -95,7 +95,7 @@ def test_a_keyframe_with_zero_commands_fails_if_the_file_falls(
     assert own.fails
     assert (own.held is None) is stated
     assert own.held is None or not own.held.falls
-    verdict = judged(robot)
+    verdict = judge_nominal_stand(robot)
     assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
     expected = "keyframe-commands-another-pose" if stated else "keyframe-states-no-ctrl"
     assert expected in codes(verdict)
@@ -110,7 +110,7 @@ def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fai
         ctrl = " ".join([f"0 {angle} {-2 * angle}", "0 0.6 -1.2"] * 2)
         return text.replace(f'ctrl="{" ".join(["0 0.6 -1.2"] * 4)}"', f'ctrl="{ctrl}"')
 
-    robot = slipped(tmp_path, slip)
+    robot = load_slip(tmp_path, slip)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -122,18 +122,18 @@ def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fai
     assert own is not None
     assert own.lean == pytest.approx(tilt, abs=0.02)
     assert own.is_tilted is fails
-    assert judged(robot).passed is not fails
+    assert judge_nominal_stand(robot).passed is not fails
 
 
 @pytest.mark.slow
 def test_a_robot_that_a_weld_hoists_is_lifted_and_the_weld_is_named(tmp_path: Path) -> None:
     """In bare MuJoCo the base ends 0.3 m higher, without tilt."""
     weld = '<equality><weld name="hoist" body1="trunk" relpose="0 0 -0.65 1 0 0 0"/></equality>'
-    robot = slipped(tmp_path, lambda text: text.replace("</mujoco>", f"{weld}</mujoco>"))
+    robot = load_slip(tmp_path, lambda text: text.replace("</mujoco>", f"{weld}</mujoco>"))
     own = own_run(robot)
     assert own is not None
     assert own.is_lifted
-    verdict = judged(robot)
+    verdict = judge_nominal_stand(robot)
     assert not verdict.passed
     assert "weld-holds-it" in codes(verdict)
     said = " ".join(str(clause.message) for clause in verdict_clauses(verdict))
@@ -149,14 +149,14 @@ def test_servos_that_are_too_soft_are_the_named_cause(tmp_path: Path) -> None:
     def with_gains(scale: float) -> Slip:
         return lambda text: re.sub('kp="150" kv="5"', f'kp="{10 * scale:g}" kv="{scale:g}"', text)
 
-    robot = slipped(tmp_path, with_gains(1.0))
+    robot = load_slip(tmp_path, with_gains(1.0))
     own = own_run(robot)
     assert own is not None
     assert own.falls
     named, _ = name_remaining_cause(robot, own, None)
     assert named is not None
     assert [cause.code for cause in named.causes] == ["soft-servos"]
-    stiffer = own_run(slipped(tmp_path, with_gains(4.0)))
+    stiffer = own_run(load_slip(tmp_path, with_gains(4.0)))
     assert stiffer is not None
     assert not stiffer.falls
 
@@ -168,7 +168,7 @@ def test_zero_ctrl_of_torque_motors_is_no_command(tmp_path: Path) -> None:
         text = re.sub(_CTRL, f' ctrl="{" ".join(["0"] * 12)}"', text)
         return re.sub(r'<position (joint="[^"]*")[^>]*/>', r"<motor \g<1>/>", text)
 
-    own = own_run(slipped(tmp_path, slip))
+    own = own_run(load_slip(tmp_path, slip))
     assert own is not None
     assert own.limp
     assert not own.fails
@@ -178,10 +178,10 @@ def test_zero_ctrl_of_torque_motors_is_no_command(tmp_path: Path) -> None:
 def test_angles_as_ctrl_of_torque_motors_are_the_named_cause(tmp_path: Path) -> None:
     """The keyframe commands angles; in bare MuJoCo the motors take them for torques."""
     motors = r"<motor \g<1>/>"
-    robot = slipped(
+    robot = load_slip(
         tmp_path, lambda text: re.sub(r'<position (joint="[^"]*")[^>]*/>', motors, text)
     )
-    assert "motors-commanded-angles" in codes(judged(robot))
+    assert "motors-commanded-angles" in codes(judge_nominal_stand(robot))
 
 
 @pytest.mark.slow
@@ -206,8 +206,8 @@ def test_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) ->
 def test_robot_with_sleeping_enabled_is_judged(tmp_path: Path) -> None:
     """MuJoCo does not differentiate steps of models with sleeping bodies; a note reports this."""
     asleep = _option('integrator="implicitfast"><flag sleep="enable"/></option>')
-    robot = slipped(tmp_path, asleep)
-    assert judged(robot).code is VerdictCode.HOLDS
+    robot = load_slip(tmp_path, asleep)
+    assert judge_nominal_stand(robot).code is VerdictCode.HOLDS
     assert "sleep-not-differentiated" in {note.code for note in robot.notes}
 
 
@@ -220,7 +220,7 @@ def test_own_run_does_not_depend_on_the_welds_of_the_task(tmp_path: Path) -> Non
         motor = r'<motor \g<1> ctrlrange="-90 90" ctrllimited="true"/>'
         return re.sub(r'<position (joint="[^"]*")[^>]*/>', motor, text)
 
-    robot = slipped(tmp_path, with_motors)
+    robot = load_slip(tmp_path, with_motors)
     for contacts in ({}, {next(iter(robot.feet)): pa.Weld()}):
         stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts))
         verdict = judge_stand(robot, stand)
@@ -237,13 +237,13 @@ def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path
         geom = '<geom type="mesh" mesh="gone" contype="0" conaffinity="0"/>'
         return text.replace("<inertial", f"{geom}<inertial", 1)
 
-    robot = slipped(tmp_path, slip)
+    robot = load_slip(tmp_path, slip)
     with pytest.raises(ValueError, match=r"gone\.stl"):
         mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     own = own_run(robot)
     assert own is not None
     assert own.missing == ("gone.stl",)
-    said = [str(clause.message) for clause in verdict_clauses(judged(robot))]
+    said = [str(clause.message) for clause in verdict_clauses(judge_nominal_stand(robot))]
     assert any("MuJoCo refuses the file" in line and "gone.stl" in line for line in said)
     short, _ = split_verdict_lines(judged(robot))
     assert any("MuJoCo refuses the file" in str(line) for line in short)

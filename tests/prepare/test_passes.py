@@ -13,10 +13,10 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PREPARATION_PASSES, LoadRequest, PassRun, prepare_robot
 from pupper_analysis.stance.stand import stand_statics
-from tests.support.legged import BIPED_FEET, Pair, biped, quadruped, rewritten, sole_mesh
+from tests.support.legged import BIPED_FEET, Pair, biped, quadruped, rewrite_file, sole_mesh
 
 
-def prepared(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
+def prepare_pair(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
     return prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest(**asked))  # type: ignore[arg-type]
 
 
@@ -34,7 +34,7 @@ def test_pass_names_are_distinct_and_files_are_unchanged(tmp_path: Path) -> None
 
 def test_each_note_is_reported_by_one_preparation_step(tmp_path: Path) -> None:
     """Notes of the robot begin with the notes of all passes, in order."""
-    robot, runs = prepared(quadruped(tmp_path))
+    robot, runs = prepare_pair(quadruped(tmp_path))
     done = {run.name: [note.code for note in run.done] for run in runs}
     assert done["level-ground"] == ["ground-added"]
     assert done["find-feet"] == ["feet-found"]
@@ -47,7 +47,7 @@ def test_each_note_is_reported_by_one_preparation_step(tmp_path: Path) -> None:
 
 def test_base_without_feet_is_held_as_in_the_file(tmp_path: Path) -> None:
     """The robot is built with a fixed base, and the note gives the missing feet as the reason."""
-    robot, runs = prepared(quadruped(tmp_path, foot="", free=False, keyframe=""))
+    robot, runs = prepare_pair(quadruped(tmp_path, foot="", free=False, keyframe=""))
     assert not robot.floating
     assert runs[-1].name == "fix-base"
     (held,) = runs[-1].done
@@ -59,12 +59,12 @@ def test_base_without_feet_is_held_as_in_the_file(tmp_path: Path) -> None:
 def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot="", free=True, keyframe="")
     with pytest.raises(pa.ModelError, match="no feet were found"):
-        prepared(pair)
+        prepare_pair(pair)
 
 
 def test_nothing_is_added_with_as_is(tmp_path: Path) -> None:
     """The actuators of MuJoCo's model remain torque motors."""
-    robot, runs = prepared(quadruped(tmp_path), as_is=True)
+    robot, runs = prepare_pair(quadruped(tmp_path), as_is=True)
     names = {run.name for run in runs}
     assert not names & {
         "add-servos",
@@ -101,7 +101,7 @@ def test_existing_site_with_the_name_of_a_foot_is_not_changed(tmp_path: Path) ->
     point, (link, frame) = next(iter(plain.description.contact_points.items()))
     assert link == frame == f"{point} (contact)"
     site = f'<site name="{frame}" pos="0.3 0.2 0.1"/>'
-    rewritten(pair.mjcf, ("<freejoint", f"{site}<freejoint"))
+    rewrite_file(pair.mjcf, ("<freejoint", f"{site}<freejoint"))
     other = pa.load_robot(pair.urdf, pair.mjcf)
     assert other.description.contact_points[point] == (f"{frame}_2", f"{frame}_2")
     np.testing.assert_allclose(other.mj_model.site(frame).pos, (0.3, 0.2, 0.1))

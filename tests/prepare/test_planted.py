@@ -42,7 +42,9 @@ def servos(words: str) -> Edit:
     return make_replacement('kp="150" kv="5"', words)
 
 
-def general(gain: float = 1.0, bias: float = 0.0, kind: str = "fixed", *, only: str = "") -> Edit:
+def make_general_servos(
+    gain: float = 1.0, bias: float = 0.0, kind: str = "fixed", *, only: str = ""
+) -> Edit:
     """Servos as general actuators, of another gain, or with a bias (rad), or a velocity's share."""
     more = " 75 0" if kind == "affine" else ""
     law = f'gaintype="{kind}" gainprm="{150 * gain:g}{more}" biasprm="{150 * bias:g} -150 -5"'
@@ -67,7 +69,7 @@ def joints(which: str, words: str) -> Edit:
     return make_replacement(f'_{which}" axis', f'_{which}" {words} axis')
 
 
-def block(words: str) -> Edit:
+def add_block(words: str) -> Edit:
     """Return the edit that adds a box of 30 mm under the front left foot."""
     shape = '<geom type="box" size="0.6 0.6 0.015"/>'
     return make_replacement(
@@ -80,7 +82,7 @@ def tendon(words: str, *names: str) -> Edit:
     return make_section_edit(f"<tendon><fixed {words}>{parts}</fixed></tendon>")
 
 
-def both(*edits: Edit) -> Edit:
+def combine_edits(*edits: Edit) -> Edit:
     def edit(text: str) -> str:
         for one in edits:
             text = one(text)
@@ -121,11 +123,11 @@ or command.
 """
 
 PLANTS: dict[str, tuple[Edit, str]] = {
-    "a bias beside all servos": (general(bias=0.07), "servos-are-biased"),
-    "a bias beside one servo": (general(bias=0.1, only="FL_knee"), "servos-are-biased"),
-    "a gain 1.2 times the stiffness": (general(1.2), "gain-is-no-stiffness"),
-    "a gain of one, 1.4 times": (general(1.4, only="FL_knee"), UNEVEN),
-    "affine gains": (general(kind="affine"), "own-run, servos-for-actuators"),
+    "a bias beside all servos": (make_general_servos(bias=0.07), "servos-are-biased"),
+    "a bias beside one servo": (make_general_servos(bias=0.1, only="FL_knee"), "servos-are-biased"),
+    "a gain 1.2 times the stiffness": (make_general_servos(1.2), "gain-is-no-stiffness"),
+    "a gain of one, 1.4 times": (make_general_servos(1.4, only="FL_knee"), UNEVEN),
+    "affine gains": (make_general_servos(kind="affine"), "own-run, servos-for-actuators"),
     "a tendon's spring": (
         tendon('stiffness="45" springlength="1"', "FL_pitch", "FL_knee"),
         "springs-pull",
@@ -139,8 +141,8 @@ PLANTS: dict[str, tuple[Edit, str]] = {
         tendon('stiffness="0 0 0.075" springlength="10"', *ROLLS),
         "springs-pull",
     ),
-    "a mocap obstacle": (block('mocap="true"'), "obstacles-touch"),
-    "an obstacle": (block(""), "obstacles-touch"),
+    "a mocap obstacle": (add_block('mocap="true"'), "obstacles-touch"),
+    "an obstacle": (add_block(""), "obstacles-touch"),
     "a delay": (servos('kp="150" kv="5" delay="0.1" nsample="101"'), "servos-are-late"),
     "a step of 10 ms": (option('timestep="0.01"'), "timestep-too-long"),
     "PGS, 3 iterations": (option('solver="PGS" iterations="3"'), "solver-too-rough"),
@@ -167,7 +169,7 @@ PLANTS: dict[str, tuple[Edit, str]] = {
     "friction of 0.01": (floor('friction="0.01 0.005 0.0001"'), "contacts-slip"),
     "soft contacts": (floor('solref="0.3 1"'), "contacts-give-way"),
     "a thruster": (
-        both(
+        combine_edits(
             make_replacement("<freejoint/>", '<freejoint/><site name="nozzle"/>'),
             make_replacement("</actuator>", f"{JET}</actuator>"),
             make_replacement('-1.2"/>', '-1.2 0"/>'),
@@ -207,7 +209,7 @@ def causes(verdict: Verdict) -> list[str]:
     return found
 
 
-def judged(urdf: Path, mjcf: Path) -> Verdict:
+def judge_files(urdf: Path, mjcf: Path) -> Verdict:
     loaded = pa.load_robot(urdf=urdf, mjcf=mjcf)
     return pa.judge_stand(loaded, pa.solve_stand(loaded))
 
@@ -226,11 +228,11 @@ def stands(mjcf: Path, seconds: float = 5.0) -> bool:
     return bool(np.isfinite(data.qpos).all() and up @ data.xmat[base].reshape(3, 3)[2] > 0.8)
 
 
-def right(
+def is_cause_right(
     urdf: Path,
     mjcf: Path,
     allowed: tuple[str, ...],
-    judged: Callable[[Path, Path], Verdict] = judged,
+    judged: Callable[[Path, Path], Verdict] = judge_files,
 ) -> bool | None:
     """Return True if the first reported cause is one of the permitted causes, and None if the fault
     does no harm. No other cause may be reported, except consequences of the fault.
@@ -247,7 +249,7 @@ def right(
     return bool(message) and message[0] in allowed
 
 
-def planted(folder: Path, plant: str) -> tuple[Path, Path]:
+def plant_fault(folder: Path, plant: str) -> tuple[Path, Path]:
     """Returns the URDF and the MJCF of a quadruped in which something is planted."""
     if plant in ODD:
         return features.write_files(folder, features.FEATURES[plant])
@@ -259,7 +261,7 @@ def planted(folder: Path, plant: str) -> tuple[Path, Path]:
 @pytest.mark.slow
 def test_correct_files_have_no_cause_of_failure(tmp_path: Path) -> None:
     """Control of the planted faults."""
-    verdict = judged(*standing(tmp_path))
+    verdict = judge_files(*standing(tmp_path))
     assert verdict.passed, format_verdict(verdict)
     assert causes(verdict) == []
 
@@ -275,15 +277,15 @@ HARMLESS = {
 @pytest.mark.parametrize("plant", [*PLANTS, *ODD])
 def test_planted_fault_is_named_as_the_cause(tmp_path: Path, plant: str) -> None:
     """And no verdict is better than the outcome in bare MuJoCo (``truth_of``)."""
-    urdf, mjcf = planted(tmp_path, plant)
+    urdf, mjcf = plant_fault(tmp_path, plant)
     allowed = ODD[plant] if plant in ODD else tuple(PLANTS[plant][1].split(", "))
     verdicts: list[Verdict] = []
 
     def judge(urdf: Path, mjcf: Path) -> Verdict:
-        verdicts.append(judged(urdf, mjcf))
+        verdicts.append(judge_files(urdf, mjcf))
         return verdicts[-1]
 
-    found = right(urdf, mjcf, allowed, judge)
+    found = is_cause_right(urdf, mjcf, allowed, judge)
     assert found is (None if plant in HARMLESS else True)
     assert found or stands(mjcf)
     if plant in ODD:
@@ -299,6 +301,6 @@ def test_horizontal_gravity_is_named_as_a_cause(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
     shared = tmp_path / "mjcf/pupper_v3_shared.xml"
     shared.write_text(make_replacement("0 0 -9.81", "4 0 -9")(shared.read_text()))
-    verdict = judged(ROOT / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml")
+    verdict = judge_files(ROOT / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml")
     assert not verdict.passed
     assert "gravity-aside" in causes(verdict), format_verdict(verdict)

@@ -18,8 +18,8 @@ from pupper_analysis.prepare.published_model import (
     has_few_servos,
     with_unstated_options,
 )
-from tests.prepare.test_own_run import slipped
-from tests.support.legged import quadruped, rewritten
+from tests.prepare.test_own_run import load_slip
+from tests.support.legged import quadruped, rewrite_file
 
 _GAINS = r'kp="[^"]*"( kv="[^"]*")?'
 
@@ -38,7 +38,7 @@ def test_requested_gains_decide_if_the_file_has_weak_servos(tmp_path: Path) -> N
     """With the requested gains in the file, bare MuJoCo stands; with the file's own it falls."""
 
     def with_gains(kp: float, kd: float) -> pa.Robot:
-        return slipped(tmp_path, lambda text: re.sub(_GAINS, f'kp="{kp:g}" kv="{kd:g}"', text))
+        return load_slip(tmp_path, lambda text: re.sub(_GAINS, f'kp="{kp:g}" kv="{kd:g}"', text))
 
     with_gains(80, 4)
     assert _height_after(tmp_path / "robot.xml") > 0.3
@@ -57,7 +57,7 @@ def test_requested_gains_decide_if_the_file_has_weak_servos(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_requested_gains_that_are_too_low_fail(tmp_path: Path) -> None:
     """The unmodified file stands in MuJoCo, but the verdict is about the requested gains."""
-    robot = slipped(tmp_path, lambda text: text + "\n")
+    robot = load_slip(tmp_path, lambda text: text + "\n")
     assert _height_after(tmp_path / "robot.xml") > 0.3
     stand = pa.solve_stand(robot)
     assert judge_stand(robot, stand).passed
@@ -78,7 +78,7 @@ def test_added_servos_bring_the_options_that_the_file_does_not_state(
 ) -> None:
     """Reference: time step and integrator of the XML, or else of the prepared robot."""
     pair = quadruped(tmp_path, floor=True)
-    rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"), count=1)
+    rewrite_file(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"), count=1)
     robot = pa.load_robot(*pair)
     robot.mj_model.opt.timestep = 0.001
     model = get_published_model(robot)
@@ -91,7 +91,9 @@ def test_added_servos_bring_the_options_that_the_file_does_not_state(
 
 def test_options_of_a_file_with_servos_are_kept(tmp_path: Path) -> None:
     """MuJoCo's defaults belong to the file if its own servos were made for them."""
-    robot = slipped(tmp_path, lambda text: text.replace('<option integrator="implicitfast"/>', ""))
+    robot = load_slip(
+        tmp_path, lambda text: text.replace('<option integrator="implicitfast"/>', "")
+    )
     model = get_published_model(robot)
     assert model is not None
     bare = PublishedModel.from_model(model, robot)
@@ -112,7 +114,7 @@ def test_options_of_a_file_with_servos_are_kept(tmp_path: Path) -> None:
 )
 def test_velocity_servos_hold_no_position(tmp_path: Path, drive: Drive, few: bool) -> None:
     """A servo with zero or negative stiffness is meant to hold, so its file is not excused."""
-    robot = slipped(tmp_path, lambda text: text + "\n")
+    robot = load_slip(tmp_path, lambda text: text + "\n")
     model = get_published_model(robot)
     assert model is not None
     bare = PublishedModel.from_model(model, robot)
@@ -131,7 +133,7 @@ def test_velocity_servos_without_commands_do_not_count_as_a_fall(tmp_path: Path)
         text = re.sub(r' ctrl="[^"]*"(?=/></keyframe>)', "", text)
         return re.sub(r'<position (joint="[^"]*")[^>]*/>', r'<velocity \g<1> kv="2"/>', text)
 
-    robot = slipped(tmp_path, with_velocity_servos)
+    robot = load_slip(tmp_path, with_velocity_servos)
     own = own_run(robot)
     assert own is not None
     assert own.limp

@@ -28,7 +28,7 @@ from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged, random_legged
 from tests.support.every_command import Truth, simulate_truth
-from tests.support.legged import edited_by, rewritten
+from tests.support.legged import edited_by, rewrite_file
 from tests.support.slips import SLIPS, standing
 from tests.support.variants import load
 
@@ -37,7 +37,7 @@ def verdict_of(pair: legged.Pair) -> Verdict:
     return study_stance(pa.load_robot(*pair), pa.StandTask()).verdict
 
 
-def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
+def write_slip(folder: Path, name: str, seed: int = 0) -> legged.Pair:
     pair, random = standing(folder), np.random.default_rng(seed)
     edited_by(pair.mjcf, lambda text: SLIPS[name](text, random))
     return pair
@@ -75,7 +75,7 @@ def test_height_loss_excludes_the_drop_of_a_keyframe_in_the_air(tmp_path: Path) 
     """Pupper v3's own keyframe is 0.15 m above the ground, as many that are dropped from."""
     pair = standing(tmp_path)
     force = ("<position ", '<position forcerange="-40 40" ')
-    rewritten(pair.mjcf, ('qpos="0 0 0.35 ', 'qpos="0 0 0.5 '), force)
+    rewrite_file(pair.mjcf, ('qpos="0 0 0.35 ', 'qpos="0 0 0.5 '), force)
     own = own_run(pa.load_robot(*pair))
     assert own is not None
     assert not own.collapses
@@ -99,7 +99,7 @@ def test_a_robot_whose_legs_retract_before_its_feet_touch_collapses(
     """
     pair = standing(tmp_path)
     edits = (" ".join(["0 0.6 -1.2"] * 4) + '"/></key', " ".join([legs] * 4) + '"/></key')
-    rewritten(pair.mjcf, edits, ('qpos="0 0 0.35 ', f'qpos="0 0 {0.35 + gap} '))
+    rewrite_file(pair.mjcf, edits, ('qpos="0 0 0.35 ', f'qpos="0 0 {0.35 + gap} '))
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -121,7 +121,7 @@ def test_robot_that_slides_away_counts_as_collapsed(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     robot = pa.load_robot(*pair)
     ice = ('type="plane"', 'priority="1" friction="0.01" type="plane"')
-    rewritten(pair.mjcf, ("<option ", '<option gravity="0.6 0 -9.81" '), ice)
+    rewrite_file(pair.mjcf, ("<option ", '<option gravity="0.6 0 -9.81" '), ice)
     run = own_run(replace(robot, published=PublishedFile(read_mjcf(pair.mjcf))))
     assert run is not None
     assert run.end_height == pytest.approx(run.height, rel=0.1)
@@ -152,7 +152,7 @@ def test_affine_actuator_with_zero_bias_is_not_a_torque_motor(tmp_path: Path) ->
     falls."""
     pair = standing(tmp_path)
     servo = 'general gainprm="150" biastype="affine" biasprm="0 0 0"'
-    rewritten(pair.mjcf, ('kp="150" kv="5"', ""), ("<position", f"<{servo}"))
+    rewrite_file(pair.mjcf, ('kp="150" kv="5"', ""), ("<position", f"<{servo}"))
     robot = pa.load_robot(*pair)
     own = own_run(robot)
     assert own is not None
@@ -172,7 +172,7 @@ def test_affine_actuator_with_zero_bias_is_not_a_torque_motor(tmp_path: Path) ->
 )
 def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, said: str) -> None:
     """Reference: bare MuJoCo with the unmodified file (`simulate_truth`)."""
-    pair = slipped(tmp_path, name)
+    pair = write_slip(tmp_path, name)
     assert simulate_truth(pair.mjcf, pair.mjcf) in (Truth.FALLS, Truth.ELSEWHERE)
     verdict = verdict_of(pair)
     assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
@@ -183,7 +183,7 @@ def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, s
 @pytest.mark.slow
 def test_servo_with_gain_of_the_wrong_sign_is_replaced_and_named(tmp_path: Path) -> None:
     """No note claims that position servos are missing, and ``as_is`` refuses the joint."""
-    pair = slipped(tmp_path, "kp of one has the wrong sign", seed=3)
+    pair = write_slip(tmp_path, "kp of one has the wrong sign", seed=3)
     robot = pa.load_robot(*pair)
     (made,) = robot.description.made_servos
     assert made.instead_of is Drive.WRONG_SIGN
@@ -218,7 +218,7 @@ def test_cause_of_a_deviation_is_named_with_its_line(tmp_path: Path, cause: str)
     """One cause is planted in the MJCF; disabling this cause removes 99 % of the deviation."""
     old, new, element, line = CAUSES[cause]
     pair = standing(tmp_path)
-    rewritten(pair.mjcf, (old, new))
+    rewrite_file(pair.mjcf, (old, new))
     robot = pa.load_robot(*pair)
     verdict = study_stance(robot, pa.StandTask()).verdict
     assert verdict.published is not None
@@ -237,7 +237,7 @@ def test_cause_of_a_deviation_is_named_with_its_line(tmp_path: Path, cause: str)
 def test_two_files_of_different_robots_are_named_as_the_cause(tmp_path: Path) -> None:
     """The trunk of the MJCF is 1 kg heavier."""
     pair = standing(tmp_path)
-    rewritten(pair.mjcf, ('mass="4"', 'mass="5"'))
+    rewrite_file(pair.mjcf, ('mass="4"', 'mass="5"'))
     published = verdict_of(pair).published
     assert published is not None
     assert published.differs
@@ -256,7 +256,7 @@ def test_angles_as_commands_of_motors_fail_the_verdict(tmp_path: Path) -> None:
     assert own.collapses  # as motors do that nobody commands
     assert not own.fails
     angles = " ".join(["0 0.6 -1.2"] * 4)
-    rewritten(pair.mjcf, ('name="home"', f'name="home" ctrl="{angles}"'))
+    rewrite_file(pair.mjcf, ('name="home"', f'name="home" ctrl="{angles}"'))
     robot = pa.load_robot(*pair)
     own = own_run(robot)
     assert own is not None

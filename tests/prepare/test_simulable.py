@@ -13,7 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.self_check import compare_nominal_stand
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
-from tests.support.legged import rewritten
+from tests.support.legged import rewrite_file
 from tests.support.slips import standing
 
 REFUSED = {
@@ -51,7 +51,7 @@ REFUSED = {
 def test_model_that_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path, case: str) -> None:
     old, new, said = REFUSED[case]
     pair = standing(tmp_path)
-    text = rewritten(pair.mjcf, (old, new), count=1).read_text()
+    text = rewrite_file(pair.mjcf, (old, new), count=1).read_text()
     line = next(n for n, row in enumerate(text.splitlines(), 1) if new.strip() in row)
     with pytest.raises(pa.ModelError, match=rf"robot\.xml:{line}: .*{re.escape(said)}"):
         pa.load_robot(*pair)
@@ -61,7 +61,7 @@ def test_model_that_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path,
 def test_lower_limit_above_the_upper_limit_is_refused(tmp_path: Path, upper: str) -> None:
     pair = standing(tmp_path)
     stated = ('lower="-2.6" upper="-0.4"', f'lower="-0.4" upper="{upper}"')
-    rewritten(pair.urdf, stated, count=1)
+    rewrite_file(pair.urdf, stated, count=1)
     with pytest.raises(pa.ModelError, match=r"robot\.urdf: joint 'FL_knee': its lower limit -0.4"):
         pa.solve_stand(pa.load_robot(*pair))
 
@@ -75,7 +75,7 @@ def test_keyframe_of_the_robot_alone_is_used_if_the_scene_has_a_free_ball(
     urdf, mjcf = pa.pupper.write_variant("heavy", tmp_path)
     ball = '<body name="ball" pos="2 0 0.1"><freejoint/><geom size="0.1"/></body>'
     begin, end = "<worldbody>", "</worldbody>"
-    rewritten(mjcf, (begin, begin + ball) if first else (end, ball + end), count=1)
+    rewrite_file(mjcf, (begin, begin + ball) if first else (end, ball + end), count=1)
     feet = {foot: f"{foot}_foot" for foot in ("FL", "FR", "RL", "RR")}
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=feet)
     verdict = study_stance(robot, pa.StandTask(height=0.15)).verdict
@@ -100,7 +100,7 @@ def test_a_free_base_without_mass_is_refused_with_link_and_line(
     urdf = legged.quadruped(tmp_path).urdf
     trunk = '<mass value="4.0"/><inertia ixx="0.02" iyy="0.05" izz="0.06"'
     none = '<mass value="0"/><inertia ixx="0" iyy="0" izz="0"'
-    rewritten(urdf, (trunk, none))
+    rewrite_file(urdf, (trunk, none))
     robot = pa.load_robot(urdf)
     with pytest.raises(pa.ConfigurationError, match=r"link 'trunk' \(robot.urdf:\d+\).*no mass"):
         pa.solve_stand(robot)

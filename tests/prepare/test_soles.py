@@ -22,7 +22,15 @@ from pupper_analysis.prepare.contact_points import (
     fit_sphere,
 )
 from pupper_analysis.robot.robot import Robot
-from tests.support.legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
+from tests.support.legged import (
+    BIPED_FEET,
+    Pair,
+    biped,
+    fix_hinges,
+    quadruped,
+    shift_base_com,
+    sole_mesh,
+)
 
 
 def load(pair: Pair) -> Robot:
@@ -122,8 +130,8 @@ def test_sole_corners_are_the_lowest_corners_of_the_hull() -> None:
 @pytest.mark.parametrize("shape", ["box", "four spheres", "two capsules"])
 def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     """Roll at the hip; pitch at hip, knee and ankle: as TRON 1's. The com is 2 um aside."""
-    pair = held(biped(tmp_path, BIPED_FEET[shape]), "_yaw", "_tilt")
-    robot = load(aside(pair, 2e-6))
+    pair = fix_hinges(biped(tmp_path, BIPED_FEET[shape]), "_yaw", "_tilt")
+    robot = load(shift_base_com(pair, 2e-6))
     assert robot.nu == 8
     assert len(robot.contact_points) == 8
     assert any(note.code == "com-anywhere-inside" for note in robot.notes)
@@ -138,7 +146,7 @@ def test_nearly_level_sole_keeps_the_tilt_of_its_leg(tmp_path: Path) -> None:
     correct.
     """
     foot = BIPED_FEET["box"].replace("/>", ' euler="3e-6 0 0"/>')
-    pair = held(biped(tmp_path, foot), "_yaw", "_tilt")
+    pair = fix_hinges(biped(tmp_path, foot), "_yaw", "_tilt")
     verify_held_stand(load(pair), within=1e-2)
 
 
@@ -148,8 +156,8 @@ def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
 
     Reference: heights of the sole points, equal to 1e-6.
     """
-    pair = held(biped(tmp_path), "_tilt")
-    robot = load(aside(pair, 3e-5))
+    pair = fix_hinges(biped(tmp_path), "_tilt")
+    robot = load(shift_base_com(pair, 3e-5))
     assert robot.nu == 10
     stand = verify_held_stand(robot, within=1e-4)  # 1e-2 with the com in the middle
     config = pa.Configuration(robot, stand.qpos)
@@ -163,7 +171,7 @@ def test_unreachable_stance_of_four_joint_legs_is_refused(tmp_path: Path) -> Non
     """Legs without yaw and tilt joints: a foot cannot be moved sideways or lifted with a level
     sole.
     """
-    robot = load(held(biped(tmp_path), "_yaw", "_tilt"))
+    robot = load(fix_hinges(biped(tmp_path), "_yaw", "_tilt"))
     task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})
     with pytest.raises(pa.StanceUnreachableError, match="foot_offsets"):
         pa.solve_stand(robot, task)
@@ -176,7 +184,7 @@ def test_unreachable_stance_of_four_joint_legs_is_refused(tmp_path: Path) -> Non
 
 def test_feet_of_four_joint_legs_that_tilt_have_one_contact_point(tmp_path: Path) -> None:
     """Yaw, roll, pitch and knee: the foot tilts as they bend."""
-    pair = held(biped(tmp_path), "_ankle", "_tilt")
+    pair = fix_hinges(biped(tmp_path), "_ankle", "_tilt")
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     foot = model.body("left_tilt_link").id
     assert not can_keep_sole_flat(model, foot, np.array([0.0, 0.0, -1.0]))

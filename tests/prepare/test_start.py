@@ -20,7 +20,7 @@ from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
 from pupper_analysis.robot.servos import list_position_servos
 from tests.support import random_legged
-from tests.support.legged import biped, quadruped, rewritten
+from tests.support.legged import biped, quadruped, rewrite_file
 from tests.support.slips import standing
 from tests.support.variants import load, stand_of
 
@@ -47,7 +47,7 @@ def test_keyframe_without_a_stand_is_replaced_by_a_reachable_height(
     for part in whole.mjcf_source.parent.glob("*.xml"):
         shutil.copy(part, mjcf.parent)
     mjcf.write_text(whole.mjcf_source.read_text())
-    rewritten(mjcf, (straight, folded))
+    rewrite_file(mjcf, (straight, folded))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # meshes are not beside it
         robot = pa.load_robot(whole.urdf_source, mjcf, feet=whole.contact_points)
@@ -84,7 +84,7 @@ def test_feet_below_axes_about_the_vertical_are_put_aside(tmp_path: Path) -> Non
 
     With the com in the centre each leg would have to turn another way, and may by 57 degrees alone.
     """
-    files = random_legged.written(random_legged.ring(40040, 3, 4.0), tmp_path)
+    files = random_legged.write_robot(random_legged.ring(40040, 3, 4.0), tmp_path)
     robot = pa.load_robot(files.urdf, files.mjcf)
     assert "start-pose-found" in {note.code for note in robot.notes}
     stand = pa.solve_stand(robot)
@@ -98,7 +98,7 @@ def test_robot_without_a_stand_has_servos(tmp_path: Path) -> None:
     """A nominal stand is out of reach, since a box reaches deeper than the feet."""
     files = quadruped(tmp_path)
     deep = '<geom type="box" size="0.02 0.02 0.45"/><body name="FL_hip"'
-    rewritten(files.mjcf, ('<body name="FL_hip"', deep))
+    rewrite_file(files.mjcf, ('<body name="FL_hip"', deep))
     robot = pa.load_robot(*files)
     assert start.solve_nominal_stand(robot) is None
     assert list_position_servos(robot).keys() == set(robot.joint_names)
@@ -109,8 +109,8 @@ def test_robot_without_a_stand_has_servos(tmp_path: Path) -> None:
 def test_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -> None:
     """Its knee is 3 mrad beyond the limit, as G1's thumb in the Menagerie; bare MuJoCo stands."""
     pair = standing(tmp_path)
-    rewritten(pair.mjcf, (" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0.6 -1.203"] * 4)))
-    rewritten(pair.mjcf, ('range="-2.6 -0.4"', 'range="-1.2 -0.4"'))
+    rewrite_file(pair.mjcf, (" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0.6 -1.203"] * 4)))
+    rewrite_file(pair.mjcf, ('range="-2.6 -0.4"', 'range="-1.2 -0.4"'))
     robot = pa.load_robot(*pair)
     codes = {note.code for note in robot.notes}
     assert codes >= {"start-pose-is-keyframe", "keyframe-beyond-limits"}
@@ -134,7 +134,7 @@ def test_soles_of_legs_with_five_joints_are_level_in_the_nominal_stand(
     Reference: in MuJoCo's model all bottom corners of both boxes are on the ground, and the CoM is
     inside their convex hull.
     """
-    robot = pa.load_robot(*random_legged.written(random_legged.irregular_biped(seed), tmp_path))
+    robot = pa.load_robot(*random_legged.write_robot(random_legged.irregular_biped(seed), tmp_path))
     stand = pa.solve_stand(robot)
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)

@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.prepare.published_model import compile_published_model
 from pupper_analysis.prepare.touching import discard_visuals
-from tests.support.legged import quadruped, rewritten
+from tests.support.legged import quadruped, rewrite_file
 
 SPEC = """<mujoco><worldbody><body name="a"><freejoint/>
   <geom name="seen" type="box" size=".1 .2 .3" contype="0" conaffinity="0" mass="2"/>
@@ -46,7 +46,7 @@ def test_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
     """A visual box before the other geoms; the foot geoms are still the spheres."""
     pair = quadruped(tmp_path)
     seen = '<geom name="hat" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
-    rewritten(pair.mjcf, ("<freejoint/>", f"<freejoint/>{seen}"))
+    rewrite_file(pair.mjcf, ("<freejoint/>", f"<freejoint/>{seen}"))
     robot = pa.load_robot(*pair)
     assert robot.mj_model.geom("hat").contype[0] == 0
     assert not robot.description.mjcf.compiler.discardvisual

@@ -23,7 +23,9 @@ from pupper_analysis.simulation.verify import verify_stand
 from tests.support.variants import load, stand_of
 
 
-def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any) -> Figure:
+def draw_figure(
+    monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any
+) -> Figure:
     """The figure that a function draws, instead of its file."""
     kept: list[Figure] = []
     monkeypatch.setattr(drawing, "save_figure", lambda figure, path: kept.append(figure))
@@ -74,7 +76,7 @@ def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
                  for side in (-1, 1))  # fmt: skip
     assert high == pytest.approx(stand.contact_points["FR"] @ ground.normal(), abs=1e-9)
     assert low == pytest.approx(0, abs=1e-9)
-    figure = drawn(
+    figure = draw_figure(
         monkeypatch, write_pose_figure, robot, stand, pa.stance.stand_statics(robot, stand)
     )
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]

@@ -46,7 +46,7 @@ def read_command(line: str) -> tuple[str, dict[str, str], str]:
 TEXT = st.text(st.sampled_from("ab%:,\n\r=0A25D3C ") | st.characters(codec="utf-8"), max_size=30)
 
 
-def shown(text: str) -> str:
+def escape_controls(text: str) -> str:
     """Return a text with its control characters escaped, except for line ends."""
     return "".join(letter if letter in "\r\n" else escape_control(letter) for letter in text)
 
@@ -62,9 +62,9 @@ def test_workflow_command_is_read_back_with_any_characters(title: str, message: 
     assert properties["file"] == "r.xml"
     assert properties["line"] == "3"
     if "%3A" not in title and "%2C" not in title and "%0" not in title:  # as GitHub reads
-        assert properties["title"] == shown(title)
+        assert properties["title"] == escape_controls(title)
     if "%0" not in message:
-        assert read == shown(message)
+        assert read == escape_controls(message)
 
 
 def test_junit_cases_fail_unless_notice_or_in_the_baseline() -> None:

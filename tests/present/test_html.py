@@ -40,7 +40,7 @@ from pupper_analysis.present.html.write import serialise_scene
 from pupper_analysis.present.scene import collect_visible_shapes, describe_scene
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.arm import arm
-from tests.support.html_page import Page, shown
+from tests.support.html_page import Page, read_text
 from tests.support.repository import ROOT
 from tests.support.stubs import problem
 from tests.support.variants import load, stand_of
@@ -72,10 +72,10 @@ def drawn_of(what: StandScene) -> dict[str, Any]:
 
 @cache
 def page_of(*results: object, robots: bool = True, language: str = "en") -> Page:
-    return Page(written(list(results), robots=robots, language=language))
+    return Page(write_page(list(results), robots=robots, language=language))
 
 
-def written(results: object, *, robots: bool = True, language: str = "en") -> str:
+def write_page(results: object, *, robots: bool = True, language: str = "en") -> str:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "report.html"
         given = [load("v3")] if robots else []
@@ -124,15 +124,15 @@ def test_header_has_a_unit_if_the_column_has_numbers() -> None:
     for page in (page_of(analysis()), page_of(comparison()), page_of(stance())):
         for table in page.root.iter("table"):
             headers = table.findall(".//thead//th")
-            by_row = any(shown(header) == "unit" for header in headers)
+            by_row = any(read_text(header) == "unit" for header in headers)
             for index, header in enumerate(headers):
                 assert header.get("scope") == "col"
-                assert shown(header)
+                assert read_text(header)
                 cells = [row[index] for row in table.findall("tbody/tr")]
                 if any(cell.get("data-v") for cell in cells) and not by_row:
                     unit = header.find(".//span[@data-unit]")
-                    assert unit is not None, shown(header)
-                    assert unit.get("data-unit"), shown(header)
+                    assert unit is not None, read_text(header)
+                    assert unit.get("data-unit"), read_text(header)
                     count += 1
             for row in table.findall("tbody/tr"):
                 assert row[0].tag == "th"
@@ -154,7 +154,7 @@ def test_page_quotes_the_lines_of_both_files_side_by_side() -> None:
     lines = [pre.text_content() for pre in first.iter("pre")]
     assert lines[0] == '<mass value="1.625"/>'
     assert lines[1].startswith("<inertial ")
-    assert "1.625" in shown(first.find("h3"))
+    assert "1.625" in read_text(first.find("h3"))
     rows = page.tables()["All differences, the most important first"]
     assert (rows[0]["kind"], rows[0]["in the URDF"], rows[0]["unit"]) == ("mass", "1.625", "kg")
     assert "✗ DISAGREE" in page.shown()
@@ -176,7 +176,7 @@ def audit() -> pa.analysis.Audit:
         text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
         file.write_text(re.sub(r'<mass value="[\d.]+"', '<mass value="-1"', text, count=1))
         found = pa.audit_model(file)
-        first = Page(written(found)).root.find(".//div[@class='sides']")
+        first = Page(write_page(found)).root.find(".//div[@class='sides']")
         assert first.find(".//pre").text_content() == '<mass value="-1"/>'
         return found
 
@@ -205,7 +205,7 @@ def test_names_with_markup_are_escaped_in_the_page() -> None:
     """Joint and robot names with script, image and event attributes: two scripts of the page, as
     without such names.
     """
-    tame, wild = page_of(analysis()), Page(written(evil_analysis(), robots=False))
+    tame, wild = page_of(analysis()), Page(write_page(evil_analysis(), robots=False))
     assert len(wild.strict.scripts) == 2  # the words of the scripts, and the page's own
     assert "img" not in {tag for tag, _ in wild.strict.tags}
     assert not [a for _, a in wild.strict.tags for name in a if name.startswith("on")]
@@ -240,7 +240,7 @@ def test_names_with_a_script_end_are_escaped_in_a_view() -> None:
 
 def test_text_direction_characters_are_escaped_in_the_page() -> None:
     table = Table(Name("t"), (Column(Name("\u202etxt"), left=True),), ((Name("a\x1b[31m"),),))
-    shown_text = Page(written(table)).shown()
+    shown_text = Page(write_page(table)).shown()
     assert "\\u202etxt" in shown_text
     assert "a\\x1b[31m" in shown_text
     assert "\u202e" not in shown_text
@@ -312,7 +312,7 @@ def test_scene_positions_are_correct_on_a_slope_with_a_step_and_a_pit() -> None:
         assert joint.torque is None
 
 
-def decoded(mesh: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+def decode_mesh(mesh: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
     steps = np.frombuffer(base64.b64decode(str(mesh["vertices"])), "<u2").reshape(-1, 3)
     kind = "<u4" if mesh["wide"] else "<u2"
     faces = np.frombuffer(base64.b64decode(str(mesh["faces"])), kind).reshape(-1, 3)
@@ -366,11 +366,11 @@ def test_coarsened_meshes_keep_their_size() -> None:
             np.asarray(model.mesh_vert[first : first + count], float),
             model.mesh_face[start : start + faces],
         )
-        vertices, triangles = decoded(write._pack_mesh(whole_scene[mesh]))
+        vertices, triangles = decode_mesh(write._pack_mesh(whole_scene[mesh]))
         assert len(triangles) == faces
         assert volume(vertices, triangles) == pytest.approx(whole, rel=2e-3)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        vertices, triangles = decoded(write._pack_mesh(coarse[mesh]))
+        vertices, triangles = decode_mesh(write._pack_mesh(coarse[mesh]))
         assert 0.1 * faces < len(triangles) <= 0.3 * faces
         cell = float((high - low).max()) / 10
         assert vertices.min(axis=0) == pytest.approx(low, abs=cell)
@@ -381,7 +381,7 @@ def test_coarsened_meshes_keep_their_size() -> None:
 def test_view_is_omitted_without_three_js(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write, "_VIEWER_PACKAGE", "no_such_package")
     assert write.load_viewer_library() is None
-    page = Page(written(analysis()))
+    page = Page(write_page(analysis()))
     assert "three.js was not found" in page.shown()
     assert "application/json" in page.text
     assert len(page.text) < 400_000

@@ -14,7 +14,7 @@ from tests.support import printing
 from tests.support.stubs import ANALYSIS, SERVOS, STAND, problem, run, stance
 
 
-def printed(shown: Document) -> list[str]:
+def print_words(shown: Document) -> list[str]:
     """The words that are printed, without rules and bars."""
     text = printing.printed(shown, width=240)
     return [word for word in text.split() if word.strip("─█▏▎▍▌▋▊▉")]
@@ -45,7 +45,7 @@ def test_stance_document_states_why_a_stance_fails() -> None:
         minimum_stiffness=None,
         presses=(),
     )
-    text = " ".join(printed(stance_document(failing)))
+    text = " ".join(print_words(stance_document(failing)))
     assert text.startswith(
         "FAILS stub: FAILS in MuJoCo: it sank "
         "largest motor load 0.22 N m = 95 % of the limit (knee), base height 104.4 mm on rigid"

@@ -36,14 +36,14 @@ def table(columns: int, rows: int = 12, letters: int = 7, **options: bool) -> Ta
     return Table(Name("Numbers"), tuple(heads), cells, **options)
 
 
-def shown(*blocks: Table | Lines, width: int = 80, everything: bool = True) -> list[str]:
+def print_lines(*blocks: Table | Lines, width: int = 80, everything: bool = True) -> list[str]:
     document = Document(Name(""), Name("robot"), blocks)
     return printed(document, width=width, everything=everything).splitlines()
 
 
 def test_table_is_printed_in_parts_without_cut_numbers_if_too_wide() -> None:
     """Each cell occurs once, in lines of at most 80 characters."""
-    lines = shown(table(9, letters=9))
+    lines = print_lines(table(9, letters=9))
     assert max(map(len, lines)) <= 80
     assert sum(line.startswith("joint") for line in lines) == 2 * (1 + 12)  # header and rows
     words = " ".join(lines).split()

@@ -11,7 +11,14 @@ import pytest
 from pupper_analysis.base.diagnostics import LANGUAGES
 from pupper_analysis.present.document import Name, text, word
 from pupper_analysis.tools.study.measures import METRICS
-from tests.base.diagnostics.test_diagnostic import HAN, TERMS, TEXTS, made_calls, uses, written
+from tests.base.diagnostics.test_diagnostic import (
+    HAN,
+    TERMS,
+    TEXTS,
+    list_package_texts,
+    list_template_names,
+    made_calls,
+)
 
 SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\b")
 """Parts of a text that are equal in both languages."""
@@ -24,7 +31,7 @@ def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]])
     for key, both in words.items():
         assert set(both) == set(LANGUAGES), key
         english, chinese = both["en"], both["zh"]
-        assert uses(english) == uses(chinese), key
+        assert list_template_names(english) == list_template_names(chinese), key
         plain = SYMBOLS.sub("", english)
         assert HAN.search(chinese) or not re.search("[a-z]{4}", plain), key
         assert not HAN.search(english), key
@@ -36,11 +43,11 @@ def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]])
 def test_catalogue_has_no_unused_text() -> None:
     """Reference: all texts in the source code and in the page template."""
     measures = {f"metric-{name.replace('_', '-')}" for name in METRICS}
-    left = set(TEXTS) - written() - measures
-    assert {key for key in left if not key.startswith(tuple(begun()))} == set()
+    left = set(TEXTS) - list_package_texts() - measures
+    assert {key for key in left if not key.startswith(tuple(list_key_beginnings()))} == set()
 
 
-def begun() -> Iterator[str]:
+def list_key_beginnings() -> Iterator[str]:
     """Yield the beginnings of keys that end with a value, as in `text(f"walk-quantity-{name}")`."""
     for _, node in made_calls():
         one = node.args[0] if node.args and getattr(node.func, "id", "") == "text" else None

@@ -23,7 +23,7 @@ def base(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def compiled(file: str) -> mujoco.MjModel:
+def compile_model(file: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(MJCF / file))
 
 
@@ -59,7 +59,7 @@ def test_actuators_have_the_documented_order() -> None:
         f"{leg}_{joint}" for leg in ("FL", "FR", "RL", "RR") for joint in ("HAA", "HFE", "KFE")
     ]
     for base, expected in (("v3", v3), ("original", skeleton)):
-        model = compiled(f"{BASES[base]}.xml")
+        model = compile_model(f"{BASES[base]}.xml")
         assert [model.actuator(index).name for index in range(model.nu)] == expected
         driven = [model.joint(int(model.actuator_trnid[i, 0])).name for i in range(model.nu)]
         assert driven == expected
@@ -135,7 +135,7 @@ def arrays(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     return {name: value.copy() for name, value in values if isinstance(value, np.ndarray)}
 
 
-def without(spec: mujoco.MjSpec, unwanted: Callable[[str], bool]) -> mujoco.MjModel:
+def compile_without(spec: mujoco.MjSpec, unwanted: Callable[[str], bool]) -> mujoco.MjModel:
     """Return the compiled model without those of free joint, floor and keyframe that are
     unwanted.
     """
@@ -158,8 +158,8 @@ def test_v3_files_differ_by_freejoint_floor_and_keyframe_alone() -> None:
     assert {joint.name for joint in free.joints} - {joint.name for joint in fixed.joints} == {
         "world_to_body"
     }
-    one = arrays(without(free, lambda kind: True))
-    two = arrays(without(fixed, lambda kind: kind == "keyframe"))
+    one = arrays(compile_without(free, lambda kind: True))
+    two = arrays(compile_without(fixed, lambda kind: kind == "keyframe"))
     assert len(one) > 300
     assert one.keys() == two.keys()
     for name, value in one.items():

@@ -17,7 +17,7 @@ from tests.support.rooms import trees
 drawing = script("docs/draw_architecture.py")
 
 
-def imported(tree: ast.Module) -> Iterator[str]:
+def list_imports(tree: ast.Module) -> Iterator[str]:
     """The package's modules that a module imports when it is imported, or for annotations."""
     blocks = [node.body for node in tree.body if isinstance(node, ast.If)]
     for node in (*tree.body, *chain(*blocks)):
@@ -34,7 +34,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     graph = {}
     for path, tree in trees().items():
         name = f"pupper_analysis/{path}".removesuffix(".py").removesuffix("/__init__")
-        graph[name.replace("/", ".")] = set(imported(tree))
+        graph[name.replace("/", ".")] = set(list_imports(tree))
     for name, those in graph.items():
         those.intersection_update(graph)
         those -= {one for one in those if f"{name}.".startswith(f"{one}.")}

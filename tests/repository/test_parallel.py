@@ -28,11 +28,11 @@ REBUILT = 1e-14  # of the largest number of its kind
 HEIGHTS = np.linspace(0.10, 0.14, 20)
 
 
-def pickled(value: Any) -> Any:
+def pickle_and_load(value: Any) -> Any:
     return pickle.loads(pickle.dumps(value))
 
 
-COPIES = pytest.mark.parametrize("copied", [pickled, copy.deepcopy, copy.copy])
+COPIES = pytest.mark.parametrize("copied", [pickle_and_load, copy.deepcopy, copy.copy])
 
 # -------------------------------------------------------------------------------------- errors
 
@@ -130,7 +130,7 @@ def test_robot_is_equal_after_pickling(variant: str, copied: Callable[[Any], Any
 def test_pickled_robot_has_the_same_stand(variant: str) -> None:
     """qpos and torques are equal to the last bit, simulated heights within 1e-9."""
     robot = load(variant)
-    back = pickled(robot)
+    back = pickle_and_load(robot)
     task = pa.StandTask(pitch=0.03, ground=pa.Ground(heights={robot.contact_points[0]: 0.01}))
     one, two = pa.solve_stand(robot, task), pa.solve_stand(back, task)
     np.testing.assert_array_equal(one.qpos, two.qpos)
@@ -155,7 +155,7 @@ def test_massless_shape_stays_massless_after_pickling() -> None:
     spec = mujoco.MjSpec.from_string(WEIGHTLESS)
     masses = spec.copy().compile().body_mass
     written = mujoco.MjModel.from_xml_string(to_xml(spec))
-    for back in (spec_from_data(pickled(spec_to_data(spec))).compile(), written):
+    for back in (spec_from_data(pickle_and_load(spec_to_data(spec))).compile(), written):
         np.testing.assert_allclose(back.body_mass, masses, rtol=1e-12)
 
 
@@ -163,11 +163,11 @@ def test_massless_shape_stays_massless_after_pickling() -> None:
 def test_infinite_limits_are_equal_after_pickling(tiny: pa.Robot) -> None:
     """Pinocchio cannot read the infinity that Pinocchio writes, which would stop studies of Mini
     Cheetah."""
-    robot = pickled(tiny)
+    robot = pickle_and_load(tiny)
     robot.pin_model.effortLimit[-1] = np.inf
     robot.pin_model.lowerPositionLimit[-1] = -np.inf
     for _ in range(2):
-        robot = pickled(robot)
+        robot = pickle_and_load(robot)
         assert robot.pin_model.effortLimit[-1] == np.inf
         assert robot.pin_model.lowerPositionLimit[-1] == -np.inf
         assert np.isfinite(robot.pin_model.upperPositionLimit[-1])

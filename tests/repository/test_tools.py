@@ -54,7 +54,7 @@ def dependents(tools: Iterable[str]) -> set[str]:
     return gone
 
 
-def without(tools: Iterable[str], folder: Path) -> Path:
+def copy_without(tools: Iterable[str], folder: Path) -> Path:
     """Copy the checkout without some tools and their dependents; return the copy."""
     left_out = shutil.ignore_patterns(".git", ".venv*", "build", ".*_cache", "docs")
     copy = folder / "checkout"
@@ -126,7 +126,7 @@ def test_core_names_no_package_without_command() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", own_packages())
 def test_the_package_is_imported_without_a_tool(tool: str, tmp_path: Path) -> None:
-    check_imports(tool, without((tool,), tmp_path))
+    check_imports(tool, copy_without((tool,), tmp_path))
 
 
 @cache
@@ -160,7 +160,7 @@ def test_tests_of_other_tools_do_not_import_a_tool(tool: str) -> None:
 def test_all_other_tests_are_collected_without_five_tools(tmp_path: Path) -> None:
     """The tools are deleted together: each collection takes 7 s."""
     run_in_copy(
-        without(ALONE, tmp_path), "-m", "pytest", "-n", "0", "--collect-only", "-q", "tests"
+        copy_without(ALONE, tmp_path), "-m", "pytest", "-n", "0", "--collect-only", "-q", "tests"
     )
 
 
@@ -171,4 +171,4 @@ def test_quick_tests_pass_without_a_tool_drawn_by_the_commit(tmp_path: Path) -> 
         ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     tool = random.Random(head.stdout.strip()).choice(sorted(own_packages()))
-    run_tests(without((tool,), tmp_path))
+    run_tests(copy_without((tool,), tmp_path))

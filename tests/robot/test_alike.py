@@ -14,7 +14,7 @@ from tests.support.conversions import write_standing_urdf
 from tests.support.legged import edited_by
 
 
-def slipped(folder: Path, old: str, new: str) -> Path:
+def write_slip(folder: Path, old: str, new: str) -> Path:
     """The quadruped with something changed in its last leg alone."""
     return edited_by(write_standing_urdf(folder), lambda text: new.join(text.rsplit(old, 1)))
 
@@ -26,7 +26,7 @@ def test_four_equal_legs_with_feet_give_no_report(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_leg_with_a_misplaced_calf_is_reported_and_the_verdict_fails(tmp_path: Path) -> None:
     """One digit, -0.2 -> -0.02, leaves a robot that stands on three feet."""
-    path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
+    path = write_slip(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
     robot = pa.load_robot(path)
     [message] = report_limbs_without_feet(robot)
     assert (message.values["feet"], message.values["alike"]) == (3, 4)
@@ -41,7 +41,7 @@ def test_leg_with_a_misplaced_calf_is_reported_and_the_verdict_fails(tmp_path: P
 
 
 def test_leg_without_a_foot_shape_is_named(tmp_path: Path) -> None:
-    robot = pa.load_robot(slipped(tmp_path, '<sphere radius="0.02"/>', ""))
+    robot = pa.load_robot(write_slip(tmp_path, '<sphere radius="0.02"/>', ""))
     [message] = report_limbs_without_feet(robot)
     assert "RR_calf has none" in str(message)
 

@@ -11,13 +11,13 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from tests.support.commands import run_command
-from tests.support.legged import quadruped, rewritten
+from tests.support.legged import quadruped, rewrite_file
 from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 
-def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
+def load_quadruped(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
     pair = quadruped(folder)
-    rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"), ("<freejoint/>", free))
+    rewrite_file(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"), ("<freejoint/>", free))
     return pa.load_robot(*pair)
 
 
@@ -32,7 +32,7 @@ def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
     ],
 )
 def test_stand_is_refused_if_gravity_is_not_downwards(option: str, tmp_path: Path) -> None:
-    robot = loaded(tmp_path, option)
+    robot = load_quadruped(tmp_path, option)
     with pytest.raises(pa.ConfigurationError, match="gravity of the MJCF is"):
         pa.solve_stand(robot)
 
@@ -41,10 +41,10 @@ def test_stand_is_refused_if_gravity_is_not_downwards(option: str, tmp_path: Pat
 def test_friction_of_a_free_joint_does_not_hold_the_base(tmp_path: Path) -> None:
     """With 500 N of dry friction at the free joint, the base would stand on disabled servos."""
     free = '<joint type="free" frictionloss="500" damping="0" armature="0"/>'
-    robot = loaded(tmp_path, '<option actuatorgroupdisable="0"/>', free)
+    robot = load_quadruped(tmp_path, '<option actuatorgroupdisable="0"/>', free)
     assert [note for note in robot.notes if note.code == "free-joint-friction-taken-off"]
     assert not pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
-    robot = loaded(tmp_path, free=free)
+    robot = load_quadruped(tmp_path, free=free)
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
 
 

@@ -25,7 +25,7 @@ from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import minimise_foot_errors
 from pupper_analysis.stance.solver import SearchContext
 from tests.support.bound import LEGS, belts, four_bars
-from tests.support.legged import Pair, quadruped, rewritten
+from tests.support.legged import Pair, quadruped, rewrite_file
 
 
 def load(pair: Pair) -> Robot:
@@ -58,9 +58,9 @@ EYE = (
 )
 
 
-def hinged(pair: Pair) -> Pair:
+def hinge_rods(pair: Pair) -> Pair:
     """Gives each rod a light eye that turns at its end; the MJCF's weld ties that to the calf."""
-    rewritten(pair.urdf, ("</robot>", "".join(map(EYE.format, LEGS)) + "</robot>"))
+    rewrite_file(pair.urdf, ("</robot>", "".join(map(EYE.format, LEGS)) + "</robot>"))
     root = ElementTree.parse(pair.mjcf).getroot()
     (equality,) = root.iter("equality")
     for leg in LEGS:
@@ -314,7 +314,7 @@ def test_stand_on_soft_ground_is_refused_if_coupled_knees_yield(tmp_path: Path) 
     pair = quadruped(tmp_path)
     motors = ((f'<motor joint="{end}R_knee" ctrlrange="-30 30"/>', "") for end in "FR")
     ties = "".join(f'<joint joint1="{end}R_knee" joint2="{end}L_knee"/>' for end in "FR")
-    rewritten(pair.mjcf, *motors, ("</mujoco>", f"<equality>{ties}</equality></mujoco>"))
+    rewrite_file(pair.mjcf, *motors, ("</mujoco>", f"<equality>{ties}</equality></mujoco>"))
     robot = load(pair)
     assert pa.solve_stand(robot).solved
     with pytest.raises(pa.StanceUnreachableError, match="closed, the stance is in"):
@@ -374,7 +374,7 @@ def test_loops_with_rods_that_the_urdf_lacks_are_refused(tmp_path: Path) -> None
     pair = four_bars(tmp_path, in_urdf=False)
     axis = '<joint name="{}_pin" axis="0 1 0" range="-3 3" />'
     ball = '<joint name="{}_rod" type="ball" />'
-    rewritten(pair.mjcf, *((axis.format(leg), ball.format(leg)) for leg in LEGS))
+    rewrite_file(pair.mjcf, *((axis.format(leg), ball.format(leg)) for leg in LEGS))
     with pytest.raises(pa.ModelError, match=r"FL_rod.*: give the MJCF alone"):
         load(pair)
 
@@ -385,7 +385,7 @@ def test_weld_in_a_plane_closes_a_loop_like_a_connect(tmp_path: Path) -> None:
     folders = [tmp_path / name for name in ("one", "two")]
     for folder in folders:
         folder.mkdir()
-    one, two = load(four_bars(folders[0])), load(hinged(four_bars(folders[1])))
+    one, two = load(four_bars(folders[0])), load(hinge_rods(four_bars(folders[1])))
     assert two.closure is not None
     assert len(two.closure.dependent_joints) == 12
     stand = pa.stance.solve_stand_on_soft_ground(two)
@@ -451,7 +451,7 @@ def test_constraint_to_the_world_is_named_if_the_stand_fails(tmp_path: Path) -> 
     """
     pair = quadruped(tmp_path)
     tie = '<equality><connect name="tied" body1="trunk" anchor="0.1 0 0"/></equality><actuator>'
-    rewritten(pair.mjcf, ("<actuator>", tie))
+    rewrite_file(pair.mjcf, ("<actuator>", tie))
     robot = load(pair)
     found = judge_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
     assert not found.passed

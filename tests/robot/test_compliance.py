@@ -19,16 +19,16 @@ def set_cone(kind: mujoco.mjtCone) -> Callable[[mujoco.MjModel], None]:
     return lambda model: setattr(model.opt, "cone", kind.value)
 
 
-def negative(model: mujoco.MjModel) -> None:
+def set_negative_solref(model: mujoco.MjModel) -> None:
     model.geom_solref[:] = -3000, -90
 
 
-def short(model: mujoco.MjModel) -> None:
+def set_short_solimp(model: mujoco.MjModel) -> None:
     model.geom_solref[:] = 0.001, 0.8
     model.geom_solimp[:] = 0.2, 0.9, 0.01, 0.3, 3
 
 
-@pytest.mark.parametrize("change", [None, negative, short, "pyramidal"])
+@pytest.mark.parametrize("change", [None, set_negative_solref, set_short_solimp, "pyramidal"])
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_ground_law_equals_the_contact_terms_of_mujoco(name: str, change: object) -> None:
     """References: `efc_diagA`, `efc_KBIP`, `efc_R` and `efc_aref` of MuJoCo's contacts, for feet

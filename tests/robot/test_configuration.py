@@ -21,7 +21,7 @@ from tests.support.variants import NAMES, load
 GRAVITY = 9.81  # [m/s^2]
 
 
-def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
+def check_close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
     """Compares relative to the largest element."""
     size = max(1e-3, float(np.abs(expected).max()))
     np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * size)
@@ -148,8 +148,8 @@ def test_bias_and_gravity_forces_equal_mujoco(any_robot: pa.Robot, data: st.Data
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
     _, v = addresses(any_robot)
     config = pa.Configuration(any_robot, qpos, qvel)
-    close(config.bias_forces(), evaluate_mujoco(any_robot, qpos, qvel).qfrc_bias[v], 1e-11)
-    close(config.gravity(), evaluate_mujoco(any_robot, qpos).qfrc_bias[v], 1e-11)
+    check_close(config.bias_forces(), evaluate_mujoco(any_robot, qpos, qvel).qfrc_bias[v], 1e-11)
+    check_close(config.gravity(), evaluate_mujoco(any_robot, qpos).qfrc_bias[v], 1e-11)
 
 
 def test_forward_dynamics_equals_mujoco(robot: pa.Robot) -> None:
@@ -163,7 +163,7 @@ def test_forward_dynamics_equals_mujoco(robot: pa.Robot) -> None:
     _, v = addresses(robot)
     mj.qfrc_applied[v] = force
     mujoco.mj_forward(model, mj)
-    close(pa.Configuration(robot, qpos, qvel).forward_dynamics(force), mj.qacc[v], 1e-9)
+    check_close(pa.Configuration(robot, qpos, qvel).forward_dynamics(force), mj.qacc[v], 1e-9)
 
 
 # ------------------------------------------------------------------------------------- imu
@@ -178,7 +178,7 @@ def test_imu_equals_the_sensors_of_mujoco(data: st.DataObject) -> None:
     _, v = addresses(robot)
     gyro, acceleration = pa.Configuration(robot, qpos, qvel).imu(mj.qacc[v])
     np.testing.assert_allclose(gyro, mj.sensor("body_gyro").data, atol=1e-11)
-    close(acceleration, mj.sensor("body_acc").data, 1e-11)
+    check_close(acceleration, mj.sensor("body_acc").data, 1e-11)
 
 
 def test_imu_of_a_robot_without_imu_requires_a_frame(tiny: pa.Robot) -> None:

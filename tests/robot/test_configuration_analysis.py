@@ -49,13 +49,13 @@ def odd_robot(
     if name == "tiny":
         return tiny
     draw = {
-        "drawn": random_legged.drawn,
+        "drawn": random_legged.draw_robot,
         "biped": random_legged.irregular_biped,
         "ring": random_legged.ring,
     }
     if name not in draw:
         return load(name, fixed_base=option == "fixed")
-    pair = random_legged.written(draw[name](int(option)), tmp_path_factory.mktemp(name))
+    pair = random_legged.write_robot(draw[name](int(option)), tmp_path_factory.mktemp(name))
     return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, as_is=True)
 
 
@@ -82,7 +82,9 @@ def links(robot: pa.Robot) -> list[tuple[str, int]]:
     return shared
 
 
-def raw(config: pa.Configuration) -> tuple[pin.Data, np.ndarray, np.ndarray, np.ndarray]:
+def compute_by_pinocchio(
+    config: pa.Configuration,
+) -> tuple[pin.Data, np.ndarray, np.ndarray, np.ndarray]:
     """Raw Pinocchio at a state: data, q, T with v_pin = T qvel, and dT/dt."""
     robot = config.robot
     model, convention = robot.pin_model, robot.pin_convention
@@ -111,7 +113,7 @@ def test_frame_jacobians_equal_those_of_both_engines(odd_robot: pa.Robot) -> Non
     robot, shared = odd_robot, links(odd_robot)
     _, columns = addresses(robot)
     for config, _, offset in states(robot):
-        data, _, mapping, _ = raw(config)
+        data, _, mapping, _ = compute_by_pinocchio(config)
         mj = evaluate_mujoco(robot, config.qpos)
         for name, body in shared:
             frame = robot.pin_model.getFrameId(name, pin.FrameType.BODY)
@@ -139,7 +141,7 @@ def test_jacobian_time_variations_equal_those_of_both_engines(odd_robot: pa.Robo
     robot, shared = odd_robot, links(odd_robot)
     _, columns = addresses(robot)
     for config, _, offset in states(robot):
-        data, _, mapping, rate = raw(config)
+        data, _, mapping, rate = compute_by_pinocchio(config)
         mj = evaluate_mujoco(robot, config.qpos, config.qvel)
         for name, body in shared:
             frame = robot.pin_model.getFrameId(name, pin.FrameType.BODY)
@@ -185,7 +187,7 @@ def test_centroidal_map_equals_those_of_both_engines(odd_robot: pa.Robot) -> Non
         assert_equal(mine[:3], model.body_subtreemass[0] * linear[:, columns])
         assert_equal(mine[3:], angular[:, columns])
         if robot.floating:
-            _, q, mapping, _ = raw(config)
+            _, q, mapping, _ = compute_by_pinocchio(config)
             theirs = pin.computeCentroidalMap(robot.pin_model, robot.pin_model.createData(), q)
             assert_equal(mine, theirs @ mapping)
 
@@ -198,7 +200,7 @@ def test_centroidal_map_time_variation_is_a_derivative_with_pinocchios_bias(
     for number, (config, qvel, _) in enumerate(states(robot)):
         mine = config.centroidal_map_time_variation()
         if robot.floating:
-            _, q, mapping, rate = raw(config)
+            _, q, mapping, rate = compute_by_pinocchio(config)
             data, velocity = robot.pin_model.createData(), mapping @ qvel
             theirs = pin.computeCentroidalMapTimeVariation(robot.pin_model, data, q, velocity)
             assert_equal(mine @ qvel, theirs @ velocity + data.Ag @ rate @ qvel)
@@ -253,7 +255,7 @@ def test_regressor_times_parameters_is_the_inverse_dynamics_of_both_engines(
         theirs = np.zeros(model.nv)
         mujoco.mj_rne(model, mj, 1, theirs)
         assert_equal(torques, theirs[columns])
-        _, q, mapping, rate = raw(config)
+        _, q, mapping, rate = compute_by_pinocchio(config)
         armature, data = robot.pin_model.armature.copy(), robot.pin_model.createData()
         acceleration = mapping @ qacc + rate @ qvel
         forces = pin.rnea(robot.pin_model, data, q, mapping @ qvel, acceleration)
@@ -265,7 +267,7 @@ def test_regressor_columns_equal_those_of_raw_pinocchio() -> None:
     robot = load("v3")
     qpos, qvel = random_state(robot, 4)
     config, qacc = pa.Configuration(robot, qpos, qvel), np.linspace(-3, 3, robot.nv)
-    _, q, mapping, rate = raw(config)
+    _, q, mapping, rate = compute_by_pinocchio(config)
     model, data = robot.pin_model, robot.pin_model.createData()
     theirs = pin.computeJointTorqueRegressor(
         model, data, q, mapping @ qvel, mapping @ qacc + rate @ qvel
@@ -281,7 +283,7 @@ def test_mass_matrix_and_bias_equal_those_of_raw_pinocchio(odd_robot: pa.Robot) 
     """M = T^T M_pin T, h = T^T (h_pin + M_pin dT/dt qvel)."""
     robot = odd_robot
     for config, qvel, _ in states(robot):
-        _, q, mapping, rate = raw(config)
+        _, q, mapping, rate = compute_by_pinocchio(config)
         model, data = robot.pin_model, robot.pin_model.createData()
         upper = np.triu(pin.crba(model, data, q))
         inertia = upper + np.triu(upper, 1).T

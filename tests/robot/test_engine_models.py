@@ -93,7 +93,7 @@ def states(robot: pa.Robot) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     return (random_state(robot, seed) for seed in range(10))
 
 
-def close(actual: np.ndarray, expected: np.ndarray) -> None:
+def check_close(actual: np.ndarray, expected: np.ndarray) -> None:
     scale = max(1.0, float(np.abs(expected).max()))
     np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-12 * scale)
 
@@ -101,11 +101,11 @@ def close(actual: np.ndarray, expected: np.ndarray) -> None:
 def test_state_returns_after_conversion_to_pinocchio_and_back(robot: pa.Robot) -> None:
     for qpos, qvel in states(robot):
         q, v = robot.to_pinocchio(qpos, qvel)
-        close(robot.to_pinocchio(qpos), q)
+        check_close(robot.to_pinocchio(qpos), q)
         back_qpos, back_qvel = robot.to_mujoco(q, v)
-        close(back_qpos, qpos)
-        close(back_qvel, qvel)
-        close(robot.to_mujoco(q), qpos)
+        check_close(back_qpos, qpos)
+        check_close(back_qvel, qvel)
+        check_close(robot.to_mujoco(q), qpos)
 
 
 def test_link_velocities_agree_after_conversion(robot: pa.Robot) -> None:
@@ -121,7 +121,7 @@ def test_link_velocities_agree_after_conversion(robot: pa.Robot) -> None:
             if not robot.pin_model.existFrame(name, pin.FrameType.BODY):
                 continue
             frame = robot.pin_model.getFrameId(name, pin.FrameType.BODY)
-            close(pin_data.oMf[frame].translation, data.xpos[body])
+            check_close(pin_data.oMf[frame].translation, data.xpos[body])
             velocity, expected = np.zeros(6), np.zeros(6)
             mujoco.mj_objectVelocity(
                 robot.mj_model, data, mujoco.mjtObj.mjOBJ_XBODY.value, body, velocity, 0
@@ -129,7 +129,7 @@ def test_link_velocities_agree_after_conversion(robot: pa.Robot) -> None:
             expected[:] = pin.getFrameVelocity(
                 robot.pin_model, pin_data, frame, pin.LOCAL_WORLD_ALIGNED
             )
-            close(velocity, np.concatenate([expected[3:], expected[:3]]))
+            check_close(velocity, np.concatenate([expected[3:], expected[:3]]))
 
 
 def test_inverse_dynamics_agree_after_conversion(robot: pa.Robot) -> None:
@@ -147,9 +147,9 @@ def test_inverse_dynamics_agree_after_conversion(robot: pa.Robot) -> None:
         model.gravity = pin.Motion(robot.gravity, np.zeros(3))
         # Pinocchio adds the armature in `rnea` since version 3.
         tau = pin.rnea(model, model.createData(), q, v, a)
-        close(robot.forces_to_mujoco(qpos, tau), forces)
-        close(robot.forces_to_pinocchio(qpos, forces), tau)
-        close(robot.accelerations_to_mujoco(qpos, qvel, a), qacc)
+        check_close(robot.forces_to_mujoco(qpos, tau), forces)
+        check_close(robot.forces_to_pinocchio(qpos, forces), tau)
+        check_close(robot.accelerations_to_mujoco(qpos, qvel, a), qacc)
 
 
 def test_jacobians_agree_after_conversion(robot: pa.Robot) -> None:
@@ -169,8 +169,8 @@ def test_jacobians_agree_after_conversion(robot: pa.Robot) -> None:
             frame,
             pin.LOCAL_WORLD_ALIGNED,
         )
-        close(robot.jacobian_to_mujoco(qpos, jacobian), expected)
-        close(robot.jacobian_to_pinocchio(qpos, expected), jacobian)
+        check_close(robot.jacobian_to_mujoco(qpos, jacobian), expected)
+        check_close(robot.jacobian_to_pinocchio(qpos, expected), jacobian)
 
 
 def test_mass_matrix_agrees_by_velocity_map(robot: pa.Robot) -> None:
@@ -182,7 +182,7 @@ def test_mass_matrix_agrees_by_velocity_map(robot: pa.Robot) -> None:
         upper = pin.crba(robot.pin_model, robot.pin_data(), robot.to_pinocchio(qpos))
         pin_mass = np.triu(upper) + np.triu(upper, 1).T
         velocity_map = robot.velocity_map(qpos)
-        close(velocity_map.T @ pin_mass @ velocity_map, mass[np.ix_(index, index)])
+        check_close(velocity_map.T @ pin_mass @ velocity_map, mass[np.ix_(index, index)])
 
 
 def test_read_state_returns_the_state_of_set_state(robot: pa.Robot) -> None:

@@ -13,7 +13,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.prepare import simulable
 from pupper_analysis.prepare.simulable import MAX_SOLVER_RESIDUAL, compute_solver_residual
-from tests.support.legged import quadruped, rewritten
+from tests.support.legged import quadruped, rewrite_file
 from tests.support.variants import load, stand_of
 
 EXACT = ("solver-made-dense", "solver-inexact")
@@ -73,7 +73,7 @@ def sparse_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_dense_jacobian_is_used_if_the_sparse_one_loses_forces(tmp_path: Path) -> None:
     """The sparse solver is replaced by one that loses 90 % of the weight."""
     pair = quadruped(tmp_path)
-    rewritten(pair.mjcf, ("<worldbody>", '<option jacobian="sparse"/><worldbody>'))
+    rewrite_file(pair.mjcf, ("<worldbody>", '<option jacobian="sparse"/><worldbody>'))
     robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.jacobian == DENSE
     (said,) = [str(note) for note in robot.notes if note.code in EXACT]
@@ -88,11 +88,11 @@ def test_inexact_solver_is_kept_with_a_note(tmp_path: Path) -> None:
     """
     pair = quadruped(tmp_path)
     option = '<option solver="CG" iterations="1" ls_iterations="1"/>'
-    rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"))
+    rewrite_file(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"))
     robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.iterations == 1
     (said,) = [str(note) for note in robot.notes if note.code in EXACT]
     assert "not to be trusted" in said
-    rewritten(pair.mjcf, (option, ""))
+    rewrite_file(pair.mjcf, (option, ""))
     robot = pa.load_robot(*pair)
     assert not any(note.code in EXACT for note in robot.notes)

@@ -37,7 +37,7 @@ def write_scene(folder: Path, floor: str, contacts: str = "") -> Pair:
     return pair
 
 
-def loaded(pair: Pair) -> Robot:
+def load_pair(pair: Pair) -> Robot:
     return pa.load_robot(*pair)
 
 
@@ -67,7 +67,7 @@ def test_stands_on_a_floor_anywhere_are_those_on_a_level_floor_at_zero(
     tmp_path: Path, floor: str, said: str | None
 ) -> None:
     """Reference: the stands on the plane at z = 0. A note names tilt and height that differ."""
-    robot, plain = (loaded(write_scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
+    robot, plain = (load_pair(write_scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
     messages = [str(note) for note in robot.notes if note.code == LEVEL]
     assert bool(messages) == (said is not None)
     assert all((said or "") in message for message in messages)
@@ -81,7 +81,7 @@ def test_stands_on_a_floor_anywhere_are_those_on_a_level_floor_at_zero(
 def test_the_level_plane_is_the_floor_if_a_wall_comes_first(tmp_path: Path) -> None:
     """The friction of the feet is that of the plane at z = 50 mm, not that of the wall."""
     wall = '<geom type="plane" size="0 0 1" pos="-2 0 0" euler="0 1.57 0" friction="2.5"/>'
-    robot = loaded(write_scene(tmp_path, wall + f'{PLANE} pos="0.2 0 0.05"/>'))
+    robot = load_pair(write_scene(tmp_path, wall + f'{PLANE} pos="0.2 0 0.05"/>'))
     (message,) = [str(note) for note in robot.notes if note.code == LEVEL]
     assert "at z = 50 mm" in message
     assert "tilted" not in message
@@ -94,12 +94,12 @@ def test_objects_of_the_scene_are_left_out_with_a_note(tmp_path: Path) -> None:
     """A box as ground, stairs under the robot, and a table that no joint moves."""
     stairs = '<geom name="stair" type="box" size="1 1 0.03" pos="0.5 0 0.03"/>'
     table = '<body name="table"><geom type="box" size="1 1 0.01"/></body>'
-    robot = loaded(write_scene(tmp_path, PLANE + "/>" + stairs + table))
+    robot = load_pair(write_scene(tmp_path, PLANE + "/>" + stairs + table))
     assert any("(stair)" in str(note) for note in robot.notes if note.code == OTHERS)
     assert any("'table' is not part of the robot" in str(note) for note in robot.notes)
     verify_stand_on_scene(robot)
     box = '<geom name="floor" type="box" size="5 5 0.05" pos="0 0 -0.05"/>'
-    robot = loaded(write_scene(tmp_path, box))
+    robot = load_pair(write_scene(tmp_path, box))
     assert any(note.code == "ground-added" for note in robot.notes)
     verify_stand_on_scene(robot)
 
@@ -113,7 +113,7 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
         f'<pair geom1="{one}" geom2="{two}" condim="4" {values}/>' for one, two in names
     )
     files = write_scene(tmp_path, PLANE + "/>", pairs)
-    robot = loaded(files)
+    robot = load_pair(files)
     assert any(note.code == PAIRS for note in robot.notes)
     verify_stand_on_scene(robot)
     data = []
@@ -145,12 +145,12 @@ def test_smaller_friction_of_an_anisotropic_pair_is_used(tmp_path: Path) -> None
         f'<pair geom1="ground" geom2="foot{leg}" friction="{values}"/>'
         for leg, values in enumerate(("0.9 0.3 .02 .004 .003", "0.3 0.9 .02 .003 .004") * 2)
     )
-    robot = loaded(write_scene(tmp_path, PLANE + "/>", pairs))
+    robot = load_pair(write_scene(tmp_path, PLANE + "/>", pairs))
     assert any(note.code == "friction-sideways-dropped" for note in robot.notes)
     assert {contact.friction[0] for contact in robot.contacts.values()} == {0.3}
 
 
 def test_dropped_friction_softness_of_a_pair_gives_a_note(tmp_path: Path) -> None:
     pairs = '<pair geom1="ground" geom2="foot0" solreffriction="0.05 1"/>'
-    notes = loaded(write_scene(tmp_path, PLANE + "/>", pairs)).notes
+    notes = load_pair(write_scene(tmp_path, PLANE + "/>", pairs)).notes
     assert any(note.code == "friction-softness-dropped" for note in notes)

@@ -29,7 +29,7 @@ def load_files(files: Files, feet: object = ("foot",), **more: object) -> pa.Rob
     return pa.load_robot(*files, feet=feet, **more)  # type: ignore[arg-type]
 
 
-def replaced(text: str, old: str, new: str) -> str:
+def replace_text(text: str, old: str, new: str) -> str:
     assert old in text
     return text.replace(old, new)
 
@@ -42,14 +42,14 @@ def replaced(text: str, old: str, new: str) -> str:
 def test_contact_radius_of_a_foot_that_is_a_body_or_a_geom(tmp_path: Path, kind: str) -> None:
     site = '<site name="foot" pos="0 0 -0.1"/>'
     sphere = '<geom type="sphere" size="0.02" pos="0 0 -0.1"/>'
-    mjcf = replaced(TINY_MJCF, site, "")
+    mjcf = replace_text(TINY_MJCF, site, "")
     if kind == "geom":
-        mjcf = replaced(mjcf, sphere, sphere.replace("<geom", '<geom name="foot"'))
+        mjcf = replace_text(mjcf, sphere, sphere.replace("<geom", '<geom name="foot"'))
     else:
         body = (
             '<body name="foot" pos="0 0 -0.1"><geom type="sphere" size="0.02" mass="1e-9"/></body>'
         )
-        mjcf = replaced(mjcf, sphere, body)
+        mjcf = replace_text(mjcf, sphere, body)
     robot = load_files(write(tmp_path, mjcf=mjcf))
     assert robot.contact_radius["foot"] == 0.02
 

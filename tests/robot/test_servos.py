@@ -21,7 +21,7 @@ from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.servos import model_with_servos, with_options
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from tests.support.engines import change_model, evaluate_mujoco
-from tests.support.legged import Pair, quadruped, rewritten
+from tests.support.legged import Pair, quadruped, rewrite_file
 from tests.support.variants import load, stand_of
 
 MOTOR = re.compile(r'<motor joint="(\w+)" ctrlrange="-30 30"/>')
@@ -82,7 +82,7 @@ def test_stand_holds_on_pid_dc_and_parent_frame_actuators(
     Torque motors without ctrl in the keyframe do not decide; ``pid`` holds the keyframe.
     """
     pair = with_motors(quadruped(tmp_path), element)
-    rewritten(pair.mjcf, ('"/></keyframe>', f'"{ctrl}/></keyframe>'))
+    rewrite_file(pair.mjcf, ('"/></keyframe>', f'"{ctrl}/></keyframe>'))
     status, printed = stand_printed(pair)
     assert "HOLDS in MuJoCo for" in printed, printed
     assert status == 0, printed
@@ -114,7 +114,7 @@ BIASED = (
 SPEED = '<intvelocity joint="{0}" kp="150" kv="5" actrange="-3 3"/>'
 
 
-def loaded(pair: Pair) -> pa.Robot:
+def load_pair(pair: Pair) -> pa.Robot:
     return pa.load_robot(*pair)
 
 
@@ -131,7 +131,7 @@ def verify_held_stand(robot: pa.Robot) -> None:
 @pytest.mark.parametrize("element", [BOTH, BRAKED])
 def test_several_motors_at_a_joint_are_refused(element: str, tmp_path: Path) -> None:
     with pytest.raises(pa.ModelError, match="FL_roll, FL_pitch, FL_knee and 9 more have sev"):
-        loaded(with_motors(quadruped(tmp_path), element))
+        load_pair(with_motors(quadruped(tmp_path), element))
 
 
 @pytest.mark.slow
@@ -143,7 +143,7 @@ def test_stand_holds_on_motors_with_filter_bias_or_velocity_feedback(
 
     The filter starts at rest; an actuator with a constant force is no servo, so servos are added.
     """
-    robot = loaded(with_motors(quadruped(tmp_path), element))
+    robot = load_pair(with_motors(quadruped(tmp_path), element))
     lagging = element is LAGGING
     assert any(note.code == "servos-added" for note in robot.notes) != lagging
     verify_held_stand(robot)
@@ -163,7 +163,7 @@ def test_motor_of_a_tendon_exerts_no_force_and_gives_a_note(
         '<joint joint="FL_pitch" coef="1"/></fixed></tendon><actuator>'
         f'<{kind} name="winch" tendon="rope"/>'
     )
-    rewritten(pair.mjcf, ("<actuator>", rope))
+    rewrite_file(pair.mjcf, ("<actuator>", rope))
     robot = pa.load_robot(*pair)
     (message,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
     assert message.values["motors"] == ("winch",)
@@ -222,7 +222,7 @@ GEARS = np.array([2.0, -1.5, 0.4] * 4)
 """Gears of the joints of each leg; one is negative."""
 
 
-def geared(name: str, *, force: float | None = None) -> pa.Robot:
+def add_gears(name: str, *, force: float | None = None) -> pa.Robot:
     """The robot with gears, the actuators' own numbers left as they are."""
     robot = load(name)
     actuators = robot.mj_convention.actuator_index
@@ -240,7 +240,7 @@ def geared(name: str, *, force: float | None = None) -> pa.Robot:
 def test_servo_torque_at_the_joint_equals_mujocos_actuator_force(gains: dict[str, float]) -> None:
     """Reference: MuJoCo's ``qfrc_actuator``, kp (q* - q) + feed-forward - kd dq/dt, with the file's
     or the requested gains."""
-    robot, name = geared("v3"), "v3"
+    robot, name = add_gears("v3"), "v3"
     drive = model_with_servos(robot, **gains)
     actuators = robot.mj_convention.actuator_index
     own = (load(name).mj_model.actuator_gainprm[actuators, 0] * GEARS**2, 0.1 * GEARS**2)
@@ -264,7 +264,7 @@ def test_servo_torque_at_the_joint_equals_mujocos_actuator_force(gains: dict[str
 def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:
     """Reference: MuJoCo's ``qfrc_actuator``, 1 rad from the command; the static model must saturate
     at the same torque."""
-    robot = geared("v3", force=0.9)
+    robot = add_gears("v3", force=0.9)
     drive, stand = model_with_servos(robot, kp=50.0, kd=0.0), stand_of("v3")
     data = evaluate_mujoco(robot, stand.qpos, model=drive.model)
     drive.model.actuator_ctrllimited[:] = 0

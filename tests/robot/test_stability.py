@@ -40,7 +40,7 @@ def make_stability(xml: str, settle: float = 0.0, off: float = 0.0) -> pa.robot.
     return pa.robot.step_stability(model, data, settle=settle)
 
 
-def exponents(kp: float, kd: float) -> np.ndarray:
+def compute_exponents(kp: float, kd: float) -> np.ndarray:
     """Of the pendulum in continuous time: I s^2 + kd s + kp - m g l = 0."""
     inertia = INERTIA + (MOMENT / 9.81) ** 2
     return np.roots([inertia, kd, kp - MOMENT])
@@ -66,13 +66,15 @@ def test_inverted_pendulum_diverges_at_the_rate_of_the_closed_form(integrator: s
     found = make_stability(pendulum(kp, kd, integrator, step))
     (mode,) = found.unstable
     if integrator == "RK4":
-        z = max(exponents(kp, kd)) * step
+        z = max(compute_exponents(kp, kd)) * step
         radius = float(sum(z**k / math.factorial(k) for k in range(5)))
     else:
         radius = float(max(abs(euler(kp, kd, step, integrator != "Euler"))))
     assert found.radius == pytest.approx(radius, abs=1e-9)
     assert mode.doubling_time == pytest.approx(math.log(2) * step / math.log(radius), rel=1e-5)
-    assert mode.doubling_time == pytest.approx(math.log(2) / max(exponents(kp, kd)), rel=2e-2)
+    assert mode.doubling_time == pytest.approx(
+        math.log(2) / max(compute_exponents(kp, kd)), rel=2e-2
+    )
     assert mode.frequency == 0
     assert not mode.shakes
     assert mode.joints == ("hinge",)
@@ -339,5 +341,5 @@ def test_mode_grows_if_its_rate_exceeds_one_ten_thousandth_per_second(
 ) -> None:
     """Reference: I s^2 + kd s + kp - m g l = 0, whose root is (m g l - kp) / kd for small rates."""
     kp, kd = MOMENT - rate, 1.0
-    assert exponents(kp, kd).max() == pytest.approx(rate, rel=1e-3)
+    assert compute_exponents(kp, kd).max() == pytest.approx(rate, rel=1e-3)
     assert bool(make_stability(pendulum(kp, kd, "implicitfast")).unstable) is grows

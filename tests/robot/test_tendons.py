@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.tendons import SUPPORTED_EQUALITIES, report_ignored_equalities
-from tests.support.legged import quadruped, rewritten
+from tests.support.legged import quadruped, rewrite_file
 
 ENDING = "</mujoco>"
 TOLD = ("mjEQ_FLEX", "mjEQ_FLEXVERT", "mjEQ_FLEXSTRAIN")
@@ -26,14 +26,14 @@ def test_dropped_tendon_range_gives_a_note(tmp_path: Path) -> None:
     assert all(note.code != "tendon-ranges-not-kept" for note in pa.load_robot(*pair).notes)
     sites = '<site name="a"/><site name="b" pos="0 0 0.1"/><body name="FR_hip"'
     tendons = f"<tendon>{CORD}{ROPE}</tendon>{ENDING}"
-    rewritten(pair.mjcf, ('<body name="FR_hip"', sites), (ENDING, tendons))
+    rewrite_file(pair.mjcf, ('<body name="FR_hip"', sites), (ENDING, tendons))
     for held in (False, True):
         notes = pa.load_robot(*pair, fixed_base=held).notes
         [message] = [note for note in notes if note.code == "tendon-ranges-not-kept"]
         assert "cord (-1 to 1.3); #1 (0 to 1)" in str(message)
     # Where MuJoCo does not keep it either, there is nothing to tell.
     off = '<option><flag limit="disable"/></option></mujoco>'
-    rewritten(pair.mjcf, (ENDING, off))
+    rewrite_file(pair.mjcf, (ENDING, off))
     assert all(note.code != message.code for note in pa.load_robot(*pair).notes)
 
 

@@ -96,7 +96,7 @@ FLIPPED = "com y flipped"  # by 1 to 3 cm, in shapes that do not tell
 LEGGED = [f"{name}_description/urdf/{name}" for name in ("a1", "go1", "go2", "b1", "laikago")]
 
 
-def _found(audit: Audit) -> Counter[tuple[str, str]]:
+def _count_findings(audit: Audit) -> Counter[tuple[str, str]]:
     return Counter((found.rule, found.element) for found in audit.findings)
 
 
@@ -112,7 +112,11 @@ def test_slips_that_all_legs_share_are_found(name: str, tmp_path: Path) -> None:
         slip: symmetric.write_slip(source, slip, tmp_path / f"{slip}.urdf")
         for slip in symmetric.SLIPS
     }
-    sound = _found(audit_model(shutil.copy(source, tmp_path / "sound.urdf"), packages=packages))
-    found = {slip: _found(audit_model(path, packages=packages)) for slip, path in slips.items()}
+    sound = _count_findings(
+        audit_model(shutil.copy(source, tmp_path / "sound.urdf"), packages=packages)
+    )
+    found = {
+        slip: _count_findings(audit_model(path, packages=packages)) for slip, path in slips.items()
+    }
     unseen = {slip for slip in slips if not found[slip] - sound}
     assert unseen == {FLIPPED}

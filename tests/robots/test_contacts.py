@@ -37,7 +37,7 @@ def robot(name: str) -> pa.Robot:
     return pa.load_robot(file(*places[name]))
 
 
-def hand(
+def touch_with_hand(
     name: str, normal: tuple[float, float, float], away: float = 0.0
 ) -> Callable[..., Contacts]:
     """Return a contact of a hand with a plane at its home pose, or ``away`` [m] along the
@@ -53,8 +53,8 @@ def hand(
     return make
 
 
-def both(of: pa.Robot) -> Contacts:
-    return {**hand("left_palm", UP)(of), **hand("right_palm", UP)(of)}
+def touch_with_palms(of: pa.Robot) -> Contacts:
+    return {**touch_with_hand("left_palm", UP)(of), **touch_with_hand("right_palm", UP)(of)}
 
 
 def slope_sides(
@@ -90,7 +90,7 @@ def raise_front_foot(degrees: float) -> Callable[..., Contacts]:
     return make
 
 
-def bolted(hand: str, *place: float, force: float | None = None) -> Callable[..., Contacts]:
+def bolt_arm(hand: str, *place: float, force: float | None = None) -> Callable[..., Contacts]:
     """An arm that is bolted down, its hand on a table at a place."""
     x, y, height = place
     table = pa.Plane((0, 0, height), UP, 0.6)
@@ -98,17 +98,17 @@ def bolted(hand: str, *place: float, force: float | None = None) -> Callable[...
     return lambda _: arm
 
 
-def fixed(*parts: str) -> Callable[..., Contacts]:
+def weld_parts(*parts: str) -> Callable[..., Contacts]:
     return lambda _: dict.fromkeys(parts, pa.Weld())
 
 
 STANCES = {
-    "g1, table": ("g1", hand("left_palm", UP), EXACT),
-    "g1, table higher": ("g1", hand("left_palm", UP, 0.03), EXACT),
-    "g1, table lower": ("g1", hand("left_palm", UP, -0.02), EXACT),
-    "g1, other hand": ("g1", hand("right_palm", UP), EXACT),
-    "g1, wall": ("g1", hand("left_palm", WALL), EXACT),
-    "g1, both hands": ("g1", both, EXACT),
+    "g1, table": ("g1", touch_with_hand("left_palm", UP), EXACT),
+    "g1, table higher": ("g1", touch_with_hand("left_palm", UP, 0.03), EXACT),
+    "g1, table lower": ("g1", touch_with_hand("left_palm", UP, -0.02), EXACT),
+    "g1, other hand": ("g1", touch_with_hand("right_palm", UP), EXACT),
+    "g1, wall": ("g1", touch_with_hand("left_palm", WALL), EXACT),
+    "g1, both hands": ("g1", touch_with_palms, EXACT),
     **{f"{name}, roof": (name, slope_sides(30), EXACT) for name in ("v3", "go2")},
     **{f"{name}, gutter": (name, slope_sides(-30), EXACT) for name in ("v3", "go2")},
     **{f"{name}, slippery roof": (name, slope_sides(20, 0.5), EXACT) for name in ("v3", "go2")},
@@ -116,12 +116,12 @@ STANCES = {
     **{f"{name}, ramp": (name, raise_front_foot(10), CREEPING) for name in ("v3", "go2")},
     **{f"{name}, wall": (name, raise_front_foot(90), EXACT) for name in ("v3", "go2")},
     "go2, steep ramp": ("go2", raise_front_foot(45), CREEPING),
-    "ur5, table": ("ur5", bolted("tool0", 0.4, 0.2, 0.3), EXACT),
-    "ur5, pressing": ("ur5", bolted("tool0", 0.4, -0.2, 0.2, force=30.0), EXACT),
-    "panda, pressing": ("panda", bolted("panda_leftfinger", 0.4, 0.1, 0.3, force=20.0), EXACT),
-    "go2, bolted": ("go2", fixed("base"), EXACT),
-    "go2, by a foot": ("go2", fixed("FL"), EXACT),
-    "g1, by a foot": ("g1", fixed("right_ankle_roll_link"), EXACT),
+    "ur5, table": ("ur5", bolt_arm("tool0", 0.4, 0.2, 0.3), EXACT),
+    "ur5, pressing": ("ur5", bolt_arm("tool0", 0.4, -0.2, 0.2, force=30.0), EXACT),
+    "panda, pressing": ("panda", bolt_arm("panda_leftfinger", 0.4, 0.1, 0.3, force=20.0), EXACT),
+    "go2, bolted": ("go2", weld_parts("base"), EXACT),
+    "go2, by a foot": ("go2", weld_parts("FL"), EXACT),
+    "g1, by a foot": ("g1", weld_parts("right_ankle_roll_link"), EXACT),
 }
 
 
@@ -152,7 +152,7 @@ def test_stances_on_stated_contacts_hold_in_mujoco(stance: str) -> None:
 def test_g1_hangs_back_on_a_ladder() -> None:
     """Soles on two rungs, both hands around a third; the com is behind the heels, so they pull."""
     g1, contacts = robot("g1"), dict[str, pa.Contact | pa.Weld]()
-    there = with_contacts(g1, both(g1))
+    there = with_contacts(g1, touch_with_palms(g1))
     for palm in ("left_palm", "right_palm"):
         x, y, z = (default_contact_position(there, palm) + 0.12 * np.array(UP)).tolist()
         rung = pa.Bar((x + 0.05, 0, z), (0, 1, 0), 0.015)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.robots.test_real_robots import MJCF, file
-from tests.support.random_edits import answers
+from tests.support.random_edits import compute_answers
 
 SEEDS = {
     "go2": range(4, 8),
@@ -25,6 +25,6 @@ seeds: 39 edits are of 23 kinds. Edits of Go2 and Spot take six times as long as
 def test_random_edits_of_public_robots_are_reported(tmp_path: Path, name: str) -> None:
     """The reference is the distance between two rollouts of bare MuJoCo."""
     seeds = SEEDS[name]
-    found = answers(file(MJCF, f"{name}/{name}.xml"), len(seeds), seeds[0], tmp_path)
+    found = compute_answers(file(MJCF, f"{name}/{name}.xml"), len(seeds), seeds[0], tmp_path)
     assert len(found) == len(seeds)
     assert not [answer for answer in found if not answer.right]

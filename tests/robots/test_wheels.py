@@ -27,7 +27,7 @@ MJCF = f"""<body name="{{leg}}_wheel" pos="0 0 -0.2">
 MOTOR = '<motor joint="{leg}_roll_on" ctrlrange="-20 20"/>'
 
 
-def wheeled(folder: Path, *legs: str, aside: float = 0.0) -> Pair:
+def add_wheels(folder: Path, *legs: str, aside: float = 0.0) -> Pair:
     """Puts wheels on the legs of a quadruped; hind legs without are taken off, in both files.
 
     The trunk's com is ``aside`` (m), so that no wheel stands upright where the com is centred.
@@ -53,7 +53,7 @@ def wheeled(folder: Path, *legs: str, aside: float = 0.0) -> Pair:
 def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
     """The contact forces pass through the axles at any wheel angle, so wheel motors have no
     static torque."""
-    files = wheeled(tmp_path, "FL", "FR", "RL", "RR", aside=0.004)
+    files = add_wheels(tmp_path, "FL", "FR", "RL", "RR", aside=0.004)
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
     assert set(robot.contact_radius.values()) == {RADIUS}
     assert not can_move_com(robot)
@@ -68,7 +68,7 @@ def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_stand_on_two_wheels_is_refused(tmp_path: Path) -> None:
-    files = wheeled(tmp_path, "FL", "FR")
+    files = add_wheels(tmp_path, "FL", "FR")
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
     with pytest.raises(pa.ConfigurationError, match="along a single line"):
         pa.solve_stand(robot)

@@ -89,9 +89,9 @@ def test_a_foot_with_a_thousandth_of_the_weight_may_lift_after_a_nudge(tmp_path:
     nudge, and the stand failed.
     """
     drawn = replace(
-        random_legged.drawn(690016), motors="position", base="free", keyframe=True, floor=True
+        random_legged.draw_robot(690016), motors="position", base="free", keyframe=True, floor=True
     )
-    pair = random_legged.written(drawn, tmp_path)
+    pair = random_legged.write_robot(drawn, tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
     foot = next(name for name in robot.feet if name.endswith("Sole_0"))
     task = pa.StandTask(contacts={foot: pa.Contact(pa.Slope(math.radians(3)))})

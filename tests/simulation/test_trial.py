@@ -11,7 +11,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.simulation.trial import _free_joint_limits, is_near_limit, simulate_nudges
 from pupper_analysis.stance.stand import stand_statics
-from tests.support.legged import quadruped, rewritten
+from tests.support.legged import quadruped, rewrite_file
 from tests.support.variants import load
 
 
@@ -49,7 +49,7 @@ def test_joint_whose_range_permits_no_motion_is_named_and_has_no_limits_in_the_t
     The trial failed after 0 s, since the URDF has a range of 0 to 0.
     """
     pair = quadruped(tmp_path)
-    rewritten(pair.urdf, ('lower="-0.8" upper="0.8"', 'lower="0" upper="0"'), count=1)
+    rewrite_file(pair.urdf, ('lower="-0.8" upper="0.8"', 'lower="0" upper="0"'), count=1)
     robot = pa.load_robot(*pair)
     lower, upper = _free_joint_limits(robot, pa.solve_stand(robot))
     roll = robot.joint_names.index("FL_roll")

@@ -55,17 +55,17 @@ def run(loss: float = 0.001, *, passed: bool = True, stays: bool = False) -> Any
 FILE = ServosUsed(ServoSource.FILE, (5.0, 5.0), (0.1, 0.1))
 
 
-def made(instead_of: Drive) -> ServosUsed:
+def make_added_servos(instead_of: Drive) -> ServosUsed:
     servo = MadeServo("knee", 40.0, 2.0, instead_of)
     return ServosUsed(ServoSource.ADDED, (40.0, 40.0), (2.0, 2.0), (servo,))
 
 
-def published(torque: float, *, collapses: bool = False) -> Published:
+def make_published(torque: float, *, collapses: bool = False) -> Published:
     found = PublishedRun(True, 5.0, torque, -0.018, 0.01, collapses, True)
     return Published((found,), (Cause("exclude", ("foot and floor",), 17, 0.0),), True)
 
 
-def own(*, collapses: bool) -> OwnRun:
+def make_own_run(*, collapses: bool) -> OwnRun:
     end = 0.04 if collapses else 0.28
     knee = JointOff("knee", 0.03, Drive.SERVO)
     return OwnRun(5.0, 0.285, end, 0.02, 0.0, False, keyframe="home", worst=knee)
@@ -73,7 +73,7 @@ def own(*, collapses: bool) -> OwnRun:
 
 CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
     "all well": (
-        {"keyframe_run": own(collapses=False)},
+        {"keyframe_run": make_own_run(collapses=False)},
         VerdictCode.HOLDS,
         True,
         "HOLDS in MuJoCo for 12",
@@ -87,7 +87,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         "gravity compensation: the base sags to 80 mm",
     ),
     "added": (
-        {"servos": made(Drive.MOTOR)},
+        {"servos": make_added_servos(Drive.MOTOR)},
         VerdictCode.HOLDS_ON_ADDED_SERVOS,
         True,
         "on servos that were added to 1 joints: knee (in the file: torque motor) (kp 40 N m/rad",
@@ -99,13 +99,13 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         "on servos as given (kp 30 to 50 N m/rad, kd 2 N m s/rad)",
     ),
     "wrong sign": (
-        {"servos": made(Drive.WRONG_SIGN)},
+        {"servos": make_added_servos(Drive.WRONG_SIGN)},
         VerdictCode.OWN_DRIVES_FAIL,
         False,
         "FAILS on the file's own servos, which cannot hold knee (a servo whose stiffness is neg",
     ),
     "own keyframe": (
-        {"keyframe_run": own(collapses=True)},
+        {"keyframe_run": make_own_run(collapses=True)},
         VerdictCode.OWN_DRIVES_FAIL,
         False,
         "unmodified MJCF, from keyframe home, 5 s: COLLAPSES, CoM height "
@@ -113,20 +113,20 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         "(knee, position servo); HOLDS in MuJoCo",
     ),
     "nearly as published": (
-        {"published": published(0.016)},
+        {"published": make_published(0.016)},
         VerdictCode.HOLDS_ALTERED,
         True,
         "as published, torques are off by 1.6 %, a joint by 0.57 deg, the height by -18 mm; an "
         "<exclude> prevents contact of foot and floor (line 17)",
     ),
     "not as published": (
-        {"published": published(0.65)},
+        {"published": make_published(0.65)},
         VerdictCode.DIFFERS_AS_PUBLISHED,
         False,
         "as published, torques are off by 65 %",
     ),
     "falls as published": (
-        {"published": published(0.0, collapses=True)},
+        {"published": make_published(0.0, collapses=True)},
         VerdictCode.DIFFERS_AS_PUBLISHED,
         False,
         "COLLAPSES as published, from the computed stand",
@@ -204,8 +204,8 @@ def test_verdict_of_two_conditions_is_no_better_than_that_of_each() -> None:
     ("given", "english", "chinese"),
     [
         ({"fed": run(passed=False, stays=True)}, "DISAGREES", "与预测不符"),
-        ({"published": published(0.65)}, "DISAGREES", "与预测不符"),
-        ({"published": published(0.0, collapses=True)}, "FAILS", "不稳定"),
+        ({"published": make_published(0.65)}, "DISAGREES", "与预测不符"),
+        ({"published": make_published(0.0, collapses=True)}, "FAILS", "不稳定"),
         ({"fed": run(passed=False)}, "FAILS", "不稳定"),
     ],
 )
@@ -224,7 +224,7 @@ def test_displacement_of_a_slide_is_in_mm(unit: str, said: str) -> None:
     """Reference: 0.005 rad and 0.005 m in the printed units."""
     joint = JointOff("knee", 0.005, Drive.SERVO, unit=unit)
     verdict = judge_stance(
-        run(), run(), FILE, keyframe_run=replace(own(collapses=False), worst=joint)
+        run(), run(), FILE, keyframe_run=replace(make_own_run(collapses=False), worst=joint)
     )
     assert said in format_verdict(verdict)
 
@@ -232,7 +232,10 @@ def test_displacement_of_a_slide_is_in_mm(unit: str, said: str) -> None:
 def test_the_worst_check_decides_the_verdict() -> None:
     """Several checks fail; the published file differs most."""
     verdict = judge_stance(
-        run(), run(0.1, passed=False), made(Drive.MOTOR), published=published(0.65)
+        run(),
+        run(0.1, passed=False),
+        make_added_servos(Drive.MOTOR),
+        published=make_published(0.65),
     )
     assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED
     assert verdict.commands_alone is Ending.COLLAPSES

@@ -24,7 +24,7 @@ SERVOS = {"v3": (5.0, 0.1), "skeleton": (60.0, 1.0)}
 
 
 @cache
-def verified(name: str, feedforward: bool = True) -> pa.simulation.StandVerification:
+def verify_variant(name: str, feedforward: bool = True) -> pa.simulation.StandVerification:
     return pa.verify_stand(load(name), stand_of(name), feedforward=feedforward)
 
 
@@ -50,7 +50,7 @@ def plain_run(
 @pytest.mark.slow
 def test_stand_of_each_variant_is_verified_to_the_stated_accuracy(variant: str) -> None:
     """Reference: the static prediction: 1e-3 rad, and 1 % of torque and force."""
-    result = verified(variant)
+    result = verify_variant(variant)
     assert result.passed, result.failures
     assert result.failures == ()
     assert result.feedforward
@@ -74,7 +74,7 @@ def test_stand_of_each_variant_is_verified_to_the_stated_accuracy(variant: str) 
 @pytest.mark.parametrize("feedforward", [True, False])
 def test_settled_state_equals_a_plain_mujoco_simulation(name: str, feedforward: bool) -> None:
     """From a drop of 3 mm instead of a start in balance, and read off MuJoCo directly."""
-    robot, stand, result = load(name), stand_of(name), verified(name, feedforward)
+    robot, stand, result = load(name), stand_of(name), verify_variant(name, feedforward)
     kp = SERVOS["v3" if name == "v3" else "skeleton"][0]
     model = robot.description.mjcf.copy().compile()
     boost = result.predicted_torques / kp if feedforward else 0.0
@@ -98,7 +98,7 @@ def test_servo_sag_follows_from_torque_over_stiffness(variant: str) -> None:
     """Closed form: each servo yields by tau / kp [rad]; the base height [m] follows from forward
     kinematics.
     """
-    robot, stand, result = load(variant), stand_of(variant), verified(variant, False)
+    robot, stand, result = load(variant), stand_of(variant), verify_variant(variant, False)
     assert not result.feedforward
     assert result.height_loss == pytest.approx(stand.qpos[2] - result.base_height, abs=1e-12)
     assert result.servo_sag + result.contact_sag == pytest.approx(result.height_loss, abs=1e-12)
@@ -132,7 +132,7 @@ def test_integrator_is_reported_and_does_not_change_the_settled_height(integrato
     result = pa.verify_stand(load("v3"), stand_of("v3"), integrator=integrator)
     assert result.integrator == integrator
     assert result.passed, result.failures
-    assert result.base_height == pytest.approx(verified("v3").base_height, abs=1e-4)
+    assert result.base_height == pytest.approx(verify_variant("v3").base_height, abs=1e-4)
     drive = model_with_servos(load("v3"), integrator=integrator)
     assert mujoco.mjtIntegrator(drive.model.opt.integrator).name == f"mjINT_{integrator.upper()}"
 

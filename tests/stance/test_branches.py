@@ -25,7 +25,7 @@ QPOS = {
 }
 
 
-def goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndarray]]:
+def draw_foot_goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndarray]]:
     """Feet at places that random joint positions take them to, so that all are in reach."""
     robot = load(name)
     qpos = QPOS[name].copy()
@@ -51,7 +51,7 @@ def mujoco_foot_positions(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.nda
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_ik_branches_reach_their_targets_and_are_complete(name: str, seed: int) -> None:
     """References: MuJoCo's kinematics, and SciPy's least squares from random starts."""
-    robot, qpos, targets = goals(name, seed)
+    robot, qpos, targets = draw_foot_goals(name, seed)
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     others = 0
     for limb, branches in found.items():

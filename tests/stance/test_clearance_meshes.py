@@ -38,7 +38,7 @@ def format_obj(points: list[tuple[float, ...]]) -> str:
     return "\n".join([*lines, *faces, ""])
 
 
-def meshed(folder: Path, more: str = "") -> Pair:
+def write_meshed(folder: Path, more: str = "") -> Pair:
     """Write a quadruped whose trunk and legs are meshes in the MJCF and have no shapes in the
     URDF.
     """
@@ -66,11 +66,11 @@ def meshed(folder: Path, more: str = "") -> Pair:
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
-    pair = meshed(tmp_path_factory.mktemp("meshed"))
+    pair = write_meshed(tmp_path_factory.mktemp("meshed"))
     return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
 
 
-def touching(model: mujoco.MjModel) -> Iterator[int]:
+def list_collidable_geoms(model: mujoco.MjModel) -> Iterator[int]:
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] and (model.geom_contype[geom] or model.geom_conaffinity[geom]):
             yield geom
@@ -80,11 +80,11 @@ def compute_ground_distance(robot: pa.Robot, qpos: np.ndarray) -> float:
     """Return MuJoCo's smallest distance [m] between the ground and geoms other than feet."""
     model, data = robot.mj_model, evaluate_mujoco(robot, qpos)
     floor = int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value)[0])
-    geoms = set(touching(model)) - set(robot.foot_geoms)
+    geoms = set(list_collidable_geoms(model)) - set(robot.foot_geoms)
     return min(mujoco.mj_geomDistance(model, data, floor, geom, FAR, None) for geom in geoms)
 
 
-def drawn(robot: pa.Robot, seed: int) -> np.ndarray:
+def draw_configuration(robot: pa.Robot, seed: int) -> np.ndarray:
     random = np.random.default_rng(seed)
     qpos = robot.home.copy()
     qpos[:3] = np.array([0.0, 0.0, 0.6]) + random.uniform(-0.2, 0.2, 3)
@@ -105,9 +105,9 @@ def test_lowest_part_above_steps_equals_mujocos_distance(robot: pa.Robot) -> Non
     model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-9, 200
     still = np.flatnonzero(model.geom_bodyid == 0)
     for seed in range(20):
-        qpos = drawn(robot, seed)
+        qpos = draw_configuration(robot, seed)
         data = evaluate_mujoco(there, qpos)
-        geoms = set(touching(model)) - set(there.foot_geoms)
+        geoms = set(list_collidable_geoms(model)) - set(there.foot_geoms)
         expected = min(
             mujoco.mj_geomDistance(model, data, int(fixed), geom, FAR, None)
             for fixed, geom in itertools.product(still, geoms)
@@ -125,13 +125,13 @@ def test_lowest_part_above_steps_equals_mujocos_distance(robot: pa.Robot) -> Non
 def test_link_distances_equal_those_of_mujoco_hulls(robot: pa.Robot) -> None:
     """Reference: distances between convex hulls in MuJoCo; of penetrating shapes only the sign."""
     shapes, model = ClearanceShapes(robot), robot.mj_model
-    neighbours, seen = neighbouring(robot), 0
+    neighbours, seen = list_neighbours(robot), 0
     for seed in range(15):
-        qpos = drawn(robot, seed)
+        qpos = draw_configuration(robot, seed)
         data = evaluate_mujoco(robot, qpos)
         expected = min(
             mujoco.mj_geomDistance(model, data, one, two, FAR, None)
-            for one, two in itertools.combinations(touching(model), 2)
+            for one, two in itertools.combinations(list_collidable_geoms(model), 2)
             if pair_of(model, one, two) not in neighbours
         )
         found = shapes.find_closest_links(qpos)
@@ -148,11 +148,11 @@ def pair_of(model: mujoco.MjModel, one: int, two: int) -> frozenset[int]:
     return frozenset((int(model.geom_bodyid[one]), int(model.geom_bodyid[two])))
 
 
-def neighbouring(robot: pa.Robot) -> set[frozenset[int]]:
+def list_neighbours(robot: pa.Robot) -> set[frozenset[int]]:
     """Pairs of bodies that are one, parent and child, or overlap at home."""
     model, data = robot.mj_model, evaluate_mujoco(robot, robot.home)
     found = set()
-    for one, two in itertools.combinations(touching(model), 2):
+    for one, two in itertools.combinations(list_collidable_geoms(model), 2):
         pair = pair_of(model, one, two)
         parents = {int(model.body_parentid[body]) for body in pair}
         near = mujoco.mj_geomDistance(model, data, one, two, FAR, None) <= 0
@@ -175,12 +175,12 @@ def test_requested_clearance_is_kept_and_its_limit_equals_mujoco(robot: pa.Robot
 
 def test_excluded_link_pairs_have_no_clearance(tmp_path: Path) -> None:
     """The pair of closest links is excluded in the MJCF; another pair is then the closest."""
-    pair = meshed(tmp_path)
+    pair = write_meshed(tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
     assert near is not None
     one, two = near.links
-    pair = meshed(tmp_path, f'<contact><exclude body1="{one}" body2="{two}"/></contact>')
+    pair = write_meshed(tmp_path, f'<contact><exclude body1="{one}" body2="{two}"/></contact>')
     other = pa.solve_stand(
         pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf), pa.StandTask(self_clearance=0.0)
     ).self_clearance
@@ -207,7 +207,7 @@ def test_distance_to_a_signed_distance_field_is_refused(robot: pa.Robot) -> None
     """The message names the type of the shape."""
 
     def as_field(model: mujoco.MjModel) -> None:
-        model.geom_type[next(touching(model))] = mujoco.mjtGeom.mjGEOM_SDF
+        model.geom_type[next(list_collidable_geoms(model))] = mujoco.mjtGeom.mjGEOM_SDF
 
     with pytest.raises(pa.ModelError, match="is a sdf, for which no distance can be computed"):
         pa.solve_stand(change_model(robot, as_field))

@@ -21,7 +21,7 @@ def margin_of(robot: pa.Robot, stand: pa.Stand) -> float:
     return -float((sides @ [*com[:2], 1.0]).max())
 
 
-def refused(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError:
+def get_refusal(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError:
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.solve_stand(robot, task)
     return caught.value
@@ -31,7 +31,7 @@ def test_refusal_of_a_com_margin_states_its_limit() -> None:
     """References: stands at the stated limits are solved, and 2 % beyond are refused."""
     robot = load("v3")
     task = pa.StandTask(offset=(0.05, 0.0), com_margin=0.04)
-    error = refused(robot, task)
+    error = get_refusal(robot, task)
     assert error.shortfall == {}
     assert [str(one) for one in error.blocked] == ["the com is 31.3 mm inside the support polygon"]
     assert "com in the support polygon (margin >= 40 mm)" in str(error)

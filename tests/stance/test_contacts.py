@@ -53,7 +53,7 @@ def table(friction: float | None = None, **more: object) -> dict[str, pa.Contact
     return {HAND: pa.Contact(pa.Plane((0, 0, TABLE), (0, 0, 1), friction), **more)}  # type: ignore[arg-type]
 
 
-def gripping(of: pa.Robot, grip: float = 30.0, beyond: float = -0.02) -> pa.StandTask:
+def grip_bar(of: pa.Robot, grip: float = 30.0, beyond: float = -0.02) -> pa.StandTask:
     """Return the task of a quadruped whose hand grips a bar across, in front of and above it.
 
     The CoM is `beyond` [m] behind the hind feet, which are moved forward.
@@ -535,7 +535,7 @@ def test_contact_of_an_unknown_part_or_a_foot_is_refused(armed: pa.Robot) -> Non
 FOOT = pa.Contact(pa.Plane((0, 0, 0.02), (0, 0, 1)))
 
 
-def held(of: pa.Robot, **task: Any) -> pa.Stand:
+def solve_balanced_stand(of: pa.Robot, **task: Any) -> pa.Stand:
     """Returns a stand that is in reach and in balance."""
     stand = pa.solve_stand(of, pa.StandTask(**task))
     pa.stance.stand_statics(of, stand)
@@ -548,14 +548,14 @@ def hand_on(what: object, **more: Any) -> dict[str, pa.Contact]:
 
 def grip_of(of: pa.Robot, grip: float) -> pa.Stand:
     """With the com where another grip has it, as that goes first."""
-    strong = pa.solve_stand(of, gripping(of, beyond=0.02))
-    contacts = gripping(of, grip, beyond=0.02).contacts
+    strong = pa.solve_stand(of, grip_bar(of, beyond=0.02))
+    contacts = grip_bar(of, grip, beyond=0.02).contacts
     stand = replace(strong, task=replace(strong.task, contacts=contacts))
     pa.stance.stand_statics(with_contacts(of, contacts), stand)
     return stand
 
 
-def sloped(friction: float) -> dict[str, pa.Contact]:
+def make_slopes(friction: float) -> dict[str, pa.Contact]:
     way = (-math.sin(math.radians(20)), 0.0, math.cos(math.radians(20)))
     return dict.fromkeys(load("v3").feet, pa.Contact(pa.Plane((0, 0, 0), way, friction)))
 
@@ -575,14 +575,14 @@ def given(name: str) -> Callable[[Any], pa.Contact]:
     return read
 
 
-def stated(error: Any) -> Any:
+def get_defect(error: Any) -> Any:
     """Return the diagnostic in a refusal: the defect of a field, or the reason for no balance."""
     return getattr(error, "problem", None) or error.diagnostic.values["detail"]
 
 
 def needed_on_slope(error: Any) -> float:
     assert error.friction_needed == pytest.approx(math.tan(math.radians(20)), rel=1e-5)
-    needed: float = stated(error).values["needed"]
+    needed: float = get_defect(error).values["needed"]
     return needed
 
 
@@ -592,7 +592,9 @@ def needed_on_slope(error: Any) -> float:
     [
         pytest.param(
             "armed",
-            lambda of, x: held(of, contacts=hand_on(pa.Plane((x, 0, 0), (-1, 0, 0), 0.6))),
+            lambda of, x: solve_balanced_stand(
+                of, contacts=hand_on(pa.Plane((x, 0, 0), (-1, 0, 0), 0.6))
+            ),
             0.9,
             lambda error: given(HAND)(error).plane.parameter,
             5e-4,
@@ -601,7 +603,9 @@ def needed_on_slope(error: Any) -> float:
         ),
         pytest.param(
             "armed",
-            lambda of, z: held(of, contacts=hand_on(pa.Plane((0, 0, z), (0, 0, 1)))),
+            lambda of, z: solve_balanced_stand(
+                of, contacts=hand_on(pa.Plane((0, 0, z), (0, 0, 1)))
+            ),
             0.9,
             lambda error: given(HAND)(error).plane.parameter,
             5e-4,
@@ -610,7 +614,7 @@ def needed_on_slope(error: Any) -> float:
         ),
         pytest.param(
             "armed",
-            lambda of, d: held(
+            lambda of, d: solve_balanced_stand(
                 of, contacts=hand_on(pa.Plane((0.9, 0, 0), (-0.8, 0, 0.6)).with_parameter(d))
             ),
             -0.72,
@@ -621,7 +625,7 @@ def needed_on_slope(error: Any) -> float:
         ),
         pytest.param(
             "armed",
-            lambda of, x: held(
+            lambda of, x: solve_balanced_stand(
                 of, contacts=hand_on(pa.Bar((x, 0, 0.5), (0, 1, 0), 0.01), grip=30.0)
             ),
             0.9,
@@ -641,7 +645,7 @@ def needed_on_slope(error: Any) -> float:
         ),
         pytest.param(
             "v3",
-            lambda of, z: held(
+            lambda of, z: solve_balanced_stand(
                 of,
                 contacts={
                     foot: pa.Contact(pa.Plane((0, 0, at), (0, 0, 1)))
@@ -665,7 +669,7 @@ def needed_on_slope(error: Any) -> float:
         ),
         pytest.param(
             "v3",
-            lambda of, mu: held(of, contacts=sloped(mu), pitch=-0.2),
+            lambda of, mu: solve_balanced_stand(of, contacts=make_slopes(mu), pitch=-0.2),
             0.2,
             needed_on_slope,
             2e-3,
@@ -676,23 +680,23 @@ def needed_on_slope(error: Any) -> float:
             "armed",
             grip_of,
             0.5,
-            lambda error: stated(error).values["grips"][0].values["force"].value,
+            lambda error: get_defect(error).values["grips"][0].values["force"].value,
             0.01,
             False,
             id="a grip too weak",
         ),
         pytest.param(
             "armed",
-            lambda of, force: held(of, contacts=table(0.6, force=force)),
+            lambda of, force: solve_balanced_stand(of, contacts=table(0.6, force=force)),
             500.0,
-            lambda error: stated(error).values["most"].value,
+            lambda error: get_defect(error).values["most"].value,
             0.2,
             False,
             id="a force that no feet bear",
         ),
         pytest.param(
             "armed",
-            lambda of, com: held(
+            lambda of, com: solve_balanced_stand(
                 of,
                 contacts={HAND: pa.Contact(pa.Plane((0, 0, 0.43), (0, 0, 1)), (0.35, 0, 0.43))},
                 com=tuple(com),
@@ -700,16 +704,16 @@ def needed_on_slope(error: Any) -> float:
                 height=0.27,
             ),
             (-0.4, 0.0),
-            lambda error: stated(error).values["nearest"].values,
+            lambda error: get_defect(error).values["nearest"].values,
             5e-4,
             True,
             id="a hand that would pull",
         ),
         pytest.param(
             "armed",
-            lambda of, margin: held(of, contacts=table(0.6), com_margin=margin),
+            lambda of, margin: solve_balanced_stand(of, contacts=table(0.6), com_margin=margin),
             0.3,
-            lambda error: stated(error).values["most"].value,
+            lambda error: get_defect(error).values["most"].value,
             5e-4,
             True,
             id="a com too near to tipping",

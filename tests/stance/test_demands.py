@@ -89,24 +89,25 @@ def test_reset_places_are_those_of_the_nominal_stand() -> None:
     np.testing.assert_allclose(reset_to_nominal(robot, task, ["com"]).com, middle)
 
 
-def described(task: pa.StandTask, *demands: str) -> str:
+def describe_demands(task: pa.StandTask, *demands: str) -> str:
     return str(describe_limit(load("v3"), task, task, demands))
 
 
 def test_demands_are_described_with_units() -> None:
     """Reference: texts written by hand."""
-    assert described(TASK, "height") == "height 150 mm"
+    assert describe_demands(TASK, "height") == "height 150 mm"
     turned = pa.StandTask(roll=math.radians(11.5), pitch=math.radians(-4.25), joint_margin=0.02)
-    assert described(turned, "roll") == "roll 11.5 deg"
-    assert described(turned, "pitch") == "pitch -4.25 deg"
-    assert described(TASK, "offset") == "offset (0.02, -0.04) m"
+    assert describe_demands(turned, "roll") == "roll 11.5 deg"
+    assert describe_demands(turned, "pitch") == "pitch -4.25 deg"
+    assert describe_demands(TASK, "offset") == "offset (0.02, -0.04) m"
     slope = pa.StandTask(ground=pa.Ground(math.radians(5.7), 0.5, {"FR": 0.02}))
-    assert described(slope, "ground") == "ground slope 5.7 deg, steps FR 20 mm"
+    assert describe_demands(slope, "ground") == "ground slope 5.7 deg, steps FR 20 mm"
     assert (
-        described(TASK, "swing", "ground_clearance") == "swing RR 20 mm and ground_clearance 10 mm"
+        describe_demands(TASK, "swing", "ground_clearance")
+        == "swing RR 20 mm and ground_clearance 10 mm"
     )
-    assert described(TASK, "foot_offsets") == "foot_offsets FL (0.02, 0.01) m"
-    assert described(pa.StandTask(com=(0.0123, -0.004)), "com") == "com (0.0123, -0.004) m"
+    assert describe_demands(TASK, "foot_offsets") == "foot_offsets FL (0.02, 0.01) m"
+    assert describe_demands(pa.StandTask(com=(0.0123, -0.004)), "com") == "com (0.0123, -0.004) m"
 
 
 def test_round_outward_moves_away_from_the_request_by_one_digit() -> None:

@@ -20,7 +20,7 @@ from pupper_analysis.stance.fields import FIELDS, Field
 NUMBERS = {"length": 0.0123, "angle": math.radians(7.5), "position": 0.1309}
 
 
-def asked(field: Field) -> Any:
+def choose_value(field: Field) -> Any:
     """A value of a field that is not the usual one."""
     if field.kind == "contact":
         return {"FL": pa.Contact(pa.Plane((0.0123, 0, 0), (-1, 0, 0), 0.5))}
@@ -37,7 +37,7 @@ def numbers_of(value: Any) -> Any:
     return pytest.approx(value, rel=1e-12)
 
 
-def near(found: Any, expected: Any) -> bool:
+def is_near(found: Any, expected: Any) -> bool:
     one = found["FL"] if isinstance(found, dict) else found
     if isinstance(one, pa.Contact):
         return bool(one == expected["FL"])
@@ -46,7 +46,7 @@ def near(found: Any, expected: Any) -> bool:
 
 def task_with(field: Field) -> pa.StandTask:
     others = {"offset": (0.0, 0.0)} if field.name == "com_margin" else {}
-    return pa.StandTask().with_values({**others, field.name: asked(field)})
+    return pa.StandTask().with_values({**others, field.name: choose_value(field)})
 
 
 def format_typed(field: Field) -> str:
@@ -74,10 +74,10 @@ def test_field_table_contains_each_field_of_task_and_ground() -> None:
 def test_each_field_appears_in_task_json_and_text(field: Field) -> None:
     """Both languages state the same numbers."""
     task = task_with(field)
-    assert task.values()[field.name] == asked(field)
+    assert task.values()[field.name] == choose_value(field)
     content = json.loads(to_json(task))
     found = (content if field.part == "task" else content[field.part])[field.name]
-    assert found == json.loads(to_json(asked(field)))
+    assert found == json.loads(to_json(choose_value(field)))
     if field.name == "uphill":  # it is said of a slope
         task = task.with_values({"slope": 0.1})
     said, plain = task_text(task), task_text(pa.StandTask())
@@ -127,7 +127,7 @@ def test_each_field_is_an_option_with_the_same_value(field: Field) -> None:
     command = cli.find_command("stand")
     context = command.make_context("stand", [f"--{field.option}", format_typed(field)])
     typed = {name: context.params[name] for name in OPTION_FIELDS}
-    assert near(make_task(typed).values()[field.name], asked(field))
+    assert is_near(make_task(typed).values()[field.name], choose_value(field))
     unasked = command.make_context("stand", [])
     assert make_task({name: unasked.params[name] for name in OPTION_FIELDS}) == pa.StandTask()
 

@@ -16,14 +16,14 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.posture import find_posture
 from tests.support import arm
-from tests.support.random_legged import drawn, written
+from tests.support.random_legged import draw_robot, write_robot
 
 
 @pytest.mark.slow
 def test_posture_of_a_tail_is_kept_and_changes_the_foot_forces(tmp_path: Path) -> None:
     """Three legs and a tail at two positions; MuJoCo's torques agree, and the tail's motor torque
     differs by more than 1e-3 N m."""
-    pair = written(drawn(57), tmp_path)
+    pair = write_robot(draw_robot(57), tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
     tail = next(name for name in robot.joint_names if "wag" in name)
     index = robot.joint_names.index(tail)

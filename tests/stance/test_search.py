@@ -226,7 +226,7 @@ def test_search_terminates_if_it_returns_to_its_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each reached stand is tried once; a cycle of stands would be searched for ever."""
-    pair = random_legged.written(random_legged.drawn(95000), tmp_path)
+    pair = random_legged.write_robot(random_legged.draw_robot(95000), tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     tried: list[object] = []
 

@@ -29,7 +29,7 @@ def slopes(angle: float, uphill: dict[str, float]) -> Contacts:
     return {foot: pa.Contact(pa.Slope(angle, way)) for foot, way in uphill.items()}
 
 
-def sideways(degrees: float, *, roof: bool) -> Contacts:
+def make_side_slopes(degrees: float, *, roof: bool) -> Contacts:
     """Left and right feet on two planes that rise towards the middle (a roof), or away from it."""
     inwards = {"FL": RIGHT, "RL": RIGHT, "FR": LEFT, "RR": LEFT}
     return slopes(
@@ -41,10 +41,10 @@ def sideways(degrees: float, *, roof: bool) -> Contacts:
 @pytest.mark.parametrize(
     ("name", "contacts"),
     [
-        ("v3", sideways(30, roof=True)),
-        ("v3", sideways(50, roof=False)),
-        ("original", sideways(20, roof=True)),
-        ("v3", sideways(70, roof=False)),
+        ("v3", make_side_slopes(30, roof=True)),
+        ("v3", make_side_slopes(50, roof=False)),
+        ("original", make_side_slopes(20, roof=True)),
+        ("v3", make_side_slopes(70, roof=False)),
     ],
     ids=["roof", "gutter", "capsules", "steep"],
 )
@@ -112,7 +112,9 @@ def test_equal_planes_of_all_feet_are_equivalent_to_a_slope() -> None:
 def test_sag_between_two_planes_equals_mujoco() -> None:
     """Pinned feet in a gutter, in which gravity presses the feet against both planes."""
     robot = load("v3")
-    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=sideways(20, roof=False)))
+    stand = pa.solve_stand_as_simulated(
+        robot, pa.StandTask(contacts=make_side_slopes(20, roof=False))
+    )
     sag = pa.steady_state(robot, stand)
     found = pa.verify_stand(robot, stand, feedforward=False)
     assert sag.height_loss == pytest.approx(found.height_loss, rel=0.02)

@@ -61,7 +61,7 @@ tasks = st.builds(
 )
 
 
-def nearest(
+def search_smallest_error(
     robot: pa.Robot, task: pa.StandTask, targets: dict[str, np.ndarray], tries: int
 ) -> float:
     """Return the smallest largest distance [m] between feet and targets that an independent search
@@ -120,7 +120,7 @@ def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> N
     assert all(1e-9 <= gap < 1 for gap in refusal.shortfall.values())
     assert set(refusal.shortfall) <= set(robot.contact_points)
     assert set(refusal.at_limit) <= set(robot.joint_names)
-    assert nearest(robot, task, stand_of(name).foot_targets, tries=6) > 1e-7
+    assert search_smallest_error(robot, task, stand_of(name).foot_targets, tries=6) > 1e-7
 
 
 @pytest.mark.parametrize("other", ["original", "v3-heavy"])

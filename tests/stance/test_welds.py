@@ -26,7 +26,7 @@ from pupper_analysis.simulation.rollout import make_stand_start, simulate_comman
 from pupper_analysis.statics.contacts import prescribed_forces
 from pupper_analysis.statics.support_polygon import margin_of_position, support_corners
 from pupper_analysis.tools.stand.stance import study_stance
-from tests.stance.test_contacts import contact_rows, gripping
+from tests.stance.test_contacts import contact_rows, grip_bar
 from tests.support.legged import quadruped, with_arm
 from tests.support.variants import load
 
@@ -247,7 +247,7 @@ def test_gripping_hand_pulls_if_the_com_is_beyond_the_feet(armed: pa.Robot) -> N
 
     The CoM is outside the support polygon of the feet.
     """
-    stand = pa.solve_stand_as_simulated(armed, gripping(armed, beyond=0.02))
+    stand = pa.solve_stand_as_simulated(armed, grip_bar(armed, beyond=0.02))
     found = verify_in_mujoco(armed, stand)
     assert found.joint_error < 1e-6
     robot = stand.check(armed)
@@ -286,7 +286,7 @@ def test_gripping_hand_pulls_if_the_com_is_beyond_the_feet(armed: pa.Robot) -> N
 def test_grip_balances_the_horizontal_force_of_a_foot_on_a_slope(armed: pa.Robot) -> None:
     """Reference: force balance; the foot on the slope is the only other contact with a horizontal
     force, larger in x than in y."""
-    task = gripping(armed)
+    task = grip_bar(armed)
     slope = {"RL_calf": pa.Contact(pa.Slope(0.3, 0.5))}
     stand = pa.solve_stand(armed, replace(task, contacts={**task.contacts, **slope}))
     robot = stand.check(armed)
@@ -303,7 +303,7 @@ def test_grip_force_equals_an_independent_cone_program(armed: pa.Robot, strength
     """Forces as equal as may be, feet only pressing and the grip in its ball, by Clarabel on
     MuJoCo's Jacobians; with 4 N the grip is used up."""
     beyond = 0.02 if strength > 10 else -0.01
-    stand = pa.solve_stand_as_simulated(armed, gripping(armed, strength, beyond))
+    stand = pa.solve_stand_as_simulated(armed, grip_bar(armed, strength, beyond))
     robot = stand.check(armed)
     (data, rows), order = contact_rows(robot, stand), robot.mj_convention.qvel_index
     body, place = robot.contact_places["hand"]
@@ -343,7 +343,7 @@ def test_grip_force_equals_an_independent_cone_program(armed: pa.Robot, strength
 @pytest.mark.slow
 def test_com_region_with_a_grip_equals_a_search_by_cone_programs(armed: pa.Robot) -> None:
     """Reference: for each of 1,000 CoM positions, a cone program (Clarabel)."""
-    stand = pa.solve_stand(armed, gripping(armed, 10.0))
+    stand = pa.solve_stand(armed, grip_bar(armed, 10.0))
     robot = stand.check(armed)
     corners = tuple(map(tuple, stand.corners(robot).tolist()))
     points = np.vstack([*stand.contact_points.values(), stand.foot_targets["hand"]])

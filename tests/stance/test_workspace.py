@@ -14,7 +14,7 @@ from pupper_analysis.stance.workspace import (
 from tests.support.variants import load
 
 
-def reached(robot: pa.Robot, task: pa.StandTask) -> bool:
+def is_reached(robot: pa.Robot, task: pa.StandTask) -> bool:
     try:
         return pa.solve_stand(robot, task, explain=False).foot_error < 1e-9
     except pa.StanceUnreachableError:
@@ -34,9 +34,9 @@ def test_limits_are_tight_in_every_direction(name: str) -> None:
         interval = workspace.intervals[direction]
         assert interval.low < 0 < interval.high
         for value, sign in ((interval.low, -1), (interval.high, 1)):
-            assert reached(robot, pa.StandTask(**{direction: value}))
+            assert is_reached(robot, pa.StandTask(**{direction: value}))
             if abs(value) < 1.56:  # not the end of the angle's range
-                assert not reached(robot, pa.StandTask(**{direction: value + sign * 1e-3}))
+                assert not is_reached(robot, pa.StandTask(**{direction: value + sign * 1e-3}))
     for direction in ("roll", "yaw", "y"):  # left and right are mirror images
         interval = workspace.intervals[direction]
         assert interval.low == pytest.approx(-interval.high, abs=2e-3)
@@ -53,7 +53,7 @@ def test_base_shift_ends_at_the_polygon_or_at_full_leg_length() -> None:
         inside = pa.solve_stand(robot, pa.StandTask(offset=(value, 0.0)))
         assert pa.stance.stand_statics(robot, inside).com_margin >= 0
         beyond = pa.StandTask(offset=(value + sign * 2e-4, 0.0))
-        if reached(robot, beyond):
+        if is_reached(robot, beyond):
             with pytest.raises(pa.StaticsInfeasibleError):
                 pa.stance.stand_statics(robot, pa.solve_stand(robot, beyond))
 

@@ -71,7 +71,7 @@ def test_wrapper_is_loaded_once_per_structure(monkeypatch: pytest.MonkeyPatch) -
     assert len(read) == 1
 
 
-def resident() -> int:
+def measure_resident_memory() -> int:
     """Bytes of this process that are in memory and in use: the allocator gives the others back."""
     ctypes.CDLL("libc.so.6").malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -92,9 +92,9 @@ def test_memory_of_solved_robots_is_freed() -> None:
         gc.collect()
 
     solved(40, 0)
-    before = resident()
+    before = measure_resident_memory()
     solved(20, 40)
-    assert (resident() - before) / 20 < 50e3
+    assert (measure_resident_memory() - before) / 20 < 50e3
 
 
 def test_finite_limit_is_kept_if_the_opposite_limit_is_infinite() -> None:

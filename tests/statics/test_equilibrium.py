@@ -399,7 +399,7 @@ def test_hanging_torques_equal_the_joint_part_of_gravity(variant: str) -> None:
 # ------------------------------------------------------------------------------------- slopes
 
 
-def tilted(angle: float, heading: float = 0.0) -> np.ndarray:
+def tilt_vertical(angle: float, heading: float = 0.0) -> np.ndarray:
     """A unit vector at an angle to the vertical."""
     across = np.array([math.cos(heading), math.sin(heading), 0])
     return np.asarray(math.cos(angle) * UP + math.sin(angle) * across)
@@ -412,7 +412,7 @@ def test_required_friction_on_a_slope_is_the_tangent_of_its_angle(
 ) -> None:
     """However the feet share, the weight must be in the cone about the common normal."""
     config = at_stand("v3")
-    normals = dict.fromkeys(config.robot.contact_points, tilted(angle, heading))
+    normals = dict.fromkeys(config.robot.contact_points, tilt_vertical(angle, heading))
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(config, friction=0.9 * math.tan(angle), normals=normals)
     error = caught.value
@@ -444,7 +444,8 @@ def test_length_of_a_normal_has_no_effect() -> None:
     """Reference: the result with a unit normal."""
     config = at_stand("original")
     one, two = (
-        pa.gravity_compensation(config, normals={"FL": scale * tilted(0.2)}) for scale in (1, 7)
+        pa.gravity_compensation(config, normals={"FL": scale * tilt_vertical(0.2)})
+        for scale in (1, 7)
     )
     np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-9)
 
@@ -499,7 +500,7 @@ def test_required_friction_is_found_if_it_is_several_hundred() -> None:
     config = near_stand("original", share)
     tilts = [(0.0, 0.0), (0.6015625, 3.0), (0.4140625, -1.0), (0.11156, -0.0390625)]
     feet = config.robot.contact_points
-    slopes = {foot: tilted(*tilt) for foot, tilt in zip(feet, tilts, strict=True)}
+    slopes = {foot: tilt_vertical(*tilt) for foot, tilt in zip(feet, tilts, strict=True)}
     normals = {foot: slopes[foot] for foot in ("FR", "RL", "RR")}
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(config, [*normals], friction=1.0, normals=normals)
@@ -562,7 +563,8 @@ def test_feasible_balance_is_always_found(
     config = near_stand(name, share)
     contacts = sorted(feet)
     normals = {
-        foot: tilted(*tilt) for foot, tilt in zip(config.robot.contact_points, tilts, strict=True)
+        foot: tilt_vertical(*tilt)
+        for foot, tilt in zip(config.robot.contact_points, tilts, strict=True)
     }
     normals = {foot: normals[foot] for foot in contacts}
     try:
@@ -603,7 +605,7 @@ def test_infeasibility_error_has_no_numerical_warnings(
     tilts: dict[str, tuple[float, float]],
 ) -> None:
     """Warnings are errors here; of an infeasible programme the solver's answer may be huge."""
-    normals = {foot: tilted(*tilt) for foot, tilt in tilts.items()}
+    normals = {foot: tilt_vertical(*tilt) for foot, tilt in tilts.items()}
     with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):
         pa.gravity_compensation(at_stand("v3"), list(tilts), friction=0.3, normals=normals)
 

@@ -481,7 +481,7 @@ def write_random_robots(
     for seed in range(first, first + count):
         place = folder / f"random-{seed}"
         place.mkdir()
-        pair = random_legged.written(random_legged.drawn(seed), place)
+        pair = random_legged.write_robot(random_legged.draw_robot(seed), place)
         files: tuple[str, ...] = str(pair.urdf), str(pair.mjcf)
         if seed % 3 == 0:
             alone = place / "alone.urdf"

@@ -34,7 +34,7 @@ def law(gain: float = 800, bias: float = 0, damping: float = -20, words: str = "
     )
 
 
-def commanded(ctrl: str) -> Edit:
+def replace_ctrl(ctrl: str) -> Edit:
     return make_replacement('ctrl="1.3 0.1 -0.75 0"', f'ctrl="{ctrl}"')
 
 
@@ -129,7 +129,7 @@ FEATURES: dict[str, Edit] = {
     "timeconst 10": servos('timeconst="10"'),
     "timeconst 1e5": servos('timeconst="1e5"'),
     "delay": servos('delay="0.1" nsample="60"'),
-    "a thruster": lambda text: commanded("1.3 0.1 -0.75 0 0")(
+    "a thruster": lambda text: replace_ctrl("1.3 0.1 -0.75 0 0")(
         make_replacement(
             "</actuator>",
             '<general site="tip" gear="0 0 1 0 0 0" biastype="affine" gainprm="0" '
@@ -139,9 +139,9 @@ FEATURES: dict[str, Edit] = {
     # ---- keyframes
     "no keyframe": make_replacement(KEYFRAME, ""),
     "a keyframe without ctrl": make_replacement(' ctrl="1.3 0.1 -0.75 0"', ""),
-    "a keyframe's ctrl of zeros": commanded("0 0 0 0"),
-    "a keyframe's ctrl of another pose": commanded("1.3 0.1 -1.75 0"),
-    "a keyframe's ctrl 1e9": commanded("1.3 0.1 1e9 0"),
+    "a keyframe's ctrl of zeros": replace_ctrl("0 0 0 0"),
+    "a keyframe's ctrl of another pose": replace_ctrl("1.3 0.1 -1.75 0"),
+    "a keyframe's ctrl 1e9": replace_ctrl("1.3 0.1 1e9 0"),
 }
 """{description: edit of the arm's MJCF}."""
 

@@ -68,20 +68,20 @@ class Page:
         for figure in self.root.iter("figure"):
             if figure.get("class") != "table":
                 continue
-            headers = [shown(header) for header in figure.findall(".//thead//th")]
+            headers = [read_text(header) for header in figure.findall(".//thead//th")]
             rows = [
-                dict(zip(headers, (shown(cell) for cell in row), strict=True))
+                dict(zip(headers, (read_text(cell) for cell in row), strict=True))
                 for row in figure.findall(".//tbody/tr")
             ]
-            found.setdefault(shown(figure.find("figcaption")), rows)
+            found.setdefault(read_text(figure.find("figcaption")), rows)
         return found
 
-    def shown(self) -> str:
+    def read_text(self) -> str:
         """Return the displayed English text, without scripts."""
-        return shown(self.root.find("body"))
+        return read_text(self.root.find("body"))
 
 
-def shown(element: etree._Element, language: str = "en") -> str:
+def read_text(element: etree._Element, language: str = "en") -> str:
     """Return the text of an element in one language."""
     other = "zh" if language == "en" else "en"
 

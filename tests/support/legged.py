@@ -23,7 +23,7 @@ class Pair(NamedTuple):
     mjcf: Path
 
 
-def rewritten(path: Path, *changes: tuple[str, str], count: int = -1) -> Path:
+def rewrite_file(path: Path, *changes: tuple[str, str], count: int = -1) -> Path:
     """Replace texts in a file, which must occur, at most ``count`` times each (-1: everywhere)."""
     text = path.read_text()
     for old, new in changes:
@@ -127,7 +127,7 @@ def quadruped(
     return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
 
 
-def edited(pair: Pair, urdf: dict[str, str], mjcf: dict[str, str], count: int = 0) -> Pair:
+def edit_pair(pair: Pair, urdf: dict[str, str], mjcf: dict[str, str], count: int = 0) -> Pair:
     """Replace regular expressions in both files, at most ``count`` times each (0: everywhere)."""
     for path, edits in ((pair.urdf, urdf), (pair.mjcf, mjcf)):
         text = path.read_text()
@@ -138,10 +138,10 @@ def edited(pair: Pair, urdf: dict[str, str], mjcf: dict[str, str], count: int = 
 
 
 KEYFRAME = {"<keyframe>.*?</keyframe>": ""}
-"""Replacement that deletes the keyframes of an MJCF, for ``edited``."""
+"""Replacement that deletes the keyframes of an MJCF, for ``edit_pair``."""
 
 
-def held(pair: Pair, *endings: str) -> Pair:
+def fix_hinges(pair: Pair, *endings: str) -> Pair:
     """Replace the hinges whose names end with ``endings`` by fixed joints in both files.
 
     The keyframes are deleted.
@@ -149,7 +149,7 @@ def held(pair: Pair, *endings: str) -> Pair:
     name = rf'"[^"]*(?:{"|".join(endings)})"'
     hinge = rf'(<joint name={name} type=)"revolute"((?:(?!</joint>).)*?)<axis [^>]*/><limit [^>]*/>'
     drives = rf"<joint name={name}[^>]*/>|<\w+ joint={name}[^>]*/>"
-    return edited(pair, {hinge: r'\1"fixed"\2'}, {drives: "", **KEYFRAME})
+    return edit_pair(pair, {hinge: r'\1"fixed"\2'}, {drives: "", **KEYFRAME})
 
 
 ARM = (("yaw", "0 0 1", (0.15, 0.0, 0.04)), ("shoulder", "0 1 0", (0.0, 0.0, 0.05)),
@@ -195,11 +195,11 @@ def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
     return pair
 
 
-def aside(pair: Pair, y: float) -> Pair:
+def shift_base_com(pair: Pair, y: float) -> Pair:
     """Set the y coordinate [m] of the base's CoM in both files."""
     new = rf"\g<1> {y} "
     urdf, mjcf = r'(<inertial><origin xyz="\S+) \S+ ', r'(<inertial pos="\S+) \S+ '
-    return edited(pair, {urdf: new}, {mjcf: new}, count=1)
+    return edit_pair(pair, {urdf: new}, {mjcf: new}, count=1)
 
 
 def from_the_ground(pair: Pair, by: float) -> Pair:
@@ -227,7 +227,7 @@ def from_the_ground(pair: Pair, by: float) -> Pair:
 
 def planar(pair: Pair) -> Pair:
     """Fix the roll joints of a quadruped, and put the base's CoM at y = 2 µm, as in Solo 8."""
-    return aside(held(pair, "_roll"), 2e-6)
+    return shift_base_com(fix_hinges(pair, "_roll"), 2e-6)
 
 
 def sole_mesh(pair: Pair, foot: str, corners: int = 40) -> Pair:
@@ -248,13 +248,13 @@ def sole_mesh(pair: Pair, foot: str, corners: int = 40) -> Pair:
     return pair
 
 
-def fused(pair: Pair) -> Pair:
+def fuse_trunk(pair: Pair) -> Pair:
     """Remove the trunk from a quadruped's MJCF: its legs and shapes are attached to the world.
 
     MuJoCo converts URDFs in this way. The mass of the trunk is lost, and keyframes are deleted.
     """
     trunk = r'<body name="[^"]*trunk"[^>]*>\s*(<freejoint ?/>)?\s*<inertial [^>]*/>'
-    return edited(pair, {}, {trunk: "", "</body>(?=\\s*</worldbody>)": "", **KEYFRAME})
+    return edit_pair(pair, {}, {trunk: "", "</body>(?=\\s*</worldbody>)": "", **KEYFRAME})
 
 
 BIPED_FEET = {

@@ -84,7 +84,7 @@ FALLS = ("conaffinity", "floor", "contacts off")
 """Names of the edits after which v3 falls through the floor."""
 
 
-def copied(folder: Path) -> Path:
+def copy_mjcf(folder: Path) -> Path:
     """Copy the folder ``mjcf/`` into ``folder`` and return the copy."""
     place = folder / "mjcf"
     shutil.copytree(ROOT / "mjcf", place, ignore=shutil.ignore_patterns("*.md"))

@@ -96,7 +96,7 @@ def pages() -> list[Path]:
     return [ROOT / "README.md", *found]
 
 
-def english(page: Path) -> Path:
+def find_english_page(page: Path) -> Path:
     """Return the English page of a Chinese page."""
     if page.name == "tutorial.md":
         return ROOT / "docs/tutorials/pupper.md"
@@ -128,12 +128,12 @@ def blocks_of(page: Path) -> list[Block]:
                 found[-1].output.append(text)
             marks, index = {}, end
         index += 1
-    if "zh" in page.parts and (twin := english(page)).exists():
+    if "zh" in page.parts and (twin := find_english_page(page)).exists():
         theirs = {block.text: "".join(block.output) for block in blocks_of(twin)}
         return [
             one
             for one in found
-            if one.text not in theirs or misses("".join(one.output), theirs[one.text])
+            if one.text not in theirs or find_missing_parts("".join(one.output), theirs[one.text])
         ]
     return found
 
@@ -154,7 +154,7 @@ def blocks_of_help(command: str) -> list[Block]:
     return [block] if text.strip() else []
 
 
-def furnish(folder: Path, block: Block) -> None:
+def provide_files(folder: Path, block: Block) -> None:
     """Put the files that a block names into a folder: links to the checkout, and the reader's
     files.
     """
@@ -206,7 +206,7 @@ shorter search of the best stance, since the page of ``best`` runs its longest s
 tests/tools/walk/test_changes.py and tests/tools/push/test_recovery.py."""
 
 
-def slowly(text: str) -> str:
+def shorten_block(text: str) -> str:
     """Return the text of a block with the speed of the tests' policy, and with shorter searches."""
     text = text.replace("0.5,0,0", SPEED).replace("(0.5, 0, 0)", f"({SPEED})")
     walks = r"(pupper-analysis walk (?!.*(?:--command|--orders)).*)"
@@ -218,7 +218,7 @@ def slowly(text: str) -> str:
 
 def run_shell(command: str, folder: Path) -> Answer:
     """Run a shell line; a line that only calls ``pupper-analysis`` runs in this process."""
-    command = slowly(command)
+    command = shorten_block(command)
     words = shlex.split(command)
     if words[0] == "xacro":
         (folder / "xacro").write_text(XACRO)
@@ -249,13 +249,13 @@ def run_shell(command: str, folder: Path) -> Answer:
 def run_python(block: Block, folder: Path, names: dict[str, Any]) -> str:
     """Run a Python block with the variables of its page; return what it prints."""
     out = io.StringIO()
-    code = compile(slowly(block.text), f"{block.page}:{block.line}", "exec")
+    code = compile(shorten_block(block.text), f"{block.page}:{block.line}", "exec")
     with contextlib.chdir(folder), contextlib.redirect_stdout(out):
         exec(code, names)
     return out.getvalue()
 
 
-def misses(shown: str, printed: str) -> list[str]:
+def find_missing_parts(shown: str, printed: str) -> list[str]:
     """Return the parts of the shown lines that were not printed, ignoring white space."""
     flat = " ".join(printed.split())
     parts = [part for line in shown.splitlines() for part in line.split("...")]
@@ -281,7 +281,7 @@ def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
     count: Counter[str] = Counter()
     for block in blocks:
         where = f"{block.page}:{block.line}"
-        furnish(folder, block)
+        provide_files(folder, block)
         printed = ""
         if block.language == "python" and not block.reason():
             printed = run_python(block, folder, names)
@@ -293,6 +293,6 @@ def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
             assert done.returncode == status, f"exit status {done.returncode}, not {status}\n{said}"
             count["command"] += 1
         for shown in block.output if printed else ():
-            missing = misses(shown, printed)
+            missing = find_missing_parts(shown, printed)
             assert not missing, f"{where} does not print {missing}, but:\n{printed}"
     return count

@@ -79,43 +79,43 @@ def _one(*choices: str) -> Value:
     return lambda random: str(random.choice(choices))
 
 
-def _within(*spans: tuple[float, float]) -> Value:
+def _draw_within(*spans: tuple[float, float]) -> Value:
     """Return a generator of numbers, one per interval, uniform in their logarithm."""
     return lambda random: _numbers(random, *spans)
 
 
 _GEOM: dict[str, Value] = {
-    "friction": _within((0.01, 2.0), (1e-3, 0.1), (1e-4, 0.01)),
+    "friction": _draw_within((0.01, 2.0), (1e-3, 0.1), (1e-4, 0.01)),
     "condim": _one("1", "3", "4", "6"),
-    "solref": _within((0.004, 0.3), (0.3, 2.0)),
+    "solref": _draw_within((0.004, 0.3), (0.3, 2.0)),
     "solimp": lambda random: (
         f"{random.uniform(0.01, 0.9):.3f} 0.95 {random.uniform(1e-3, 0.05):.4f}"
     ),
-    "margin": _within((1e-3, 0.03)),
-    "gap": _within((1e-4, 5e-3)),
+    "margin": _draw_within((1e-3, 0.03)),
+    "gap": _draw_within((1e-4, 5e-3)),
     "contype": _one("0", "1", "2", "3"),
     "conaffinity": _one("0", "1", "2", "3"),
     "priority": _one("1", "2"),
-    "solmix": _within((0.01, 10.0)),
+    "solmix": _draw_within((0.01, 10.0)),
     "rgba": _one("1 0 0 1"),
     "group": _one("1", "4"),
 }
 """{attribute of a geom: generator of a random value}."""
 
 _OPTION: dict[str, Value] = {
-    "timestep": _within((5e-4, 8e-3)),
+    "timestep": _draw_within((5e-4, 8e-3)),
     "integrator": _one("Euler", "RK4", "implicit", "implicitfast"),
     "cone": _one("pyramidal", "elliptic"),
     "solver": _one("PGS", "CG", "Newton"),
     "jacobian": _one("dense", "sparse"),
-    "impratio": _within((0.5, 100.0)),
+    "impratio": _draw_within((0.5, 100.0)),
     "iterations": _one("1", "2", "5", "50", "100"),
-    "tolerance": _within((1e-12, 1e-3)),
+    "tolerance": _draw_within((1e-12, 1e-3)),
     "ls_iterations": _one("1", "5", "50"),
     "noslip_iterations": _one("0", "1", "5"),
     "gravity": lambda random: f"0 0 {-random.uniform(1.0, 12.0):.3f}",
     "wind": _one("1 0 0"),
-    "density": _within((0.1, 100.0)),
+    "density": _draw_within((0.1, 100.0)),
 }
 """{attribute of ``option``: generator of a random value}."""
 
@@ -259,9 +259,9 @@ _COMPILER: dict[str, Value] = {
     "autolimits": _one("false", "true"),
     "inertiafromgeom": _one("true", "false", "auto"),
     "fusestatic": _one("true", "false"),
-    "boundmass": _within((1e-4, 1.0)),
-    "boundinertia": _within((1e-6, 1e-2)),
-    "settotalmass": _within((3.0, 60.0)),
+    "boundmass": _draw_within((1e-4, 1.0)),
+    "boundinertia": _draw_within((1e-6, 1e-2)),
+    "settotalmass": _draw_within((3.0, 60.0)),
     "balanceinertia": _one("true"),
     "discardvisual": _one("true", "false"),
     "inertiagrouprange": _one("0 2", "2 5", "0 5"),
@@ -409,7 +409,7 @@ def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
     return np.array(found)
 
 
-def apart(one: np.ndarray, two: np.ndarray) -> float:
+def measure_difference(one: np.ndarray, two: np.ndarray) -> float:
     """Return the largest difference between two rollouts at equal times; infinite if one alone
     diverges.
     """
@@ -445,7 +445,7 @@ def _on_ground(path: Path) -> mujoco.MjModel:
         return spec.compile()
 
 
-def answers(
+def compute_answers(
     source: Path,
     count: int,
     first: int,
@@ -480,7 +480,7 @@ def answers(
         tree.write(edited)
         try:
             before = rollout(original) if structure else before
-            truth = apart(before, rollout(edited))
+            truth = measure_difference(before, rollout(edited))
         except ValueError:  # MuJoCo refuses it
             continue
         diff = pa.diff_models(original, edited)

@@ -1,6 +1,7 @@
 """Random legged robots as URDF and MJCF: legs, feet, names, actuators, springs and base frames.
 
-``drawn``, ``irregular_biped`` and ``ring`` draw a robot from a seed; ``written`` writes its files.
+``draw_robot``, ``irregular_biped`` and ``ring`` draw a robot from a seed; ``write_robot`` writes
+its files.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Robot:
     said: list[str] = field(default_factory=list)
 
 
-def drawn(seed: int) -> Robot:
+def draw_robot(seed: int) -> Robot:
     """Draw a robot with 2, 3, 4 or 6 legs."""
     random = np.random.default_rng(seed)
     legs, joints = [(4, 3), (4, 3), (4, 4), (6, 3), (2, 6), (4, 6)][int(random.integers(6))]
@@ -193,7 +194,7 @@ def _foot(random: np.random.Generator, size: float, *, flat: bool) -> str:
 # ------------------------------------------------------------------------------------- writing
 
 
-def written(robot: Robot, folder: Path) -> Pair:
+def write_robot(robot: Robot, folder: Path) -> Pair:
     """Write the URDF and the MJCF of a robot."""
     pair = Pair(folder / "robot.urdf", folder / "robot.xml")
     pair.urdf.write_text(_urdf(robot))

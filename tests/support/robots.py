@@ -140,7 +140,7 @@ def _unit(*quaternion: float) -> tuple[float, ...]:
     return tuple(np.array(quaternion) / np.linalg.norm(quaternion))
 
 
-def changed(parts: Parts, link: str, **values: Any) -> Parts:
+def change_part(parts: Parts, link: str, **values: Any) -> Parts:
     """Return the parts with other values in one of them."""
     return {**parts, link: replace(parts[link], **values)}
 
@@ -332,29 +332,29 @@ def write_parts(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Files
 # ------------------------------------------------------------------------------------- using
 
 
-def matched(files: Files, **options: Any) -> Match:
+def match_files(files: Files, **options: Any) -> Match:
     """Return the match of two files; options are those of ``match_models``."""
     return match_models(read_urdf(files.urdf), read_mjcf(files.mjcf), **options)
 
 
 def robot_of(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Robot:
     """Return the robot that two lists of parts give as URDF and MJCF."""
-    return matched(write_parts(folder, urdf, mjcf, **options)).robot
+    return match_files(write_parts(folder, urdf, mjcf, **options)).robot
 
 
-def explained(
+def explain_parts(
     folder: Path, urdf: Parts, mjcf: Parts, tolerances: Tolerances | None = None, **options: Any
 ) -> Explanation:
     """Return the explanation of the differences between two lists of parts as URDF and MJCF."""
     return explain_differences(robot_of(folder, urdf, mjcf, **options), tolerances=tolerances)
 
 
-def compared(files: Files, **options: Any) -> Comparison:
+def compare_files(files: Files, **options: Any) -> Comparison:
     """Compare two files at two configurations."""
     return pa.compare_models(files.urdf, files.mjcf, **{"configurations": 2, **options})
 
 
-def agree(files: Files) -> bool:
+def files_agree(files: Files) -> bool:
     """Return whether two files have the same numbers, and the same dynamics up to rounding."""
     compared = pa.compare_models(
         files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict(), configurations=2
@@ -362,7 +362,7 @@ def agree(files: Files) -> bool:
     return compared.agree and max(compared.deviations.values()) < 1e-9
 
 
-def found(result: Explanation | FilesCompared) -> list[tuple[str, str]]:
+def list_differences(result: Explanation | FilesCompared) -> list[tuple[str, str]]:
     """Return kind and element of each difference, in their order."""
     return [(difference.kind, difference.element) for difference in result.differences]
 
@@ -376,7 +376,7 @@ def line_at(place: str | None, files: Mapping[str, Path]) -> str:
     return path.read_text().splitlines()[int(line) - 1]
 
 
-def headline(comparison: FilesCompared) -> str:
+def format_headline(comparison: FilesCompared) -> str:
     """Return whether the files of a comparison agree, and the problem to solve first."""
     agree = "SAME ROBOT, DIFFERENT CONVENTIONS" if comparison.same_robot else "DISAGREE"
     return f"{'AGREE' if comparison.agree else agree}: {comparison.main_problem}"

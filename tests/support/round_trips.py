@@ -130,12 +130,12 @@ _SAID_AS = {
 """
 
 
-def _same(one: object, two: object) -> bool:
+def _is_equal(one: object, two: object) -> bool:
     """Return whether two values are equal up to ``NEAR``."""
     if isinstance(one, list) and isinstance(two, list):
-        return len(one) == len(two) and all(map(_same, sorted(one), sorted(two)))
+        return len(one) == len(two) and all(map(_is_equal, sorted(one), sorted(two)))
     if isinstance(one, set) and isinstance(two, set):
-        return _same(sorted(one), sorted(two))
+        return _is_equal(sorted(one), sorted(two))
     if isinstance(one, str) or isinstance(two, str) or two is None:
         return one == two
     return bool(np.allclose(one, two, rtol=NEAR, atol=NEAR))  # type: ignore[arg-type]
@@ -146,7 +146,7 @@ def silent_losses(before: Table, after: Table, said: str) -> dict[str, list[str]
     lost: dict[str, list[str]] = {}
     for (name, word), value in before.items():
         more = name == "number" and int(value) <= int(after[name, word])  # type: ignore[call-overload]
-        if not (more or _same(value, after.get((name, word)))):
+        if not (more or _is_equal(value, after.get((name, word)))):
             words = _SAID_AS.get(word, (word,))
             if not any(each in said for each in words):
                 lost.setdefault(word, []).append(name)

@@ -42,7 +42,7 @@ def _number(attribute: str, change: Callable[[float], float], *, one: bool) -> S
     return slip
 
 
-def _listed(attribute: str, change: Callable[[list[float], np.random.Generator], None]) -> Slip:
+def _edit_list(attribute: str, change: Callable[[list[float], np.random.Generator], None]) -> Slip:
     """Return an edit of an attribute with several numbers, in one random place."""
 
     def slip(text: str, random: np.random.Generator) -> str:
@@ -79,7 +79,7 @@ def _degrees(values: list[float], _: np.random.Generator) -> None:
     values[:] = [math.degrees(value) for value in values]
 
 
-def _tenth(values: list[float], random: np.random.Generator) -> None:
+def _divide_by_ten(values: list[float], random: np.random.Generator) -> None:
     """Divide one random value by ten."""
     values[int(random.integers(len(values)))] /= 10
 
@@ -106,17 +106,17 @@ SLIPS: dict[str, Slip] = {
     "timeconst is milliseconds": _text('kp="150"', 'timeconst="20" kp="150"'),
     "forcerange is a tenth": _text('kp="150"', 'forcerange="-0.5 0.5" kp="150"'),
     "actuators have another joint": _other_joint,
-    "ctrl of one has the wrong sign": _listed("ctrl", _sign),
-    "ctrl of two is swapped": _listed("ctrl", _swap),
-    "ctrl is in degrees": _listed("ctrl", _degrees),
-    "ctrl of one is a tenth": _listed("ctrl", _tenth),
+    "ctrl of one has the wrong sign": _edit_list("ctrl", _sign),
+    "ctrl of two is swapped": _edit_list("ctrl", _swap),
+    "ctrl is in degrees": _edit_list("ctrl", _degrees),
+    "ctrl of one is a tenth": _edit_list("ctrl", _divide_by_ten),
     "ctrl is of lying down": _text(
         'ctrl="' + " ".join(["0 0.6 -1.2"] * 4), 'ctrl="' + " ".join(["0 1.5 -2.6"] * 4)
     ),
-    "qpos of one has the wrong sign": _listed("qpos", _sign),
-    "qpos of two is swapped": _listed("qpos", _swap),
-    "a range is in degrees": _listed("range", _degrees),
-    "an axis has the wrong sign": _listed("axis", lambda v, _: v.__setitem__(1, -1.0)),
+    "qpos of one has the wrong sign": _edit_list("qpos", _sign),
+    "qpos of two is swapped": _edit_list("qpos", _swap),
+    "a range is in degrees": _edit_list("range", _degrees),
+    "an axis has the wrong sign": _edit_list("axis", lambda v, _: v.__setitem__(1, -1.0)),
     "a mass is ten times": _number("mass", lambda v: v * 10, one=True),
     "damping is negative": _text('axis="0 1 0"', 'axis="0 1 0" damping="-6"'),
     "damping is a thousand times": _text('axis="0 1 0"', 'axis="0 1 0" damping="500"'),

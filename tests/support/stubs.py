@@ -243,7 +243,7 @@ KNOWN = {"joint_names": ("hip", "knee"), "unknown_limits": (), "peak_torques": N
 """Fields of a push result with known torque limits."""
 
 
-def pushed(name: str, shift: float, depth: float) -> Any:
+def make_push_result(name: str, shift: float, depth: float) -> Any:
     """Return a push result of a robot: its stand, its recovery and its verdict."""
     stand = Stub(
         task=StandTask(height=0.1, yaw=math.radians(shift)), depths={"FR": depth / 2, "RL": depth}
@@ -294,7 +294,7 @@ def stance(**changes: Any) -> Any:
     return Stub(**{**fields, **changes})
 
 
-def loaded(*unknown: str) -> Any:
+def make_payload_result(*unknown: str) -> Any:
     """Return a payload result, in which the torque limits of the joints ``unknown`` are missing."""
     none = Stub(mass=math.inf, failure=Failure.NOTHING, failing_parts=())
     bounds = {
@@ -467,41 +467,44 @@ def _variants() -> Report:
     third = row("three", 0.02, stands_without=False)
     comparison = tool("analyze.document")
     compared = comparison.comparison_table([row("one", 0.0), other, third])
-    return _alone(Document(Name("Variants"), Name("variants"), (compared,)))
+    return _make_report(Document(Name("Variants"), Name("variants"), (compared,)))
 
 
 def _pushes() -> Report:
     """Return the report of two push recoveries with their comparison."""
-    both = [pushed("one", 0.0, 0.00311), pushed("two", 0.1, 0.0)]
+    both = [make_push_result("one", 0.0, 0.00311), make_push_result("two", 0.1, 0.0)]
     push = tool("push.document")
     return Report(
         text("report"), tuple(map(push.push_document, both)), push.compare_pushes(both[0], both)
     )
 
 
-def _alone(document: Document) -> Report:
+def _make_report(document: Document) -> Report:
     """Return a report with one document."""
     return Report(text("report"), (document,))
 
 
 _REPORTS: dict[str, tuple[str, Callable[[], Report]]] = {
-    "analysis": ("analyze", lambda: _alone(tool("analyze.document").analysis_document(ANALYSIS))),
+    "analysis": (
+        "analyze",
+        lambda: _make_report(tool("analyze.document").analysis_document(ANALYSIS)),
+    ),
     "variants": ("analyze", _variants),
     "pushes": ("push", _pushes),
-    "stance": ("stand", lambda: _alone(tool("stand.document").stance_document(stance()))),
+    "stance": ("stand", lambda: _make_report(tool("stand.document").stance_document(stance()))),
     "payload": (
         "payload",
-        lambda: _alone(tool("payload.document").payload_document(loaded())),
+        lambda: _make_report(tool("payload.document").payload_document(make_payload_result())),
     ),
-    "best": ("best", lambda: _alone(tool("best.document").best_document(best()))),
+    "best": ("best", lambda: _make_report(tool("best.document").best_document(best()))),
     "workspace": (
         "workspace",
-        lambda: _alone(tool("workspace.document").workspace_document(workspace())),
+        lambda: _make_report(tool("workspace.document").workspace_document(workspace())),
     ),
-    "path": ("path", lambda: _alone(tool("path.document").path_document(make_path_result()))),
+    "path": ("path", lambda: _make_report(tool("path.document").path_document(make_path_result()))),
     "files": (
         "crosscheck",
-        lambda: _alone(tool("crosscheck.document").comparison_document(files())),
+        lambda: _make_report(tool("crosscheck.document").comparison_document(files())),
     ),
 }
 """{name of an expected document: (tool that shows it, function that makes its report)}."""

@@ -51,7 +51,7 @@ CODES = sorted(codes())
 HAN = re.compile("[\u4e00-\u9fff]")
 
 
-def uses(template: str) -> set[str]:
+def list_template_names(template: str) -> set[str]:
     """The names of the values that a template needs or asks for."""
     optional = re.findall(r"\[!?(\w+)\?", template)
     holes = [name.split("|")[0] for _, name, _, _ in Formatter().parse(template) if name]
@@ -70,7 +70,7 @@ def made_calls() -> tuple[tuple[str, ast.Call], ...]:
 
 
 @cache
-def written() -> frozenset[str]:
+def list_package_texts() -> frozenset[str]:
     """Return all string literals of the package's code and of its page template."""
     page = files("pupper_analysis.present.html").joinpath("templates/page.html").read_text("utf-8")
     return frozenset(page.split('"')) | frozenset(
@@ -81,7 +81,7 @@ def written() -> frozenset[str]:
     )
 
 
-def calls() -> Iterator[tuple[str, str, set[str] | None]]:
+def find_diagnose_calls() -> Iterator[tuple[str, str, set[str] | None]]:
     """Yield (module:line, code, names of the given values) of each call of ``diagnose``.
 
     The names are None if the call takes ``**values``. The code must be a literal or a choice of
@@ -102,7 +102,7 @@ def calls() -> Iterator[tuple[str, str, set[str] | None]]:
             yield f"{module}:{node.lineno}", code, given
 
 
-def assigned(node: ast.Assign) -> Iterator[tuple[ast.expr, ast.expr]]:
+def pair_assignment(node: ast.Assign) -> Iterator[tuple[ast.expr, ast.expr]]:
     """Yield target and value of an assignment; of a tuple, each pair."""
     (target,) = node.targets
     if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
@@ -117,7 +117,7 @@ def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
         yield from literals(node.orelse, where, tree)
     elif isinstance(node, ast.Name):  # of a line before
         for one in ast.walk(tree):
-            for target, value in assigned(one) if isinstance(one, ast.Assign) else ():
+            for target, value in pair_assignment(one) if isinstance(one, ast.Assign) else ():
                 if ast.unparse(target) == node.id:
                     yield from literals(value, where, tree)
     elif isinstance(node, ast.Subscript):  # of a table in the same module
@@ -155,7 +155,9 @@ def test_each_code_has_a_message_in_both_languages() -> None:
         message = entry(code)
         assert message.severity in list(Severity), code
         assert message.group in ("wrong", "assumed", "found"), code
-        assert uses(message.templates["en"]) == uses(message.templates["zh"]), code
+        assert list_template_names(message.templates["en"]) == list_template_names(
+            message.templates["zh"]
+        ), code
         words = re.sub(r"\{[^}]*\}|\[!?\w+\?", "", message.templates["en"])
         if re.search("[a-z]{4}", words) and "pip install" not in words:
             assert HAN.search(message.templates["zh"]), code
@@ -164,7 +166,7 @@ def test_each_code_has_a_message_in_both_languages() -> None:
 @pytest.mark.slow
 def test_catalogue_contains_exactly_the_codes_in_use() -> None:
     """Reference: all calls in the package's syntax trees."""
-    used = {code for _, code, _ in calls()}
+    used = {code for _, code, _ in find_diagnose_calls()}
     assert used - set(CODES) == set()
     assert set(CODES) - used == set()
 
@@ -174,8 +176,9 @@ def test_every_template_gets_its_values() -> None:
     """Reference: keyword arguments of each `diagnose` call in the syntax trees."""
     lacking = {
         f"{where} {code}": missing
-        for where, code, given in calls()
-        if given is not None and (missing := uses(entry(code).templates["en"]) - given)
+        for where, code, given in find_diagnose_calls()
+        if given is not None
+        and (missing := list_template_names(entry(code).templates["en"]) - given)
     }
     assert lacking == {}
 

@@ -30,7 +30,7 @@ OWN_PAGES = {
 
 
 @cache
-def documented(kind: type) -> dict[str, str]:
+def read_field_docs(kind: type) -> dict[str, str]:
     """Return {field: text of the class docstring, without code marks}."""
     said = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
     found: dict[str, str] = {}
@@ -40,7 +40,7 @@ def documented(kind: type) -> dict[str, str]:
     return found
 
 
-def listed() -> dict[str, dict[str, str]]:
+def list_meanings() -> dict[str, dict[str, str]]:
     """{class.field: its words} of the catalogue."""
     return {f"{kind}.{name}": both for kind, of in MEANINGS.items() for name, both in of.items()}
 
@@ -70,8 +70,8 @@ def english_meanings() -> dict[str, str]:
             for field in fields(kind):
                 if field.name.startswith("_"):
                     continue
-                owner = next(c for c in kind.__mro__ if field.name in documented(c))
-                text = documented(owner)[field.name]
+                owner = next(c for c in kind.__mro__ if field.name in read_field_docs(c))
+                text = read_field_docs(owner)[field.name]
                 wanted[f"{owner.__name__}.{field.name}"] = with_unit(
                     text, field.metadata.get("unit")
                 )
@@ -81,15 +81,15 @@ def english_meanings() -> dict[str, str]:
 @pytest.mark.slow
 def test_english_meanings_equal_the_docstrings_of_listed_fields() -> None:
     """Reference: docstring and unit metadata of each field; each field has a Chinese text."""
-    assert {key: both["en"] for key, both in listed().items()} == english_meanings()
-    assert [key for key, both in listed().items() if not both["zh"]] == []
+    assert {key: both["en"] for key, both in list_meanings().items()} == english_meanings()
+    assert [key for key, both in list_meanings().items() if not both["zh"]] == []
 
 
 def test_meanings_are_in_both_languages_with_the_same_units() -> None:
     """Units in parentheses are equal in both texts."""
     units = r"[(（\[](N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)[)）\]]"
-    assert listed()
-    for key, both in listed().items():
+    assert list_meanings()
+    for key, both in list_meanings().items():
         assert set(both) == set(LANGUAGES), key
         assert re.findall(units, both["en"]) == re.findall(units, both["zh"]), key
         if re.search("[a-z]{4}", both["en"]):

@@ -14,7 +14,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.pupper.variants import find_model_folder
 from tests.support.corpus import INERTIAL, LIMIT, format_joint, format_link, format_urdf
-from tests.support.legged import quadruped, rewritten
+from tests.support.legged import quadruped, rewrite_file
 from tests.support.robots import Part, mjcf_text
 
 URDF, MJCF = (
@@ -44,7 +44,7 @@ def of_mjcf() -> pa.Robot:
     return pa.load_robot(MJCF, feet=FEET)
 
 
-def bent(robot: pa.Robot) -> np.ndarray:
+def bend_joints(robot: pa.Robot) -> np.ndarray:
     """A configuration that no symmetry helps, with each joint by its name."""
     qpos = robot.neutral()
     qpos[3:7] = np.array([0.9, 0.2, -0.3, 0.1]) / np.linalg.norm([0.9, 0.2, -0.3, 0.1])
@@ -63,7 +63,7 @@ def test_conversion_of_each_file_equals_the_original_model(
     one: pa.Robot = request.getfixturevalue(which)
     assert one.total_mass == pytest.approx(both.total_mass, rel=1e-12)
     assert set(one.joint_names) == set(both.joint_names)
-    there, here = pa.Configuration(both, bent(both)), pa.Configuration(one, bent(one))
+    there, here = pa.Configuration(both, bend_joints(both)), pa.Configuration(one, bend_joints(one))
     order = [one.joint_names.index(name) for name in both.joint_names]
     np.testing.assert_allclose(here.center_of_mass(), there.center_of_mass(), atol=1e-9)
     np.testing.assert_allclose(here.gravity()[6:][order], there.gravity()[6:], atol=1e-9)
@@ -234,7 +234,7 @@ def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Pa
     path = quadruped(tmp_path).urdf
     mesh = "package://all/robots/quad/foot.stl"
     shape = f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>'
-    rewritten(path, ("</link>", shape))
+    rewrite_file(path, ("</link>", shape))
     with pytest.raises(pa.ConfigurationError) as refused:
         pa.solve_stand(pa.load_robot(path))
     said = str(refused.value)

@@ -74,7 +74,7 @@ def nest_nodes(levels: int, *, shape: trimesh.Trimesh = BOX) -> str:
     )
 
 
-def hostile(folder: Path) -> dict[str, str]:
+def write_hostile_meshes(folder: Path) -> dict[str, str]:
     """Write hostile mesh files, and return {file: reason for leaving it out}."""
     BOX.export(folder / "box.obj")
     with zipfile.ZipFile(folder / "box.zip", "w") as archive:
@@ -114,7 +114,7 @@ def with_shapes(folder: Path, shapes: str) -> Conversion:
 def test_archives_and_oversized_meshes_are_left_out(tmp_path: Path) -> None:
     """Hostile files, such as a zip of 780 kB that unpacks to 11.5 GB, are left out with a reason;
     the valid mesh is converted."""
-    expected = hostile(tmp_path)
+    expected = write_hostile_meshes(tmp_path)
     shapes = "".join(
         format_shape("visual", f'<mesh filename="{name}"/>', "0 0 0")
         for name in (*expected, "box.obj")
@@ -160,7 +160,7 @@ def test_small_files_with_large_meshes_are_refused_before_memory_is_allocated(
     tmp_path: Path, file: str, reason: str
 ) -> None:
     """12 GB of zeros, 6e8 indices, 2^30 boxes and 2048 spheres; the limit is 100 MB more memory."""
-    hostile(tmp_path)
+    write_hostile_meshes(tmp_path)
     (tmp_path / "eight.dae").write_text(nest_nodes(3))
     convert_to_obj(tmp_path / "eight.dae")  # imports the readers
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -215,7 +215,7 @@ def test_flat_visual_mesh_is_converted_as_a_shell(tmp_path: Path) -> None:
     assert compile_file(tmp_path / "arm.xml").nmesh == 1
 
 
-def published(folder: Path) -> Path:
+def write_package_urdf(folder: Path) -> Path:
     """Write a URDF with a mesh in a folder beside its own, as packages publish them."""
     for place in ("robot/urdf", "robot/meshes"):
         (folder / place).mkdir(parents=True)
@@ -228,7 +228,7 @@ def published(folder: Path) -> Path:
 
 def test_mesh_is_found_after_the_common_folder_is_moved(tmp_path: Path) -> None:
     """MuJoCo compiles the moved MJCF: paths to meshes are relative."""
-    urdf = published(tmp_path)
+    urdf = write_package_urdf(tmp_path)
     (tmp_path / "robot/mjcf").mkdir()
     pa.convert_model(urdf, tmp_path / "robot/mjcf/arm.xml")
     (tmp_path / "robot").rename(tmp_path / "elsewhere")
@@ -237,7 +237,7 @@ def test_mesh_is_found_after_the_common_folder_is_moved(tmp_path: Path) -> None:
 
 def test_linked_mesh_is_found_after_its_folder_is_moved(tmp_path: Path) -> None:
     """The package contains symbolic links to a store, as colcon installs it."""
-    urdf = published(tmp_path)
+    urdf = write_package_urdf(tmp_path)
     (tmp_path / "store").mkdir()
     (tmp_path / "robot/meshes/box.stl").rename(tmp_path / "store/1f3a.stl")
     (tmp_path / "robot/meshes/box.stl").symlink_to(tmp_path / "store/1f3a.stl")
@@ -248,7 +248,7 @@ def test_linked_mesh_is_found_after_its_folder_is_moved(tmp_path: Path) -> None:
 
 def test_copied_mesh_is_found_after_the_new_folder_is_moved(tmp_path: Path) -> None:
     """With `copy_meshes` MuJoCo compiles the MJCF without the folder of the URDF."""
-    urdf = published(tmp_path)
+    urdf = write_package_urdf(tmp_path)
     (tmp_path / "new").mkdir()
     found = pa.convert_model(urdf, tmp_path / "new/arm.xml", copy_meshes=True)
     written = ("arm_meshes/box.stl", "arm.xml")

@@ -20,11 +20,11 @@ from tests.support.conversions import (
     simulate_from_keyframe,
     write_standing_urdf,
 )
-from tests.support.legged import rewritten
+from tests.support.legged import rewrite_file
 
 
-def _changed(folder: Path, *changes: tuple[str, str]) -> Path:
-    return rewritten(write_standing_urdf(folder), *changes)
+def _write_changed(folder: Path, *changes: tuple[str, str]) -> Path:
+    return rewrite_file(write_standing_urdf(folder), *changes)
 
 
 def _drift(mjcf: Path, but: str = "") -> float:
@@ -57,12 +57,12 @@ def test_refusal_of_a_conversion_names_the_source_file(
 ) -> None:
     """The first three made the search endless, or wrote beyond arrays."""
     with pytest.raises(pa.ModelError, match=problem) as caught:
-        pa.convert_model(_changed(tmp_path, change), tmp_path / "new.xml")
+        pa.convert_model(_write_changed(tmp_path, change), tmp_path / "new.xml")
     assert "draft" not in str(caught.value)
 
 
 def test_free_base_is_refused_if_its_root_link_is_named_world(tmp_path: Path) -> None:
-    urdf = _changed(tmp_path, ('"trunk"', '"world"'))
+    urdf = _write_changed(tmp_path, ('"trunk"', '"world"'))
     with pytest.raises(pa.ModelError, match="the name of the fixed world"):
         pa.convert_model(urdf, tmp_path / "new.xml", fixed_base=False)
 
@@ -78,7 +78,7 @@ def test_meshes_with_equal_names_stay_distinct(tmp_path: Path) -> None:
     shapes = "".join(
         format_shape("visual", f'<mesh filename="{folder}/part.dae"/>', "0 0 0") for folder in "ab"
     )
-    path = rewritten(write_standing_urdf(tmp_path), ("</link>", f"{shapes}</link>"), count=1)
+    path = rewrite_file(write_standing_urdf(tmp_path), ("</link>", f"{shapes}</link>"), count=1)
     mjcf, _ = convert_file(path, "quad.xml")
     model = compile_file(mjcf)
     lengths = []
@@ -109,7 +109,7 @@ def _with_arm(folder: Path, mimic: str) -> Path:
             f'link="{parent}"/><child link="a{number}"/><axis xyz="0 1 0"/><limit lower="-1" '
             f'upper="1" effort="9" velocity="5"/>{extra}</joint>'
         )
-    return _changed(folder, ("</robot>", f"{arm}</robot>"))
+    return _write_changed(folder, ("</robot>", f"{arm}</robot>"))
 
 
 @pytest.mark.slow
@@ -258,7 +258,7 @@ def test_unconverted_mesh_of_an_attached_model_is_named(tmp_path: Path) -> None:
 def test_shapes_of_size_zero_are_left_out_with_a_note(tmp_path: Path) -> None:
     """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
     marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
-    output, result = convert_file(_changed(tmp_path, ("</link>", marker)), "marked.xml")
+    output, result = convert_file(_write_changed(tmp_path, ("</link>", marker)), "marked.xml")
     compile_file(output)
     said = " ".join(map(str, (*result.notes, *result.not_converted)))
     assert "size 0 0 0 was left out" in said
@@ -276,7 +276,7 @@ def test_shapes_of_massless_links_touch_at_the_height_of_the_foot(tmp_path: Path
         '<origin xyz="0 0 -0.2" rpy="0 1.5707963267948966 0"/></joint>'
         for leg in ("FL", "FR", "RL", "RR")
     )
-    urdf = _changed(tmp_path, (ball, ""), ("</robot>", f"{toes}</robot>"))
+    urdf = _write_changed(tmp_path, (ball, ""), ("</robot>", f"{toes}</robot>"))
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert any("links without mass" in str(note) and "FL_toe" in str(note) for note in found.notes)
@@ -300,7 +300,7 @@ def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
         '<link name="world"/><joint name="reference" type="floating"><parent link="world"/>'
         '<child link="trunk"/><origin xyz="0 0 0.9"/></joint></robot>'
     )
-    urdf = _changed(tmp_path, ("</robot>", floating))
+    urdf = _write_changed(tmp_path, ("</robot>", floating))
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert compile_file(mjcf).body("trunk").parentid == 0

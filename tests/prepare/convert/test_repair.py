@@ -11,19 +11,19 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.repair import find_nearest_moments, is_valid_inertia
 from tests.support.conversions import compare_dynamics, compile_file, convert_file
-from tests.support.robots import Part, Parts, arm, changed, urdf_text
+from tests.support.robots import Part, Parts, arm, change_part, urdf_text
 
 CAMERA = (8.7e-6, 6.7e-4, 1.37e-3, 0.0, 0.0, 0.0)  # of ANYmal C's depth cameras
 FLAT = (1e-3, 1e-3, 1e-2, 0.0, 0.0, 0.0)
 
 
-def written(folder: Path, parts: Parts) -> Path:
+def write_parts(folder: Path, parts: Parts) -> Path:
     path = folder / "arm.urdf"
     path.write_text(urdf_text(parts, ()))
     return path
 
 
-def fixed(link: str, parent: str, inertia: tuple[float, ...], mass: float = 0.16) -> Part:
+def make_fixed_part(link: str, parent: str, inertia: tuple[float, ...], mass: float = 0.16) -> Part:
     return Part(
         link, parent, f"{link}_fixed", "fixed", (0.05, 0.02, 0.1), (0.8, 0.6, 0.0, 0.0),
         mass=mass, com=(0.01, 0.0, 0.02), inertia=inertia,
@@ -40,11 +40,15 @@ def without_mass(urdf: Path, link: str) -> None:
 def test_repair_finds_the_mass_across_fixed_links(tmp_path: Path) -> None:
     """As on ANYmal C: the camera hangs on a mount, that on a link without mass, beside the mass."""
     parts = arm()
-    parts["frame"] = fixed("frame", "rod", FLAT)
-    parts["mount"] = fixed("mount", "frame", FLAT)
-    parts["camera"] = fixed("camera", "mount", CAMERA)
-    parts["heavy"] = fixed("heavy", "frame", (0.05, 0.06, 0.07, 1e-3, 2e-3, -1e-3), mass=6.0)
-    urdf = written(tmp_path, changed(parts, "rod", kind="continuous", lower=None, upper=None))
+    parts["frame"] = make_fixed_part("frame", "rod", FLAT)
+    parts["mount"] = make_fixed_part("mount", "frame", FLAT)
+    parts["camera"] = make_fixed_part("camera", "mount", CAMERA)
+    parts["heavy"] = make_fixed_part(
+        "heavy", "frame", (0.05, 0.06, 0.07, 1e-3, 2e-3, -1e-3), mass=6.0
+    )
+    urdf = write_parts(
+        tmp_path, change_part(parts, "rod", kind="continuous", lower=None, upper=None)
+    )
     for link in ("frame", "mount", "rod"):
         without_mass(urdf, link)
     mjcf, found = convert_file(urdf, "arm.xml")
@@ -59,7 +63,7 @@ def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path)
     """Reference: the closest moments that satisfy the triangle inequality, (1, 1, -1) times a third
     of the deficit. Mass, CoM, axes and all other bodies are unchanged."""
     stated = (0.02, 0.04, 0.08, 1e-3, 0.0, 0.0)
-    urdf = written(tmp_path, changed(arm(), "boom", inertia=stated))
+    urdf = write_parts(tmp_path, change_part(arm(), "boom", inertia=stated))
     with pytest.raises(pa.ModelError, match=r"'boom'.*which no body has.*--repair-inertia"):
         pa.convert_model(urdf, tmp_path / "arm.xml")
     mjcf, found = convert_file(urdf, "arm.xml", repair_inertia=True)

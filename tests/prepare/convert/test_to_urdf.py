@@ -28,7 +28,7 @@ FINGERS = """
 """
 
 
-def converted(folder: Path, equality: str) -> tuple[list[ElementTree.Element], list[str]]:
+def convert_equality(folder: Path, equality: str) -> tuple[list[ElementTree.Element], list[str]]:
     """Return the joints of the URDF with a mimic, and the codes of elements that were not
     converted.
     """
@@ -52,7 +52,7 @@ def converted(folder: Path, equality: str) -> tuple[list[ElementTree.Element], l
 )
 def test_equality_that_is_no_mimic_is_left_out_with_a_note(tmp_path: Path, equality: str) -> None:
     """A fourth-order polynomial, a fixed joint, an inactive coupling and a weld."""
-    mimics, left = converted(tmp_path, equality)
+    mimics, left = convert_equality(tmp_path, equality)
     assert mimics == []
     assert left == ["equality-not-in-urdf"]
 

@@ -16,7 +16,7 @@ from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
 from tests.support.conversions import write_standing_urdf
 from tests.support.legged import quadruped as legged
-from tests.support.legged import rewritten
+from tests.support.legged import rewrite_file
 
 GEOM = (
     *("friction", "solref", "solimp", "solmix", "condim", "contype", "conaffinity", "priority"),
@@ -29,7 +29,7 @@ OPTIONS = (
 MOTOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "ctrllimited", "gear", "biastype")
 
 
-def drawn(folder: Path, seed: int) -> Path:
+def write_random_quadruped(folder: Path, seed: int) -> Path:
     """A quadruped of random masses and feet, every second one's feet round meshes."""
     random = np.random.default_rng(seed)
     text = write_standing_urdf(folder).read_text()
@@ -48,7 +48,7 @@ def drawn(folder: Path, seed: int) -> Path:
     return path
 
 
-def both(urdf: Path, folder: Path) -> tuple[pa.Robot, mujoco.MjModel, Path]:
+def load_both(urdf: Path, folder: Path) -> tuple[pa.Robot, mujoco.MjModel, Path]:
     """Return the robot loaded from a URDF, MuJoCo's model of the MJCF that `convert` writes, and
     the file of this MJCF.
     """
@@ -57,7 +57,7 @@ def both(urdf: Path, folder: Path) -> tuple[pa.Robot, mujoco.MjModel, Path]:
     return pa.load_robot(urdf), mujoco.MjModel.from_xml_path(str(output)), output
 
 
-def touching(model: mujoco.MjModel) -> list[int]:
+def list_touching_geoms(model: mujoco.MjModel) -> list[int]:
     """The geoms that touch, by body and place in it: names may differ."""
     touch = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     return sorted(touch, key=lambda geom: (model.body(model.geom_bodyid[geom]).name, geom))
@@ -69,7 +69,7 @@ def assert_equal_worlds(memory: mujoco.MjModel, file: mujoco.MjModel) -> None:
         np.testing.assert_array_equal(
             getattr(memory.opt, name), getattr(file.opt, name), err_msg=name
         )
-    ours, theirs = touching(memory), touching(file)
+    ours, theirs = list_touching_geoms(memory), list_touching_geoms(file)
     assert len(ours) == len(theirs)
     for name in GEOM:
         one, two = (
@@ -92,8 +92,8 @@ def test_converted_urdf_has_the_verdicts_of_its_source(seed: int, tmp_path: Path
     """Random quadrupeds: stand height within 2 um, verdict on a slope of 0.14 rad, and torques [N
     m] of the nominal stand. The tolerances are the rounding of the written file.
     """
-    urdf = drawn(tmp_path, seed)
-    robot, file, output = both(urdf, tmp_path)
+    urdf = write_random_quadruped(tmp_path, seed)
+    robot, file, output = load_both(urdf, tmp_path)
     assert_equal_worlds(robot.mj_model, file)
     again = pa.load_robot(output)
     assert again.stand_height == pytest.approx(robot.stand_height, abs=2e-6)
@@ -113,7 +113,7 @@ def test_converted_urdf_has_the_verdicts_of_its_source(seed: int, tmp_path: Path
 
 def test_each_added_element_has_a_reason(tmp_path: Path) -> None:
     """A servo per joint, one floor and one keyframe; each reason is a note of the robot as well."""
-    robot = pa.load_robot(drawn(tmp_path, 70201))
+    robot = pa.load_robot(write_random_quadruped(tmp_path, 70201))
     added = robot.description.added
     kinds = [type(each) for each in added]
     assert kinds.count(Servo) == robot.nu
@@ -131,7 +131,7 @@ def test_freed_base_and_added_ground_state_their_friction(stated: str, tmp_path:
     """The written MJCF states impratio, unless the file states it; without it, the robot creeps on
     a slope on which the URDF stands."""
     pair = legged(tmp_path, free=False)
-    rewritten(pair.mjcf, ("<worldbody>", f"{stated}<worldbody>"))
+    rewrite_file(pair.mjcf, ("<worldbody>", f"{stated}<worldbody>"))
     robot = pa.load_robot(mjcf=pair.mjcf)
     assert robot.floating
     gripped = any(note.code == "contacts-made-to-hold" for note in robot.notes)
@@ -150,7 +150,7 @@ def test_freed_robot_is_written_with_the_servos_of_its_stand(
     """
     tie = '<joint name="tie" type="fixed"><parent link="world"/><child link="trunk"/></joint>'
     tied = ("</robot>", f'<link name="world"/>{tie}</robot>')
-    free, written, output = both(rewritten(write_standing_urdf(tmp_path), tied), tmp_path)
+    free, written, output = load_both(rewrite_file(write_standing_urdf(tmp_path), tied), tmp_path)
     assert written.nkey == 0
     assert not (written.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
     for name in MOTOR:

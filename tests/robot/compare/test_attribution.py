@@ -28,11 +28,11 @@ from tests.support.robots import (
     Part,
     Parts,
     arm,
-    changed,
-    compared,
-    explained,
-    found,
-    matched,
+    change_part,
+    compare_files,
+    explain_parts,
+    list_differences,
+    match_files,
     mjcf_text,
     pendulum,
     quadruped,
@@ -48,7 +48,7 @@ LENGTH, MASS = 0.5, 2.0  # of the pendulum
 ROD = MASS * LENGTH**2 + 1e-3 + 0.01  # its moment of inertia about the hinge, with the rotor
 
 
-def only(explanation: Explanation) -> Difference:
+def get_difference(explanation: Explanation) -> Difference:
     (difference,) = explanation.differences
     return difference
 
@@ -69,8 +69,8 @@ def test_gravity_effect_of_an_extra_mass_equals_its_weight(tmp_path: Path) -> No
     """Closed form: m g [N] of the extra 0.25 kg, absolute and relative to the weight of the
     robot.
     """
-    effects = only(
-        explained(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.25))
+    effects = get_difference(
+        explain_parts(tmp_path, quadruped(), change_part(quadruped(), "base", mass=6.25))
     ).effects
     assert effects["gravity"].deviation == pytest.approx(0.25 * GRAVITY, rel=1e-12)
     assert effects["gravity"].relative == pytest.approx(0.25 * GRAVITY / WEIGHT, rel=1e-12)
@@ -85,10 +85,10 @@ def test_shares_of_two_masses_exceed_one_if_their_effects_cancel(tmp_path: Path)
     opposite signs 3/2 and 1/2.
     """
     for thigh, expected in ((1.1, (0.75, 0.25)), (0.9, (1.5, -0.5))):
-        mjcf = changed(changed(quadruped(), "base", mass=6.3), "thigh0", mass=thigh)
+        mjcf = change_part(change_part(quadruped(), "base", mass=6.3), "thigh0", mass=thigh)
         shares = {
             difference.element: difference.effects["gravity"].share
-            for difference in explained(tmp_path, quadruped(), mjcf).differences
+            for difference in explain_parts(tmp_path, quadruped(), mjcf).differences
         }
         assert shares["base"] == pytest.approx(expected[0], rel=1e-9)
         assert shares["hip0"] == pytest.approx(abs(expected[1]), rel=1e-9)
@@ -99,7 +99,7 @@ def test_damping_effect_equals_the_closed_form_of_a_pendulum(tmp_path: Path) -> 
     moment of inertia.
     """
     explanation, _, qvel = swing(tmp_path, damping=0.35)
-    effect = only(explanation).effects
+    effect = get_difference(explanation).effects
     assert set(effect) == {"forward dynamics"}
     expected = np.abs(0.25 * qvel / ROD).max()
     assert effect["forward dynamics"].deviation == pytest.approx(expected, rel=1e-9)
@@ -111,9 +111,11 @@ def test_com_effect_equals_the_closed_form_of_a_pendulum(tmp_path: Path) -> None
     """
     explanation, angles, _ = swing(tmp_path, com=(0.0, 0.0, -0.52))
     expected = np.abs(MASS * GRAVITY * 0.02 * np.sin(angles)).max()
-    assert only(explanation).effects["gravity"].deviation == pytest.approx(expected, rel=1e-9)
+    assert get_difference(explanation).effects["gravity"].deviation == pytest.approx(
+        expected, rel=1e-9
+    )
     heavier = MASS * (0.52**2 - 0.5**2)
-    effect = only(explanation).effects["mass matrix"]
+    effect = get_difference(explanation).effects["mass matrix"]
     assert effect.deviation == pytest.approx(heavier, rel=1e-9)
     assert effect.relative == pytest.approx(heavier / ROD, rel=1e-9)
 
@@ -123,7 +125,7 @@ def test_inertia_effect_of_a_pendulum_is_in_the_mass_matrix_only(tmp_path: Path)
     gravity does not.
     """
     explanation, _, _ = swing(tmp_path, inertia=(1e-3, 1.8e-3, 1e-3, 0, 0, 0))
-    effects = only(explanation).effects
+    effects = get_difference(explanation).effects
     assert effects["mass matrix"].deviation == pytest.approx(0.8e-3, rel=1e-9)
     assert "gravity" not in effects
 
@@ -134,7 +136,7 @@ def test_zero_angle_effect_equals_the_closed_form_of_a_pendulum(tmp_path: Path) 
     """
     turned = turned_about(pendulum()["bob"], (0, 1, 0), 0.1)
     explanation, angles, _ = swing(tmp_path, quaternion=turned)
-    difference = only(explanation)
+    difference = get_difference(explanation)
     assert difference.kind == "rotation"
     assert "turned by 5.73 deg about (0, 1, 0) (its own axis: the files' zero angles differ)" in (
         difference.message
@@ -158,7 +160,7 @@ def test_damping_and_friction_that_the_mjcf_alone_states_have_their_units(tmp_pa
     friction.
     """
     urdf = re.sub("<dynamics[^>]*/>", "", urdf_text(quadruped()))
-    comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
+    comparison = compare_files(write(tmp_path, urdf, mjcf_text(quadruped())))
     assert comparison.differences == ()
     units = {
         note.code: (note.values["least"], note.values["count"])
@@ -175,9 +177,11 @@ def test_damping_and_friction_that_the_mjcf_alone_states_have_their_units(tmp_pa
 def test_effect_of_a_shifted_joint_equals_the_shift_of_its_subtree(tmp_path: Path) -> None:
     """Closed form: largest component of R shift [m] over the states, with the base rotation R."""
     shift = np.array([0.003, -0.001, 0.002])
-    mjcf = changed(quadruped(), "thigh2", position=tuple(quadruped()["thigh2"].position + shift))
+    mjcf = change_part(
+        quadruped(), "thigh2", position=tuple(quadruped()["thigh2"].position + shift)
+    )
     robot = robot_of(tmp_path, quadruped(), mjcf)
-    difference = only(explain_differences(robot))
+    difference = get_difference(explain_differences(robot))
     assert (difference.kind, difference.element) == ("position", "hip2")
     states = random_states(robot, 10, seed=0)
     expected = max(
@@ -190,7 +194,7 @@ def test_effect_of_a_shifted_joint_equals_the_shift_of_its_subtree(tmp_path: Pat
 # ------------------------------------------------------------------------------------- completeness
 
 
-def shaken(parts: Parts, seed: int) -> Parts:
+def perturb_parts(parts: Parts, seed: int) -> Parts:
     """The parts with every number changed a little, or much."""
     random = np.random.default_rng(seed)
     size = 10.0 ** random.uniform(-7, -1)
@@ -228,7 +232,7 @@ def test_models_agree_after_all_differences_are_removed(
     """
     folder = tmp_path_factory.getbasetemp()
     parts = arm() if fixed else quadruped()
-    explanation = explained(folder, parts, shaken(parts, seed), free=not fixed)
+    explanation = explain_parts(folder, parts, perturb_parts(parts, seed), free=not fixed)
     assert explanation.complete
     assert max(explanation.residual.values()) < 1e-12
     assert max(explanation.deviations.values()) > 1e-9  # there was something to explain
@@ -237,8 +241,10 @@ def test_models_agree_after_all_differences_are_removed(
 def test_negative_mass_in_one_file_is_named_as_the_only_explanation(tmp_path: Path) -> None:
     """MuJoCo cannot evaluate a body of negative mass; the explanation is evaluated with the values
     of the other file."""
-    explanation = explained(tmp_path, changed(quadruped(), "shank0", mass=-1.0), quadruped())
-    assert ("mass", "knee0") in found(explanation)
+    explanation = explain_parts(
+        tmp_path, change_part(quadruped(), "shank0", mass=-1.0), quadruped()
+    )
+    assert ("mass", "knee0") in list_differences(explanation)
     assert explanation.complete
 
 
@@ -247,7 +253,7 @@ def test_explanation_is_incomplete_if_mass_differences_are_ignored(
 ) -> None:
     """The proof can fail: with masses and inertias left out of the comparison, it does."""
     monkeypatch.setattr(explain_module, "body_changes", lambda *_: iter(()))
-    explanation = explained(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.3))
+    explanation = explain_parts(tmp_path, quadruped(), change_part(quadruped(), "base", mass=6.3))
     assert explanation.differences == ()
     assert not explanation.complete
     assert explanation.residual["gravity"] == pytest.approx(0.3 * GRAVITY / WEIGHT, rel=1e-9)
@@ -260,16 +266,16 @@ SHANK = quadruped()["shank0"]
 BASE = quadruped()["base"]
 
 
-def _plus(values: Any, more: float) -> tuple[float, ...]:
+def _add_to_first(values: Any, more: float) -> tuple[float, ...]:
     return (values[0] + more, *values[1:])
 
 
 BY_TOLERANCE: dict[str, tuple[str, float, Any]] = {
     # kind: the link, the tolerance, how the MJCF's part is changed by x
     "mass": ("base", 1e-4, lambda x: {"mass": BASE.mass / (1 - x)}),
-    "com": ("base", 1e-5, lambda x: {"com": _plus(BASE.com, x)}),
-    "inertia": ("base", 1e-3, lambda x: {"inertia": _plus(BASE.inertia, 0.1 * x)}),
-    "position": ("shank0", 1e-5, lambda x: {"position": _plus(SHANK.position, x)}),
+    "com": ("base", 1e-5, lambda x: {"com": _add_to_first(BASE.com, x)}),
+    "inertia": ("base", 1e-3, lambda x: {"inertia": _add_to_first(BASE.inertia, 0.1 * x)}),
+    "position": ("shank0", 1e-5, lambda x: {"position": _add_to_first(SHANK.position, x)}),
     "rotation": ("shank0", 1e-4, lambda x: {"quaternion": turned_about(SHANK, (1, 0, 0), x)}),
     "axis": ("shank0", 1e-4, lambda x: {"axis": (0.0, math.cos(x), math.sin(x))}),
     "lower limit": ("shank0", 1e-3, lambda x: {"lower": SHANK.lower + x}),
@@ -293,8 +299,10 @@ def test_each_tolerance_passes_just_below_and_fails_just_above(
     element = quadruped()[link].joint or "base"
     for factor, expected in ((0.98, []), (1.02, [(kind, element)])):
         for sign in (1, -1):
-            mjcf = changed(quadruped(), link, **change(sign * factor * size))
-            assert found(explained(tmp_path, quadruped(), mjcf, tolerances)) == expected
+            mjcf = change_part(quadruped(), link, **change(sign * factor * size))
+            assert (
+                list_differences(explain_parts(tmp_path, quadruped(), mjcf, tolerances)) == expected
+            )
 
 
 def test_unknown_tolerance_is_refused_with_the_valid_names() -> None:
@@ -345,8 +353,10 @@ def test_the_message_gives_both_values_and_the_likely_slip(tmp_path: Path, hint:
     and the explanation is complete.
     """
     urdf, mjcf, kind, words = HINTS[hint]
-    explanation = explained(
-        tmp_path, changed(quadruped(), "shank0", **urdf), changed(quadruped(), "shank0", **mjcf)
+    explanation = explain_parts(
+        tmp_path,
+        change_part(quadruped(), "shank0", **urdf),
+        change_part(quadruped(), "shank0", **mjcf),
     )
     messages = {d.kind: d.message for d in explanation.differences if d.element == "knee0"}
     assert words in messages[kind]
@@ -356,9 +366,9 @@ def test_the_message_gives_both_values_and_the_likely_slip(tmp_path: Path, hint:
 
 def test_no_slip_is_suggested_without_reason(tmp_path: Path) -> None:
     """Values that differ by no typical factor: no message contains a suggestion."""
-    mjcf = changed(quadruped(), "shank0", mass=0.31, com=(0.01, 0.002, -0.1), lower=-2.0)
-    mjcf = changed(mjcf, "shank0", quaternion=turned_about(SHANK, (0, 1, 1), 0.1))
-    differences = explained(tmp_path, quadruped(), mjcf).differences
+    mjcf = change_part(quadruped(), "shank0", mass=0.31, com=(0.01, 0.002, -0.1), lower=-2.0)
+    mjcf = change_part(mjcf, "shank0", quaternion=turned_about(SHANK, (0, 1, 1), 0.1))
+    differences = explain_parts(tmp_path, quadruped(), mjcf).differences
     assert {difference.element for difference in differences} == {"knee0"}
     for difference in differences:
         assert "?" not in difference.message
@@ -380,7 +390,7 @@ def test_springs_and_friction_of_a_free_joint_are_differences(
     a URDF cannot state."""
     text = mjcf_text(quadruped()).replace("<freejoint/>", f'<joint type="free" {word}="1.5"/>')
     text = text.replace('<body name="base"', f'<body name="{base}"')
-    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    comparison = compare_files(write(tmp_path, urdf_text(quadruped()), text))
     assert not comparison.agree
     (difference,) = comparison.differences
     assert (difference.kind, difference.element) == (kind, base)
@@ -390,8 +400,10 @@ def test_springs_and_friction_of_a_free_joint_are_differences(
 def test_armature_of_a_free_joint_is_a_difference_of_the_mass_matrix(tmp_path: Path) -> None:
     """Reference: the diagonal of the mass matrix grows by 0.5; gravity is unchanged."""
     text = mjcf_text(quadruped()).replace("<freejoint/>", '<joint type="free" armature="0.5"/>')
-    explanation = explain_differences(matched(write(tmp_path, urdf_text(quadruped()), text)).robot)
-    difference = only(explanation)
+    explanation = explain_differences(
+        match_files(write(tmp_path, urdf_text(quadruped()), text)).robot
+    )
+    difference = get_difference(explanation)
     assert (difference.kind, difference.element) == ("armature", "base")
     assert (difference.urdf, difference.mjcf) == (None, 0.5)
     # On the diagonal alone, and nothing of it weighs.
@@ -418,7 +430,9 @@ def test_armature_that_differs_between_left_and_right_is_reported(
         for place in [(0.0, y, height)]
     }
     parts = legs | arms
-    assert not explained(tmp_path, parts, parts).differences
-    difference = only(explained(tmp_path, parts, changed(parts, odd, armature=0.2)))
+    assert not explain_parts(tmp_path, parts, parts).differences
+    difference = get_difference(
+        explain_parts(tmp_path, parts, change_part(parts, odd, armature=0.2))
+    )
     assert (difference.kind, difference.element) == ("armature", wrong)
     assert (difference.mjcf, "but 0.02 kg m^2 on" in difference.message) == (0.2, True)

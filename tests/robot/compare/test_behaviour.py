@@ -175,7 +175,7 @@ def test_fewer_states_are_compared_for_a_very_large_robot_with_a_note() -> None:
     assert "2 of 20 states" in notes[0]
 
 
-def _calls(work: Callable[[], object]) -> int:
+def _count_calls(work: Callable[[], object]) -> int:
     """Counts the calls of Python functions in some work."""
     count = 0
 
@@ -198,5 +198,7 @@ def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> No
     """Count of Python calls: at most 2.2 times for twice as many legs (linear growth plus 10 %)."""
     one, two = written(52, 4, heavier), written(104, 4, heavier)
     pa.compare_models(*written(3, 4, heavier))  # imports
-    small, large = (_calls(lambda files=files: pa.compare_models(*files)) for files in (one, two))
+    small, large = (
+        _count_calls(lambda files=files: pa.compare_models(*files)) for files in (one, two)
+    )
     assert large < 2.2 * small

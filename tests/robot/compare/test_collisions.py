@@ -9,18 +9,18 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
-from tests.support.legged import rewritten
+from tests.support.legged import rewrite_file
 from tests.support.repository import ROOT
 from tests.support.robots import line_at
 
 FOOT = '"collision" type="sphere" size="0.01995"'
 
 
-def edited(folder: Path, file: str, old: str, new: str) -> tuple[Path, Path]:
+def write_edited(folder: Path, file: str, old: str, new: str) -> tuple[Path, Path]:
     """Returns v3's two files with one edit."""
     for name in ("urdf", "mjcf"):
         shutil.copytree(ROOT / name, folder / name)
-    rewritten(folder / file, (old, new))
+    rewrite_file(folder / file, (old, new))
     return folder / "urdf/pupper_v3.urdf", folder / "mjcf/pupper_v3.xml"
 
 
@@ -37,7 +37,7 @@ def test_another_radius_is_a_difference_of_each_foot(
     """Closed form: a foot with 10 mm more radius reaches 10 mm lower; one with 0.09 m in the URDF
     70.05 mm lower there. Values in m, and both files' lines.
     """
-    files = edited(tmp_path, file, old, new)
+    files = write_edited(tmp_path, file, old, new)
     found = pa.compare_models(*files)
     assert not found.agree
     assert [one.kind for one in found.differences] == ["collision"] * 4
@@ -54,7 +54,9 @@ def test_another_radius_is_a_difference_of_each_foot(
 
 def test_feet_without_contact_in_one_file_are_differences(tmp_path: Path) -> None:
     """With ``conaffinity`` 0 MuJoCo tests no geom of the MJCF against the floor."""
-    files = edited(tmp_path, "mjcf/pupper_v3_shared.xml", 'conaffinity="1"', 'conaffinity="0"')
+    files = write_edited(
+        tmp_path, "mjcf/pupper_v3_shared.xml", 'conaffinity="1"', 'conaffinity="0"'
+    )
     found = pa.compare_models(*files)
     assert not found.agree
     codes = [difference.diagnostic.code for difference in found.differences]
@@ -64,6 +66,6 @@ def test_feet_without_contact_in_one_file_are_differences(tmp_path: Path) -> Non
 def test_foot_excluded_from_the_world_is_a_difference(tmp_path: Path) -> None:
     """Its contact bits are unchanged; MuJoCo lets the excluded body through the floor."""
     exclude = '<contact><exclude body1="leg_front_l_3" body2="world"/></contact></mujoco>'
-    found = pa.compare_models(*edited(tmp_path, "mjcf/pupper_v3.xml", "</mujoco>", exclude))
+    found = pa.compare_models(*write_edited(tmp_path, "mjcf/pupper_v3.xml", "</mujoco>", exclude))
     (difference,) = found.differences
     assert difference.diagnostic.code == "foot-touches-in-one-file"

@@ -17,8 +17,8 @@ from tests.support.robots import (
     FEET,
     Files,
     Part,
-    changed,
-    compared,
+    change_part,
+    compare_files,
     line_at,
     mjcf_text,
     quadruped,
@@ -41,11 +41,11 @@ def lines_of(difference: Difference, files: Files) -> tuple[str, str]:
 SITE, FREE = '<site name="foot1" pos="0.002 0.0 -0.2"/>', '<joint type="free" damping="0.5"/>'
 LOWER_FOOT = [f._replace(position=(0, 0, -0.25)) if f.name == "foot1" else f for f in FEET]
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
-NAMELESS = mjcf_text(changed(quadruped(), "shank2", damping=0.5)).replace(
+NAMELESS = mjcf_text(change_part(quadruped(), "shank2", damping=0.5)).replace(
     '<joint name="knee2" ', "<joint "
 )
 PLACES = {
-    "a base": ("mass", URDF, mjcf_text(changed(quadruped(), "base", mass=7.0)),
+    "a base": ("mass", URDF, mjcf_text(change_part(quadruped(), "base", mass=7.0)),
                '<mass value="6.0"/>', 'mass="7.0"'),
     "a free joint": ("damping", URDF, MJCF.replace("<freejoint/>", FREE),
                      '<link name="base">', FREE),
@@ -62,7 +62,7 @@ PLACES = {
 def test_differences_point_at_the_lines_of_both_files(what: str, tmp_path: Path) -> None:
     kind, urdf, mjcf, *expected = PLACES[what]
     files = write(tmp_path, urdf, mjcf)
-    shown = lines_of(first_of(compared(files), kind), files)
+    shown = lines_of(first_of(compare_files(files), kind), files)
     assert all(text in line for text, line in zip(expected, shown, strict=True))
 
 
@@ -73,7 +73,7 @@ def test_the_place_of_an_effort_without_a_motor(tmp_path: Path) -> None:
     text = text.replace(motors, "<actuator>\n")
     text = text.replace('<joint name="knee1"', '<joint name="knee1" actuatorfrcrange="-9 9"')
     files = write(tmp_path, urdf_text(quadruped()), text)
-    difference = next(d for d in compared(files).differences if d.element == "knee1")
+    difference = next(d for d in compare_files(files).differences if d.element == "knee1")
     assert difference.mjcf == 9.0
     assert '<joint name="knee1"' in lines_of(difference, files)[1]
 
@@ -94,7 +94,7 @@ def test_engine_disagreement_is_distinguished_from_model_difference(
         return model
 
     monkeypatch.setattr(crosscheck, "import_urdf_to_mujoco", heavier)
-    comparison = compared(files)
+    comparison = compare_files(files)
     assert comparison.differences == ()
     assert any(line.subject.name == "mass matrix" for line in comparison.engines)
     assert all(line.values["edge"] == "engines (URDF)" for line in comparison.engines)
@@ -118,7 +118,7 @@ def test_files_without_base_mass_disagree_for_legs_and_agree_for_a_hand(
     for name, x in zip(names, (0.1, -0.1), strict=True):
         parts[f"{name}_link"] = Part(f"{name}_link", "base", name, position=(x, 0.0, 0.0))
     fused = without_base(mjcf_text(parts, (), free=False))
-    comparison = compared(write(tmp_path, urdf_text(parts, ()), fused))
+    comparison = compare_files(write(tmp_path, urdf_text(parts, ()), fused))
     assert "mass-of-base-left-out" in {note.code for note in comparison.notes}
     assert comparison.agree == agree, [*comparison.objections, *comparison.differences]
 

@@ -25,9 +25,9 @@ from tests.support.robots import (
     Files,
     all_changed,
     arm,
-    compared,
-    found,
-    matched,
+    compare_files,
+    list_differences,
+    match_files,
     mjcf_text,
     pendulum,
     quadruped,
@@ -44,7 +44,7 @@ URDF = urdf_text(quadruped())
 MJCF = mjcf_text(quadruped())
 
 
-def with_(text: str, **edits: str) -> str:
+def replace_once(text: str, **edits: str) -> str:
     """The text with ``old`` replaced by ``new``, once; ``old`` has to be there."""
     for old, new in edits.items():
         assert old in text, old
@@ -53,14 +53,14 @@ def with_(text: str, **edits: str) -> str:
 
 
 def pair(folder: Path, mjcf: str, urdf: str = URDF, **options: Any) -> Comparison:
-    return compared(write(folder, urdf, mjcf), **options)
+    return compare_files(write(folder, urdf, mjcf), **options)
 
 
 def swing(folder: Path, **edits: str) -> tuple[dict[str, Effect], np.ndarray, np.ndarray]:
     """The effects of the one difference of a pendulum; and the angles and speeds judged at."""
-    text = with_(mjcf_text(pendulum(), free=False), **edits)
+    text = replace_once(mjcf_text(pendulum(), free=False), **edits)
     files = write(folder, urdf_text(pendulum()), text)
-    match = matched(files)
+    match = match_files(files)
     explanation = explain_differences(match.robot, reference=match.reference, mimics=match.mimics)
     assert explanation.complete
     (difference,) = (item for item in explanation.differences if item.kind != "effort")
@@ -151,17 +151,19 @@ def test_armature_and_damping_of_a_motor_count_with_the_gear_squared(tmp_path: P
     motors = MJCF.replace(plain, bare)
     for leg in range(4):
         motor = f'name="m_hip{leg}" joint="hip{leg}"'
-        motors = with_(motors, **{motor: f'{motor} gear="2" damping="0.015" armature="0.002"'})
+        motors = replace_once(
+            motors, **{motor: f'{motor} gear="2" damping="0.015" armature="0.002"'}
+        )
     # 0.04 + 4 0.015 = 0.1 and 0.002 + 4 0.002 = 0.01; the torques' limits grow with the gear.
     comparison = pair(tmp_path, motors, tolerances=EFFORT)
-    assert found(comparison) == []
+    assert list_differences(comparison) == []
     assert comparison.agree
     armature = {q.name: q for q in comparison.check.quantities}["armature"]
     assert armature.scale == pytest.approx(0.02)
     assert armature.relative < 1e-12
-    assert matched(Files(tmp_path / "robot.urdf", tmp_path / "robot.xml")).robot.pin_model.armature[
-        6:
-    ] == pytest.approx([0.01, 0.02] * 4)
+    assert match_files(
+        Files(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+    ).robot.pin_model.armature[6:] == pytest.approx([0.01, 0.02] * 4)
 
 
 # ------------------------------------------------------------------------------------- the verdict
@@ -181,7 +183,7 @@ def belt(words: str, **joints: float) -> str:
     return f"<tendon><fixed {words}>{parts}</fixed></tendon>"
 
 
-def tied(kind: str, words: str) -> str:
+def add_equality(kind: str, words: str) -> str:
     return f'{AFTER}<equality><{kind} {words} solref="-{{}} -1"/></equality>'
 
 
@@ -212,21 +214,21 @@ PASSIVE = {
         rope('name="cord"', "foot1", "foot3")
         + '<actuator><motor tendon="cord" gear="2" armature="{}"/>',
     ),
-    "weld": ("equality", AFTER, tied("weld", 'body1="base"')),
+    "weld": ("equality", AFTER, add_equality("weld", 'body1="base"')),
     "connect": (
         "equality",
         AFTER,
-        tied("connect", 'body1="shank0" body2="shank1" anchor="0 0 0"'),
+        add_equality("connect", 'body1="shank0" body2="shank1" anchor="0 0 0"'),
     ),
     "joint equality": (
         "equality",
         AFTER,
-        tied("joint", 'joint1="hip0" joint2="hip1" polycoef="0.1 1 0.2 0 0"'),
+        add_equality("joint", 'joint1="hip0" joint2="hip1" polycoef="0.1 1 0.2 0 0"'),
     ),
     "tendon equality": (
         "equality",
         AFTER,
-        tied("tendon", 'tendon1="both"') + belt('name="both"', knee1=1, knee3=-1),
+        add_equality("tendon", 'tendon1="both"') + belt('name="both"', knee1=1, knee3=-1),
     ),
     "slack": (
         "tendon",
@@ -237,14 +239,14 @@ PASSIVE = {
 """{passive element: (kind of difference, element or text in the MJCF, inserted text)}."""
 
 
-def acting(kind: str, size: str, text: str) -> str:
+def add_acting_element(kind: str, size: str, text: str) -> str:
     """The text with something that acts."""
     _, where, words = PASSIVE[kind]
     if "<" not in where and "=" not in where:
         where, words = f'name="{where}"', f'name="{where}" {words}'
     elif where == BEFORE and BEFORE not in words:
         words += BEFORE
-    return with_(text, **{where: words.format(size)})
+    return replace_once(text, **{where: words.format(size)})
 
 
 _PAIR = '<tendon><fixed {}><joint joint="hip0" coef="1"/></fixed></tendon><actuator>'
@@ -316,10 +318,10 @@ def test_files_do_not_agree_if_mujoco_accelerates_differently(
     """
     text = MJCF
     for kind, size in chosen.items():
-        text = acting(kind, repr(size), text)
+        text = add_acting_element(kind, repr(size), text)
     for kind in sorted(silent):
         old, new = SILENT[kind]
-        text = with_(text, **{old: new})
+        text = replace_once(text, **{old: new})
     plain = accelerations(MJCF, seed)
     deviation = np.abs(accelerations(text, seed) - plain).max() / np.abs(plain).max()
     comparison = pair(tmp_path_factory.getbasetemp(), text)
@@ -335,11 +337,11 @@ def test_files_do_not_agree_if_mujoco_accelerates_differently(
 @pytest.mark.parametrize("kind", PASSIVE)
 def test_passive_force_is_the_first_difference_and_engines_agree(kind: str, tmp_path: Path) -> None:
     """Both engines agree on each file within 1e-12, so the file is the cause."""
-    comparison = pair(tmp_path, acting(kind, "0.5", MJCF))
+    comparison = pair(tmp_path, add_acting_element(kind, "0.5", MJCF))
     assert comparison.engines == ()
     assert not comparison.agree
     assert comparison.complete
-    assert found(comparison)[0][0] == PASSIVE[kind][0]
+    assert list_differences(comparison)[0][0] == PASSIVE[kind][0]
     edges = {q.name: q.edge_deviations for q in comparison.check.quantities}["forward dynamics"]
     assert edges["engines (MJCF)"] < 1e-12
     assert edges["engines (URDF)"] < 1e-12
@@ -353,8 +355,8 @@ def test_attribute_without_effect_on_acceleration_is_still_a_difference(
 ) -> None:
     """Dry friction and ranges of tendons, and disable flags: reported with no effects."""
     for old, new in UNFELT[kind]:
-        comparison = pair(tmp_path, with_(MJCF, **{old: new}))
-        assert [one for one, _ in found(comparison)] == [kind], new
+        comparison = pair(tmp_path, replace_once(MJCF, **{old: new}))
+        assert [one for one, _ in list_differences(comparison)] == [kind], new
         assert comparison.complete
         assert comparison.differences[0].effects == {}
 
@@ -364,14 +366,14 @@ def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
     tiny = {"com": (0.0, 0.0, -1e-3), "inertia": (1e-9, 1e-9, 1e-9, 0, 0, 0), "armature": 0.0}
     urdf, other = pendulum(**tiny), pendulum(**{**tiny, "com": (0.0, 0.0, -1.009e-3)})
     files = write(tmp_path, urdf_text(urdf), mjcf_text(other, free=False))
-    comparison = compared(files)
+    comparison = compare_files(files)
     assert comparison.differences == ()
     assert comparison.complete
     assert not comparison.agree
     assert ("tolerances-add-up", "gravity") in [
         (message.code, message.subject.name) for message in comparison.objections
     ]
-    assert compared(files, tolerances=Tolerances().with_values({"dynamics": 0.05})).agree
+    assert compare_files(files, tolerances=Tolerances().with_values({"dynamics": 0.05})).agree
 
 
 # ------------------------------------------------------------------------------------- couplings
@@ -397,11 +399,13 @@ def test_mimic_without_equal_equality_is_a_difference(
     tmp_path: Path,
 ) -> None:
     """An equality with the same polynomial agrees; five different ones do not."""
-    urdf = with_(URDF, **MIMIC)
-    assert found(pair(tmp_path, MJCF, urdf)) == [("mimic", "knee0")]
+    urdf = replace_once(URDF, **MIMIC)
+    assert list_differences(pair(tmp_path, MJCF, urdf)) == [("mimic", "knee0")]
     for name, equality in {"": SAME, **OTHER}.items():
-        text = with_(MJCF, **{"</worldbody>": f"</worldbody><equality>{equality}</equality>"})
-        kinds = {kind for kind, _ in found(pair(tmp_path, text, urdf))}
+        text = replace_once(
+            MJCF, **{"</worldbody>": f"</worldbody><equality>{equality}</equality>"}
+        )
+        kinds = {kind for kind, _ in list_differences(pair(tmp_path, text, urdf))}
         assert kinds == ({"mimic", "equality"} if name else set()), name
 
 
@@ -495,16 +499,16 @@ def test_disable_flags_remove_the_forces_that_the_file_states(tmp_path: Path) ->
 
     def flagged(word: str, text: str = MJCF) -> Comparison:
         option = f'<option><flag {word}="disable"/></option><worldbody>'
-        return pair(tmp_path, with_(text, **{"<worldbody>": option}))
+        return pair(tmp_path, replace_once(text, **{"<worldbody>": option}))
 
-    spring = with_(MJCF, **{'<joint name="hip0"': '<joint name="hip0" stiffness="9"'})
+    spring = replace_once(MJCF, **{'<joint name="hip0"': '<joint name="hip0" stiffness="9"'})
     assert flagged("spring", spring).agree
-    assert {kind for kind, _ in found(flagged("damper"))} == {"damping"}
-    assert found(flagged("gravity")) == [("gravity", "option")]
+    assert {kind for kind, _ in list_differences(flagged("damper"))} == {"damping"}
+    assert list_differences(flagged("gravity")) == [("gravity", "option")]
     undamped = urdf_text(all_changed(quadruped(), damping=0.0))
     option = '<option><flag damper="disable"/></option><worldbody>'
-    assert pair(tmp_path, with_(MJCF, **{"<worldbody>": option}), undamped).agree
-    cord = with_(MJCF, **{BEFORE: belt('stiffness="2" damping="3"', hip0=1) + BEFORE})
+    assert pair(tmp_path, replace_once(MJCF, **{"<worldbody>": option}), undamped).agree
+    cord = replace_once(MJCF, **{BEFORE: belt('stiffness="2" damping="3"', hip0=1) + BEFORE})
     for word, left, gone in (
         ("spring", "damping", "stiffness"),
         ("damper", "stiffness", "damping"),

@@ -115,7 +115,7 @@ def option(files: Files) -> tuple[Element, str]:
 Pick = Callable[[Files], tuple[Element, str]]
 
 
-def changed(pick: Pick, path: str, attribute: str, kind: str, change: Change) -> Mutation:
+def mutate_numbers(pick: Pick, path: str, attribute: str, kind: str, change: Change) -> Mutation:
     """Return a mutation of the numbers of an attribute of an element or of one below it."""
 
     def apply(files: Files) -> Expected | None:
@@ -131,7 +131,7 @@ def changed(pick: Pick, path: str, attribute: str, kind: str, change: Change) ->
     return apply
 
 
-def stated(pick: Pick, kinds: str, **attributes: str) -> Mutation:
+def state_attributes(pick: Pick, kinds: str, **attributes: str) -> Mutation:
     """States attributes of an element."""
 
     def apply(files: Files) -> Expected:
@@ -147,7 +147,7 @@ def times(factor: float) -> Change:
     return lambda values, _: [factor * value for value in values]
 
 
-def moved(index: int, step: float, *, either: bool = True) -> Change:
+def shift_number(index: int, step: float, *, either: bool = True) -> Change:
     def apply(values: Values, choose: random.Random) -> Values:
         sign = choose.choice([-1, 1]) if either else 1
         return [value + sign * step * (at == index) for at, value in enumerate(values)]
@@ -164,7 +164,7 @@ def other_side(values: Values, _: random.Random) -> Values | None:
     return [values[0], -values[1], values[2]] if abs(values[1]) >= 1e-3 else None
 
 
-def turned(values: Values, _: random.Random) -> Values:
+def turn_quaternion(values: Values, _: random.Random) -> Values:
     (w, x, y, z), c, s = values, math.cos(0.05), math.sin(0.05)  # 0.1 rad more about its own x
     return [w * c - x * s, w * s + x * c, y * c + z * s, z * c - y * s]
 
@@ -176,7 +176,9 @@ def other_order(values: Values, _: random.Random) -> Values | None:
 
 MUTATIONS: dict[str, Mutation] = {
     **{
-        f"{name}_{axis}": changed(pick, path, word, kind, moved(index, step, either=either))
+        f"{name}_{axis}": mutate_numbers(
+            pick, path, word, kind, shift_number(index, step, either=either)
+        )
         for name, pick, path, word, kind, step, either in (
             ("com", link, "inertial/origin", "xyz", "com", 0.004, True),
             ("joint_origin", joint, "origin", "xyz", "position", 0.003, True),
@@ -185,32 +187,36 @@ MUTATIONS: dict[str, Mutation] = {
         for index, axis in enumerate("xyz")
     },
     **{
-        f"inertia_{entry}": changed(link, "inertial/inertia", entry, "inertia", times(1.1))
+        f"inertia_{entry}": mutate_numbers(link, "inertial/inertia", entry, "inertia", times(1.1))
         for entry in ("ixx", "iyy", "izz")
     },
-    "mass": changed(link, "inertial/mass", "value", "mass", times(1.05)),
-    "grams_for_kilograms": changed(link, "inertial/mass", "value", "mass", times(1000.0)),
-    "mirrored_sign": changed(joint, "origin", "xyz", "position", other_side),
-    "axis_sign": changed(joint, "axis", "xyz", "axis", times(-1.0)),
-    "axis_direction": changed(joint, "axis", "xyz", "axis", lambda v, _: [v[1], v[2], v[0]]),
-    "lower_limit": changed(joint, "limit", "lower", "lower limit", lambda v, _: [v[0] - 0.1]),
-    "upper_limit": changed(joint, "limit", "upper", "upper limit", lambda v, _: [v[0] + 0.1]),
-    "effort": changed(joint, "limit", "effort", "effort", times(1.2)),
-    "limit_in_degrees": changed(joint, "limit", "upper", "upper limit", in_degrees),
-    "rotation_in_degrees": changed(joint, "origin", "rpy", "rotation", in_degrees),
-    "joint_damping": changed(joint, "dynamics", "damping", "damping", lambda *_: [0.08]),
-    "joint_friction": changed(joint, "dynamics", "friction", "friction", lambda *_: [0.08]),
-    "revolute_made_prismatic": stated(joint, "type", type="prismatic"),
-    "mjcf_body_position": changed(
+    "mass": mutate_numbers(link, "inertial/mass", "value", "mass", times(1.05)),
+    "grams_for_kilograms": mutate_numbers(link, "inertial/mass", "value", "mass", times(1000.0)),
+    "mirrored_sign": mutate_numbers(joint, "origin", "xyz", "position", other_side),
+    "axis_sign": mutate_numbers(joint, "axis", "xyz", "axis", times(-1.0)),
+    "axis_direction": mutate_numbers(joint, "axis", "xyz", "axis", lambda v, _: [v[1], v[2], v[0]]),
+    "lower_limit": mutate_numbers(
+        joint, "limit", "lower", "lower limit", lambda v, _: [v[0] - 0.1]
+    ),
+    "upper_limit": mutate_numbers(
+        joint, "limit", "upper", "upper limit", lambda v, _: [v[0] + 0.1]
+    ),
+    "effort": mutate_numbers(joint, "limit", "effort", "effort", times(1.2)),
+    "limit_in_degrees": mutate_numbers(joint, "limit", "upper", "upper limit", in_degrees),
+    "rotation_in_degrees": mutate_numbers(joint, "origin", "rpy", "rotation", in_degrees),
+    "joint_damping": mutate_numbers(joint, "dynamics", "damping", "damping", lambda *_: [0.08]),
+    "joint_friction": mutate_numbers(joint, "dynamics", "friction", "friction", lambda *_: [0.08]),
+    "revolute_made_prismatic": state_attributes(joint, "type", type="prismatic"),
+    "mjcf_body_position": mutate_numbers(
         body, "", "pos", "position", lambda v, _: [v[0] + 0.003, v[1] - 0.002, v[2] + 0.001]
     ),
-    "mjcf_body_rotation": changed(body, "", "quat", "rotation", turned),
-    "mjcf_quaternion_order": changed(body, "", "quat", "rotation", other_order),
-    "mjcf_range": stated(hinge, "lower limit, upper limit", range="-0.2 0.3"),
-    "mjcf_damping": stated(hinge, "damping", damping="0.3"),
-    "mjcf_friction_loss": stated(hinge, "friction", frictionloss="0.3"),
-    "mjcf_armature": stated(hinge, "armature", armature="0.02"),
-    "gravity_of_the_moon": stated(option, "gravity", gravity="0 0 -1.62"),
+    "mjcf_body_rotation": mutate_numbers(body, "", "quat", "rotation", turn_quaternion),
+    "mjcf_quaternion_order": mutate_numbers(body, "", "quat", "rotation", other_order),
+    "mjcf_range": state_attributes(hinge, "lower limit, upper limit", range="-0.2 0.3"),
+    "mjcf_damping": state_attributes(hinge, "damping", damping="0.3"),
+    "mjcf_friction_loss": state_attributes(hinge, "friction", frictionloss="0.3"),
+    "mjcf_armature": state_attributes(hinge, "armature", armature="0.02"),
+    "gravity_of_the_moon": state_attributes(option, "gravity", gravity="0 0 -1.62"),
 }
 
 
@@ -386,7 +392,7 @@ def text_of(root: Element) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def compared(folder: Path, urdf: str, mjcf: str, **options: int) -> Comparison:
+def compare_texts(folder: Path, urdf: str, mjcf: str, **options: int) -> Comparison:
     return compare_models(*robots.write(folder, urdf, mjcf), **options)
 
 
@@ -419,7 +425,9 @@ def mutate(name: str, kind: str, seed: int, folder: Path) -> tuple[Comparison, E
             break
     if expected is None:
         return None
-    return compared(folder, text_of(files.urdf), text_of(files.mjcf), configurations=3), expected
+    return compare_texts(
+        folder, text_of(files.urdf), text_of(files.mjcf), configurations=3
+    ), expected
 
 
 def is_named_first(comparison: Comparison, expected: Expected) -> bool:
@@ -430,7 +438,7 @@ def is_named_first(comparison: Comparison, expected: Expected) -> bool:
 def test_the_unchanged_pairs_agree(tmp_path: Path) -> None:
     """Control of the mutation test: without a change there is nothing to find."""
     for name in ("v3", "original"):
-        comparison = compared(tmp_path, *sources(name))
+        comparison = compare_texts(tmp_path, *sources(name))
         assert comparison.agree
         assert comparison.complete
 
@@ -461,7 +469,7 @@ def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) 
 
 def test_renamed_joint_is_matched_by_structure(tmp_path: Path) -> None:
     urdf, mjcf = sources("v3")
-    comparison = compared(tmp_path, urdf.replace('"leg_back_l_2"', '"left_hind_roll"'), mjcf)
+    comparison = compare_texts(tmp_path, urdf.replace('"leg_back_l_2"', '"left_hind_roll"'), mjcf)
     assert comparison.guessed == {"left_hind_roll": "leg_back_l_2"}
     assert comparison.agree
 
@@ -472,7 +480,7 @@ def test_joint_that_is_fixed_in_one_file_is_reported(tmp_path: Path) -> None:
     root = ElementTree.fromstring(urdf.encode())
     joint = next(joint for joint in root.iter("joint") if joint.get("name") == "RL_KFE")
     joint.set("type", "fixed")
-    comparison = compared(tmp_path, text_of(root), mjcf)
+    comparison = compare_texts(tmp_path, text_of(root), mjcf)
     assert not comparison.agree
     assert comparison.only_mjcf == ("RL_KFE",)
     assert not comparison.differences  # with the knee fixed in both, they agree

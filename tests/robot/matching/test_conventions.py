@@ -19,10 +19,10 @@ from tests.support.robots import (
     Part,
     Parts,
     arm,
-    changed,
-    compared,
-    found,
-    headline,
+    change_part,
+    compare_files,
+    format_headline,
+    list_differences,
     mjcf_text,
     quadruped,
     turned_about,
@@ -37,7 +37,7 @@ def rotation_of(part: Part) -> Rotation:
     return Rotation.from_quat(part.quaternion, scalar_first=True)
 
 
-def reframed(
+def change_frame(
     parts: Parts, frames: Frames, link: str, turn: Rotation, shift: np.ndarray
 ) -> tuple[Parts, Frames]:
     """The same robot with the frame of a link turned, and its origin shifted in its old axes."""
@@ -96,15 +96,17 @@ def test_link_frames_rotated_along_a_chain_and_back_are_no_difference(
         )  # fmt: skip
     mjcf, quarter = thumb, Rotation.from_rotvec([0, 0, math.pi / 2])
     for link in links[1:5]:
-        mjcf, _ = reframed(mjcf, [], link, quarter, np.zeros(3))
+        mjcf, _ = change_frame(mjcf, [], link, quarter, np.zeros(3))
     files = write(tmp_path, urdf_text(thumb), mjcf_text(mjcf, [], free=False))
-    comparison = compared(files)
+    comparison = compare_files(files)
     assert comparison.agree, comparison.differences
     # One axis that really differs is still told, and it alone.
     axis = tuple(Rotation.from_rotvec([0, 0, 0.1]).apply(mjcf["t3"].axis))
-    files = write(tmp_path, urdf_text(thumb), mjcf_text(changed(mjcf, "t3", axis=axis), free=False))
-    comparison = compared(files)
-    assert found(comparison) == [("axis", "joint_t3")]
+    files = write(
+        tmp_path, urdf_text(thumb), mjcf_text(change_part(mjcf, "t3", axis=axis), free=False)
+    )
+    comparison = compare_files(files)
+    assert list_differences(comparison) == [("axis", "joint_t3")]
     assert "turned by 5.73 deg" in comparison.differences[0].message
 
 
@@ -112,11 +114,13 @@ def test_offset_across_the_axis_is_reported_with_its_size(tmp_path: Path) -> Non
     """A joint frame is displaced by 138 mm along the axis, which is a convention, and by 0.7 mm
     across: the error."""
     parts = quadruped()
-    mjcf, feet = reframed(parts, FEET, "shank0", Rotation.identity(), np.array([0, 0.138, 0]))
+    mjcf, feet = change_frame(parts, FEET, "shank0", Rotation.identity(), np.array([0, 0.138, 0]))
     place = np.array(mjcf["shank0"].position) + rotation_of(mjcf["shank0"]).apply([7e-4, 0, 0])
-    comparison = compared(pair(tmp_path, changed(mjcf, "shank0", position=tuple(place)), feet))
-    assert found(comparison) == [("position", "knee0")]
-    assert headline(comparison).startswith("DISAGREE: joint knee0: 0.7 mm apart")
+    comparison = compare_files(
+        pair(tmp_path, change_part(mjcf, "shank0", position=tuple(place)), feet)
+    )
+    assert list_differences(comparison) == [("position", "knee0")]
+    assert format_headline(comparison).startswith("DISAGREE: joint knee0: 0.7 mm apart")
     assert comparison.complete
 
 
@@ -125,8 +129,10 @@ def test_uncompensated_offset_along_the_axis_is_a_difference(tmp_path: Path) -> 
     place = np.array(quadruped()["shank0"].position) + rotation_of(quadruped()["shank0"]).apply(
         [0, 0.01, 0]
     )
-    comparison = compared(pair(tmp_path, changed(quadruped(), "shank0", position=tuple(place))))
-    assert found(comparison) == [("position", "knee0")]
+    comparison = compare_files(
+        pair(tmp_path, change_part(quadruped(), "shank0", position=tuple(place)))
+    )
+    assert list_differences(comparison) == [("position", "knee0")]
 
 
 # ------------------------------------------------------------------------------------- zeros
@@ -134,7 +140,7 @@ def test_uncompensated_offset_along_the_axis_is_a_difference(tmp_path: Path) -> 
 
 def zero_elsewhere(parts: Parts, link: str, offset: float) -> Parts:
     part = parts[link]
-    return changed(
+    return change_part(
         parts,
         link,
         quaternion=turned_about(part, part.axis, offset),
@@ -148,10 +154,10 @@ def test_joint_zero_shifted_with_its_limits_is_one_cause(tmp_path: Path, offset:
     """Angles and limits are shifted by `offset` [rad]; at matched zeros both files have equal
     kinematics and dynamics within 1e-9.
     """
-    comparison = compared(pair(tmp_path, zero_elsewhere(quadruped(), "shank1", offset)))
-    assert found(comparison) == [("zero", "knee1")]
+    comparison = compare_files(pair(tmp_path, zero_elsewhere(quadruped(), "shank1", offset)))
+    assert list_differences(comparison) == [("zero", "knee1")]
     sign = "+" if offset > 0 else "-"
-    assert headline(comparison).startswith(
+    assert format_headline(comparison).startswith(
         "SAME ROBOT, DIFFERENT CONVENTIONS: joint knee1: its zero is elsewhere, "
         "and its limits with it: "
         f"q of the URDF = q of the MJCF {sign} {abs(offset):g} rad"
@@ -166,25 +172,25 @@ def test_joint_zero_shifted_with_its_limits_is_one_cause(tmp_path: Path, offset:
 def test_different_conventions_are_the_same_robot_but_disagree(tmp_path: Path) -> None:
     """All else still counts."""
     mjcf = zero_elsewhere(quadruped(), "shank1", 0.3)
-    mjcf, feet = reframed(mjcf, FEET, "base", *POSES["both"])
-    comparison = compared(pair(tmp_path, mjcf, feet))
-    assert sorted(found(comparison)) == [("base frame", "base"), ("zero", "knee1")]
+    mjcf, feet = change_frame(mjcf, FEET, "base", *POSES["both"])
+    comparison = compare_files(pair(tmp_path, mjcf, feet))
+    assert sorted(list_differences(comparison)) == [("base frame", "base"), ("zero", "knee1")]
     assert comparison.same_robot
     assert not comparison.agree
-    files = pair(tmp_path, changed(mjcf, "shank1", mass=mjcf["shank1"].mass * 1.01), feet)
-    comparison = compared(files)
-    assert ("mass", "knee1") in found(comparison)
+    files = pair(tmp_path, change_part(mjcf, "shank1", mass=mjcf["shank1"].mass * 1.01), feet)
+    comparison = compare_files(files)
+    assert ("mass", "knee1") in list_differences(comparison)
     assert not comparison.same_robot
-    assert headline(comparison).startswith("DISAGREE: ")
+    assert format_headline(comparison).startswith("DISAGREE: ")
 
 
 def test_zero_of_a_slide_shifted_with_its_limits_is_one_cause(tmp_path: Path) -> None:
     """The message gives the shift of 0.02 m."""
     rod = arm()["rod"]
     place = tuple(np.array(rod.position) + rotation_of(rod).apply([0.02, 0, 0]))
-    mjcf = changed(arm(), "rod", position=place, lower=rod.lower - 0.02, upper=rod.upper - 0.02)
-    comparison = compared(pair(tmp_path, mjcf, urdf=arm()))
-    assert found(comparison) == [("zero", "push")]
+    mjcf = change_part(arm(), "rod", position=place, lower=rod.lower - 0.02, upper=rod.upper - 0.02)
+    comparison = compare_files(pair(tmp_path, mjcf, urdf=arm()))
+    assert list_differences(comparison) == [("zero", "push")]
     assert "q of the URDF = q of the MJCF + 0.02 m;" in comparison.differences[0].message
 
 
@@ -204,10 +210,10 @@ def test_moved_base_frame_of_a_free_base_is_one_cause(tmp_path: Path, pose: str)
     """The robot is described from a turned or shifted base frame; after alignment all deviations
     are below 1e-9.
     """
-    mjcf, feet = reframed(quadruped(), FEET, "base", *POSES[pose])
-    comparison = compared(pair(tmp_path, mjcf, feet))
-    assert found(comparison) == [("base frame", "base")]
-    assert headline(comparison).startswith(
+    mjcf, feet = change_frame(quadruped(), FEET, "base", *POSES[pose])
+    comparison = compare_files(pair(tmp_path, mjcf, feet))
+    assert list_differences(comparison) == [("base frame", "base")]
+    assert format_headline(comparison).startswith(
         "SAME ROBOT, DIFFERENT CONVENTIONS: the base's frame is elsewhere: that of the "
     )
     assert comparison.same_robot
@@ -220,20 +226,20 @@ def test_moved_base_frame_of_a_free_base_is_one_cause(tmp_path: Path, pose: str)
 def test_moved_base_frame_is_found_if_masses_differ_as_well(tmp_path: Path) -> None:
     """The pose of the base frame follows from joint axes and positions; the other mass, CoM and
     inertias remain as differences."""
-    mjcf, feet = reframed(quadruped(), FEET, "base", *POSES["turned"])
-    mjcf = changed(mjcf, "base", mass=2.0, com=(0.1, 0.05, 0.07))
+    mjcf, feet = change_frame(quadruped(), FEET, "base", *POSES["turned"])
+    mjcf = change_part(mjcf, "base", mass=2.0, com=(0.1, 0.05, 0.07))
     for leg in range(4):
-        mjcf = changed(mjcf, f"thigh{leg}", inertia=(0.03, 0.04, 0.05, 0.0, 0.0, 0.0))
-    comparison = compared(pair(tmp_path, mjcf, feet))
-    assert headline(comparison).startswith("DISAGREE: the base's frame is elsewhere")
-    kinds = {kind for kind, _ in found(comparison)}
+        mjcf = change_part(mjcf, f"thigh{leg}", inertia=(0.03, 0.04, 0.05, 0.0, 0.0, 0.0))
+    comparison = compare_files(pair(tmp_path, mjcf, feet))
+    assert format_headline(comparison).startswith("DISAGREE: the base's frame is elsewhere")
+    kinds = {kind for kind, _ in list_differences(comparison)}
     assert kinds == {"base frame", "mass", "com", "inertia"}
 
 
 @pytest.mark.parametrize("pose", POSES)
 def test_moved_base_frame_of_a_fixed_base_is_a_note(tmp_path: Path, pose: str) -> None:
-    mjcf, _ = reframed(arm(), [], "base", *POSES[pose])
-    comparison = compared(pair(tmp_path, mjcf, urdf=arm()))
+    mjcf, _ = change_frame(arm(), [], "base", *POSES[pose])
+    comparison = compare_files(pair(tmp_path, mjcf, urdf=arm()))
     assert comparison.agree
     said = [note for note in comparison.notes if "the fixed base's frame" in str(note)]
     assert len(said) == 1
@@ -247,8 +253,8 @@ def test_rotated_fixed_base_gives_one_note(tmp_path: Path, names: bool) -> None:
     urdf = arm()
     if not names:
         urdf = {name: replace(part, joint=f"j_{part.joint}_x") for name, part in arm().items()}
-    mjcf = changed(arm(), "base", quaternion=(0.5, 0.5, 0.5, 0.5))
-    comparison = compared(pair(tmp_path, mjcf, urdf=urdf))
+    mjcf = change_part(arm(), "base", quaternion=(0.5, 0.5, 0.5, 0.5))
+    comparison = compare_files(pair(tmp_path, mjcf, urdf=urdf))
     assert comparison.agree
     (said,) = (str(note) for note in comparison.notes if "is placed" in str(note))
     assert "turned by 120 deg about (0.57735, 0.57735, 0.57735) in the world" in said

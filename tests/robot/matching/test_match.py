@@ -16,8 +16,8 @@ from tests.support.robots import (
     Part,
     Parts,
     arm,
-    compared,
-    found,
+    compare_files,
+    list_differences,
     mjcf_text,
     quadruped,
     urdf_text,
@@ -31,17 +31,17 @@ JOINTS = {f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)}
 
 
 def compare_texts(folder: Path, urdf: str, mjcf: str, **options: Any) -> Comparison:
-    return compared(write(folder, urdf, mjcf), **options)
+    return compare_files(write(folder, urdf, mjcf), **options)
 
 
-def light(name: str, parent: str, **values: Any) -> Part:
+def make_light_part(name: str, parent: str, **values: Any) -> Part:
     part = Part(name, parent, f"to_{name}", position=(-0.3, 0.0, 0.02), mass=0.1)
     return replace(part, inertia=(1e-4, 1e-4, 1e-4, 0, 0, 0), **values)
 
 
 def twins_at_one_place() -> Parts:
     return {
-        side: light(side, "base", position=(0.3, y, 0.0))
+        side: make_light_part(side, "base", position=(0.3, y, 0.0))
         for side, y in (("left", 0.005), ("right", -0.005))
     }
 
@@ -69,7 +69,7 @@ def test_a_root_link_with_mass_is_part_of_the_robot(tmp_path: Path) -> None:
     heavy = INERTIAL.replace('="1"', '="1e-3"').replace('value="1e-3"', 'value="0.5"')
     text = with_root("fixed").replace('<link name="world"/>', format_link("world", heavy))
     comparison = compare_texts(tmp_path, text, MJCF)
-    assert found(comparison)[0] == ("mass", "world")
+    assert list_differences(comparison)[0] == ("mass", "world")
     assert comparison.differences[0].urdf == pytest.approx(6.5)
 
 
@@ -84,7 +84,7 @@ def test_floating_or_planar_joint_of_the_urdf_is_fixed_at_rest_with_a_note(
     text = URDF.replace('<joint name="hip1" type="revolute">', f'<joint name="hip1" type="{kind}">')
     comparison = compare_texts(tmp_path, text, MJCF)
     assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
-    assert found(comparison) == []  # all else is compared, with the leg at rest
+    assert list_differences(comparison) == []  # all else is compared, with the leg at rest
     assert not comparison.agree
     (note,) = [note for note in comparison.notes if "hip1" in str(note)]
     assert str(note).startswith(f"joint 'hip1' of the URDF is {kind} and was fixed at rest;")
@@ -94,7 +94,7 @@ def test_robots_without_a_common_joint_are_refused(tmp_path: Path) -> None:
     """Names and structure differ: no guess, but a hint at mappings."""
     other = {name: replace(part, joint=f"x{part.joint}") for name, part in arm().items()}
     with pytest.raises(ModelError, match=r"no joint in common .*name the pairs with a mapping"):
-        compared(write_parts(tmp_path, quadruped(), other))
+        compare_files(write_parts(tmp_path, quadruped(), other))
 
 
 # ------------------------------------------------------------------------------------- the scene
@@ -128,15 +128,15 @@ def test_joint_of_one_file_alone_is_fixed_at_zero_and_reported(tmp_path: Path, w
     """The other file has the tail on a fixed joint: no difference is left, but the verdict is not
     AGREE.
     """
-    tail = {"tail": light("tail", "base")}
+    tail = {"tail": make_light_part("tail", "base")}
     still = {"tail": replace(tail["tail"], kind="fixed")}
     urdf = quadruped() | (tail if where == "urdf" else still)
     mjcf = quadruped() | (tail if where == "mjcf" else still)
-    comparison = compared(write_parts(tmp_path, urdf, mjcf))
+    comparison = compare_files(write_parts(tmp_path, urdf, mjcf))
     assert (comparison.only_urdf, comparison.only_mjcf) == (
         (("to_tail",), ()) if where == "urdf" else ((), ("to_tail",))
     )
-    assert found(comparison) == []  # what moves in both is alike
+    assert list_differences(comparison) == []  # what moves in both is alike
     assert not comparison.agree  # but the joints are not
 
 
@@ -159,12 +159,12 @@ def test_references_to_a_joint_of_the_mjcf_alone_are_removed_with_the_joint(
     """Equalities, sensors, tendons, motors and keyframes that refer to the removed tail; the part
     is reported with its mass [kg].
     """
-    mjcf = mjcf_text(quadruped() | {"tail": light("tail", "base")}, extra=extra)
+    mjcf = mjcf_text(quadruped() | {"tail": make_light_part("tail", "base")}, extra=extra)
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.only_mjcf == ("to_tail",)
     (part,) = comparison.parts
     assert "has a part that the URDF lacks: body tail on the base (0.1 kg), with" in str(part)
-    assert found(comparison) == []  # with it taken off
+    assert list_differences(comparison) == []  # with it taken off
     assert not comparison.agree
     assert comparison.complete
 
@@ -191,7 +191,7 @@ def test_joints_are_matched_by_structure_if_all_names_differ(tmp_path: Path) -> 
     """Reference: the mapping by which the joints were renamed."""
     names = {name: f"joint_{number}" for number, name in enumerate(sorted(JOINTS, reverse=True))}
     files = write_parts(tmp_path, rename_joints(quadruped(), **names), rename_links(quadruped()))
-    comparison = compared(files)
+    comparison = compare_files(files)
     assert comparison.guessed == {new: old for old, new in names.items()}
     assert comparison.agree
     assert set(comparison.joints) == JOINTS
@@ -208,7 +208,7 @@ def test_ambiguous_partial_match_without_common_names_is_left_open(tmp_path: Pat
             for word, place, axis in zip(words, places, axes, strict=True):
                 joint = word.replace("*", side)
                 parts[f"{joint} link"] = replace(
-                    light(f"{joint} link", parent, position=place, axis=axis), joint=joint
+                    make_light_part(f"{joint} link", parent, position=place, axis=axis), joint=joint
                 )
                 parent = f"{joint} link"
         return parts
@@ -216,14 +216,14 @@ def test_ambiguous_partial_match_without_common_names_is_left_open(tmp_path: Pat
     one = walker(-0.05, ("abduction_*", "flexion_*", "end_*"), (0.0, 1.0, 0.0))
     two = walker(0.01, ("*-roll", "*-pitch", "*-tip"), (0.0, 0.0, 1.0))
     with pytest.raises(ModelError, match="--map abduction_near=near-roll"):
-        compared(write(tmp_path, urdf_text(one, []), mjcf_text(two, [])))
+        compare_files(write(tmp_path, urdf_text(one, []), mjcf_text(two, [])))
 
 
 def test_joints_far_apart_are_not_matched(tmp_path: Path) -> None:
     """Two unmatched joints, half of the robot's length apart."""
-    urdf = quadruped() | {"tail": light("tail", "base", position=(-0.3, 0.0, 0.0))}
-    mjcf = quadruped() | {"neck": light("neck", "base", position=(0.3, 0.0, 0.0))}
-    comparison = compared(write_parts(tmp_path, urdf, mjcf))
+    urdf = quadruped() | {"tail": make_light_part("tail", "base", position=(-0.3, 0.0, 0.0))}
+    mjcf = quadruped() | {"neck": make_light_part("neck", "base", position=(0.3, 0.0, 0.0))}
+    comparison = compare_files(write_parts(tmp_path, urdf, mjcf))
     assert comparison.guessed == {}
     assert (comparison.only_urdf, comparison.only_mjcf) == (("to_tail",), ("to_neck",))
 
@@ -237,7 +237,7 @@ def test_joints_are_matched_without_common_prefix_and_suffix(tmp_path: Path) -> 
     # Twins at one place: structure would not tell which is which.
     twins = twins_at_one_place()
     named = rename_joints(twins, to_left="rh_to_left_joint", to_right="rh_to_right_joint")
-    comparison = compared(write_parts(tmp_path, urdf | named, quadruped() | twins))
+    comparison = compare_files(write_parts(tmp_path, urdf | named, quadruped() | twins))
     assert comparison.agree
     assert comparison.guessed == {
         f"rh_{name}_joint": name for name in (*JOINTS, "to_left", "to_right")
@@ -254,7 +254,7 @@ def test_ambiguous_match_prints_mapping_lines_to_paste(tmp_path: Path) -> None:
         "right": replace(twins["right"], position=(0.3, 0.0, -0.002)),
     }
     urdf = quadruped() | rename_joints(twins, to_left="one", to_right="two")
-    comparison = compared(write_parts(tmp_path, urdf, rename_links(quadruped() | middle)))
+    comparison = compare_files(write_parts(tmp_path, urdf, rename_links(quadruped() | middle)))
     said = [str(note) for note in comparison.notes if "may be" in str(note)]
     assert comparison.guessed == {}
     assert (comparison.only_urdf, comparison.only_mjcf) == (("one", "two"), ("to_left", "to_right"))
@@ -273,7 +273,7 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
         for name, part in quadruped().items()
     }
     with pytest.raises(ModelError, match="only 1 of 8 joints have a partner") as raised:
-        compared(write_parts(tmp_path, urdf, rename_links(mjcf)))
+        compare_files(write_parts(tmp_path, urdf, rename_links(mjcf)))
     assert "..." not in str(raised.value)  # what is printed can be pasted
     assert "the URDF's xknee0, xhip1" in str(raised.value)
 
@@ -281,18 +281,20 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("where", ["URDF", "MJCF"])
 def test_gripper_of_one_file_alone_is_reported_as_a_part(tmp_path: Path, where: str) -> None:
     """A hand with two fingers is fixed to the rod in one file."""
-    hand = light("hand", "rod", kind="fixed", position=(0.2, 0.0, 0.0))
+    hand = make_light_part("hand", "rod", kind="fixed", position=(0.2, 0.0, 0.0))
     fingers = {
-        f"finger{n}": light(f"finger{n}", "hand", kind="prismatic", position=(0.02, y, 0.0))
+        f"finger{n}": make_light_part(
+            f"finger{n}", "hand", kind="prismatic", position=(0.02, y, 0.0)
+        )
         for n, y in enumerate((0.03, -0.03))
     }
     full, bare = arm() | {"hand": replace(hand, mass=0.5)} | fingers, arm()
     urdf, mjcf = (full, bare) if where == "URDF" else (bare, full)
-    comparison = compared(write_parts(tmp_path, urdf, mjcf, free=False))
+    comparison = compare_files(write_parts(tmp_path, urdf, mjcf, free=False))
     (part,) = comparison.parts
     assert f"the {where} has a part that the " in str(part)
     assert "hand on push (0.7 kg), with joints to_finger0, to_finger1" in str(part)
-    assert found(comparison) == []
+    assert list_differences(comparison) == []
     assert not comparison.agree
 
 
@@ -303,9 +305,9 @@ def test_mapping_takes_precedence_over_equal_names(tmp_path: Path) -> None:
     """The files have swapped the names of two legs."""
     swapped = rename_joints(quadruped(), hip0="hip1", knee0="knee1", hip1="hip0", knee1="knee0")
     files = write_parts(tmp_path, swapped, quadruped())
-    assert not compared(files).agree
+    assert not compare_files(files).agree
     names = {"hip0": "hip1", "hip1": "hip0", "knee0": "knee1", "knee1": "knee0"}
-    assert compared(files, names=names).agree
+    assert compare_files(files, names=names).agree
 
 
 @pytest.mark.parametrize(
@@ -340,7 +342,7 @@ def test_base_mass_is_no_cause_if_the_base_is_fused_with_the_world(tmp_path: Pat
     assert "6 kg, 'base'" in note
     # What is in the legs is still found, and the base is no part of it.
     heavier = fused.replace('mass="0.2"', 'mass="0.3"')
-    assert found(compare_texts(tmp_path, URDF, heavier)) == [("mass", "knee0")]
+    assert list_differences(compare_texts(tmp_path, URDF, heavier)) == [("mass", "knee0")]
     # Other things in the scene are not: they have no name of the URDF's.
     other = '<body name="door"><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
     comparison = compare_texts(tmp_path, URDF, fused.replace("</worldbody>", other))

@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import build_on_ground
-from tests.support.random_legged import irregular_biped, written
+from tests.support.random_legged import irregular_biped, write_robot
 
 Point = tuple[float, float, float]
 
@@ -28,7 +28,7 @@ def load_biped(tmp_path_factory: pytest.TempPathFactory) -> Load:
 
     @cache
     def load(seed: int) -> pa.Robot:
-        pair = written(irregular_biped(seed), tmp_path_factory.mktemp("biped"))
+        pair = write_robot(irregular_biped(seed), tmp_path_factory.mktemp("biped"))
         return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
 
     return load

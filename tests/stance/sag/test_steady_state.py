@@ -175,7 +175,7 @@ def test_reported_slip_margin_agrees_with_simulation(name: str) -> None:
     assert still.release_margin > 0.2
 
 
-def lifted(name: str, foot: str, height: float, **task: object) -> pa.Stand:
+def lift_foot(name: str, foot: str, height: float, **task: object) -> pa.Stand:
     """A stand with the com 10 mm inside the triangle of the other feet."""
     asked = pa.StandTask(swing={foot: height}, com="inside", com_margin=0.01, **task)
     return pa.solve_stand(load(name), asked)
@@ -196,7 +196,7 @@ def test_lifted_foot_that_sinks_to_the_ground_carries_load(
     name: str, foot: str, height: float, kp: float
 ) -> None:
     """Reference: height and foot forces of a simulation of 8 s."""
-    robot, stand = load(name), lifted(name, foot, height)
+    robot, stand = load(name), lift_foot(name, foot, height)
     pose = steady_state(robot, stand, kp=kp, seconds=7.5)
     assert pose.stance_feet == robot.contact_points
     presses = [one.subject for one in pose.failures if one.code == "lifted-foot-presses"]
@@ -209,7 +209,7 @@ def test_lifted_foot_that_sinks_to_the_ground_carries_load(
 
 def test_friction_of_a_slipping_foot_is_at_its_limit_and_opposes_the_slip() -> None:
     """References: Coulomb's law, and the slip as displacement of the centre minus the rolling."""
-    robot, stand = load("original"), lifted("original", "FL", 0.002)
+    robot, stand = load("original"), lift_foot("original", "FL", 0.002)
     way = HomotopyPath(SagEquilibrium(robot, stand, 12.0, "pinned"))
     way.follow(1.0)
     system, solution = way.system, way.solution
@@ -245,14 +245,14 @@ def test_foot_that_would_have_to_pull_is_released() -> None:
 @pytest.mark.slow
 def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
     """Reference: steady states at, and 5 % below, the minimum stiffness."""
-    robot, stand = load("v3"), lifted("v3", "RR", 0.02)
+    robot, stand = load("v3"), lift_foot("v3", "RR", 0.02)
     kp = minimum_stiffness(robot, stand, tolerance=0.02)
     assert steady_state(robot, stand, kp=kp).stance_feet == stand.stance_feet
     assert "RR" in steady_state(robot, stand, kp=0.95 * kp).stance_feet
     with pytest.raises(
         pa.NoStiffnessError, match="foot RR is lifted but presses on the ground"
     ) as caught:
-        minimum_stiffness(robot, lifted("v3", "RR", 0.0005))  # the others sink deeper than that
+        minimum_stiffness(robot, lift_foot("v3", "RR", 0.0005))  # the others sink deeper than that
     assert caught.value.kp > 5e3
     assert "RR" in str(caught.value.problem)
 

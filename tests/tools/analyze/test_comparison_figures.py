@@ -44,7 +44,7 @@ def analysis_of(name: str) -> Any:
     )
 
 
-def changed(analysis: Any, **fields: Any) -> Any:
+def change_analysis(analysis: Any, **fields: Any) -> Any:
     """Return an analysis with other values of some fields."""
     return SimpleNamespace(**{**vars(analysis), **fields})
 
@@ -88,7 +88,7 @@ def test_torque_figure_draws_the_share_of_the_limit_in_a_row_per_joint_of_a_leg(
         SimpleNamespace(name=joint.name, effort=effort)
         for joint, effort in zip(analysis.joints, efforts, strict=True)
     ]
-    FIGURES["torques.png"]([changed(analysis, joints=limits)], Path("unused.png"))
+    FIGURES["torques.png"]([change_analysis(analysis, joints=limits)], Path("unused.png"))
     (axes,) = panels(figures[0])
     for marker, torques in (
         ("o", analysis.statics.joint_torques),
@@ -104,7 +104,7 @@ def test_torque_figure_states_the_torque_of_a_motor_without_limit(figures: list[
     """Reference: largest knee torque [N m] of the statics."""
     analysis = analysis_of("v3")
     limits = [SimpleNamespace(name=joint.name, effort=np.inf) for joint in analysis.joints]
-    FIGURES["torques.png"]([changed(analysis, joints=limits)], Path("unused.png"))
+    FIGURES["torques.png"]([change_analysis(analysis, joints=limits)], Path("unused.png"))
     (axes,) = panels(figures[0])
     texts = [text.get_text() for text in axes.texts]
     knee = np.abs(analysis.statics.joint_torques[2::3]).max()
@@ -144,7 +144,9 @@ def test_height_figure_marks_the_first_contact_of_a_robot_that_fails(
     stand = pa.solve_stand_as_simulated(robot)
     sagging = pa.verify_stand(robot, stand, feedforward=False, duration=12.0)
     contacts = [one for one in sagging.failures if one.code == "body-touches-ground"]
-    analysis = changed(analysis_of("v3"), stand=stand, verification=sagging, sagging=sagging)
+    analysis = change_analysis(
+        analysis_of("v3"), stand=stand, verification=sagging, sagging=sagging
+    )
     FIGURES["heights.png"]([analysis], Path("unused.png"))
     (axes,) = panels(figures[0])
     said = " ".join(text.get_text() for text in axes.texts)
@@ -161,9 +163,9 @@ def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(
     analysis = analysis_of("v3")
     deviation = np.array([[1.5e-3, np.inf], [2e-5, 3e-3], [1e-9, 4e-4]])
     lasts = np.array([[True, False], [True, False], [True, True]])
-    sweep = changed(analysis.sweep, height_deviation=deviation, lasts=lasts)
+    sweep = change_analysis(analysis.sweep, height_deviation=deviation, lasts=lasts)
     FIGURES["gains.png"](
-        [changed(analysis, sweep=sweep), analysis_of("original")], Path("unused.png")
+        [change_analysis(analysis, sweep=sweep), analysis_of("original")], Path("unused.png")
     )
     first, second = panels(figures[0])
     written = {text.get_position(): text.get_text() for text in first.texts}

@@ -29,7 +29,7 @@ from pupper_analysis.tools.audit.audit import (
     audit_model,
 )
 from pupper_analysis.tools.audit.registry import CHECKS, compute_hull_distance
-from tests.support.legged import fused, quadruped
+from tests.support.legged import fuse_trunk, quadruped
 from tests.support.repository import ROOT
 
 OWN = {
@@ -238,7 +238,7 @@ CASES = [
 ]  # fmt: skip
 
 
-def edited(text: str, edits: tuple[Edit, ...]) -> str:
+def apply_edits(text: str, edits: tuple[Edit, ...]) -> str:
     for after, pattern, new in edits:
         start = text.index(after)
         head, tail = text[:start], text[start:]
@@ -252,13 +252,13 @@ def line_of(text: str, after: str, mark: str) -> int:
     return text[: text.index(mark, text.index(after))].count("\n") + 1
 
 
-def written(folder: Path, format: str, edits: tuple[Edit, ...]) -> Path:
+def write_model(folder: Path, format: str, edits: tuple[Edit, ...]) -> Path:
     path = folder / OWN[format].name
-    path.write_text(edited(OWN[format].read_text(), edits))
+    path.write_text(apply_edits(OWN[format].read_text(), edits))
     return path
 
 
-def found(result: Audit, rule: str, element: str = "") -> list[Finding]:
+def find_findings(result: Audit, rule: str, element: str = "") -> list[Finding]:
     return [f for f in result.findings if f.rule == rule and f.element.startswith(element)]
 
 
@@ -284,10 +284,10 @@ def test_planted_fault_is_found_at_its_line(
 
     The severity is that of the rule at least.
     """
-    path = written(tmp_path, case.format, case.edits)
-    findings = found(audit_model(path), case.rule, case.element)
+    path = write_model(tmp_path, case.format, case.edits)
+    findings = find_findings(audit_model(path), case.rule, case.element)
     assert findings, [str(finding) for finding in audit_model(path).findings]
-    assert not found(sound[case.format], case.rule, case.element)
+    assert not find_findings(sound[case.format], case.rule, case.element)
     finding = findings[0]
     assert Path(finding.file) == path
     assert finding.line == line_of(path.read_text(), *case.line)
@@ -327,7 +327,7 @@ def test_one_density_is_found_in_three_of_four_links_and_through_closed_meshes(
         link.find("inertial/mass").set("value", f"{(1.05 if is_wrong else 1.0) * 1001 * volume}")
     path = tmp_path / "dog.urdf"
     path.write_bytes(etree.tostring(tree))
-    findings = found(audit_model(path), "one-density")
+    findings = find_findings(audit_model(path), "one-density")
     assert bool(findings) == is_found
     if findings:
         density = findings[0].diagnostic.values["density"]
@@ -344,8 +344,8 @@ def test_negative_moments_are_an_error_whatever_their_size(
     tensor = (
         f'<inertia ixx="-5.4e-20" ixy="0" ixz="{off_diagonal}" iyy="-5.4e-20" iyz="0" izz="0"/>'
     )
-    path = written(tmp_path, "urdf", (Edit(FL_CALF, "<inertia [^>]*>", tensor),))
-    (finding,) = found(audit_model(path), "inertia-not-positive-definite", "link 'FL_calf'")
+    path = write_model(tmp_path, "urdf", (Edit(FL_CALF, "<inertia [^>]*>", tensor),))
+    (finding,) = find_findings(audit_model(path), "inertia-not-positive-definite", "link 'FL_calf'")
     assert finding.severity is Severity.ERROR
 
 
@@ -364,8 +364,8 @@ def test_mass_beyond_motors_by_a_factor_of_ten_is_an_error(
         Edit(f'<link name="{leg}_thigh">', '<mass value="[^"]*"', f'<mass value="{thigh_mass}"')
         for leg in LEGS
     )
-    path = written(tmp_path, "urdf", tuple(edits))
-    (finding,) = found(audit_model(path), "mass-beyond-motors")
+    path = write_model(tmp_path, "urdf", tuple(edits))
+    (finding,) = find_findings(audit_model(path), "mass-beyond-motors")
     assert finding.severity is severity
 
 
@@ -382,8 +382,8 @@ def test_limits_of_ten_turns_are_an_error_unless_they_are_symmetric(
 ) -> None:
     limits = f'lower="{lower}" upper="{upper}"'
     edit = Edit('<joint name="FL_KFE"', 'lower="[^"]*" upper="[^"]*"', limits)
-    path = written(tmp_path, "urdf", (edit,))
-    (finding,) = found(audit_model(path), "limits-in-wrong-unit")
+    path = write_model(tmp_path, "urdf", (edit,))
+    (finding,) = find_findings(audit_model(path), "limits-in-wrong-unit")
     assert finding.severity is severity
 
 
@@ -402,18 +402,20 @@ def test_command_range_is_found_if_it_is_the_range_of_the_joint_in_degrees(
 ) -> None:
     """Reference: -1.8 to 1.2 rad of the joint are -103.1 to 68.75 deg."""
     edit = Edit('<general name="FL_HFE"', "/>", f' ctrlrange="{command_range}"/>')
-    result = audit_model(written(tmp_path, "mjcf", (edit,)))
-    assert bool(found(result, "command-range-in-degrees")) == is_found
+    result = audit_model(write_model(tmp_path, "mjcf", (edit,)))
+    assert bool(find_findings(result, "command-range-in-degrees")) == is_found
 
 
 def test_keyframe_with_knees_of_the_wrong_sign_names_the_knees(tmp_path: Path) -> None:
     """The keyframe of the file with knees of the other sign; a drop from 0.3 m is no finding."""
     knees = 4 * " 0 0.9014 1.5083"
     edit = Edit(KEY, 'qpos="[^"]*"', f'qpos="0 0 0.158 1 0 0 0{knees}"')
-    (finding,) = found(audit_model(written(tmp_path, "mjcf", (edit,))), "keyframe-feet-in-air")
+    (finding,) = find_findings(
+        audit_model(write_model(tmp_path, "mjcf", (edit,))), "keyframe-feet-in-air"
+    )
     assert finding.diagnostic.values["joints"] == tuple(f"{leg}_KFE" for leg in LEGS)
-    raised = written(tmp_path, "mjcf", (Edit(KEY, "0 0 0.158", "0 0 0.3"),))
-    assert not found(audit_model(raised), "keyframe-feet-in-air")
+    raised = write_model(tmp_path, "mjcf", (Edit(KEY, "0 0 0.158", "0 0 0.3"),))
+    assert not find_findings(audit_model(raised), "keyframe-feet-in-air")
 
 
 def test_torques_that_are_no_angles_are_no_finding(tmp_path: Path) -> None:
@@ -421,8 +423,8 @@ def test_torques_that_are_no_angles_are_no_finding(tmp_path: Path) -> None:
     motors = Edit("<general", 'biastype="affine" gainprm="60 0 0"', 'biastype="none" gainprm="1"')
     for torques in (4 * " 0 0 0", 4 * " 0 0.45 -0.754"):
         edit = Edit(KEY, 'ctrl="[^"]*"', f'ctrl="{torques.strip()}"')
-        path = written(tmp_path, "mjcf", (motors, edit))
-        assert not found(audit_model(path), "keyframe-torques-are-angles")
+        path = write_model(tmp_path, "mjcf", (motors, edit))
+        assert not find_findings(audit_model(path), "keyframe-torques-are-angles")
 
 
 @pytest.mark.parametrize(("length", "depth"), [(0.124, 0.0), (0.134, 0.006)])
@@ -439,7 +441,7 @@ def test_hull_of_a_shank_below_the_foot_is_found(
         Edit("<worldbody", "<worldbody>", asset),
         Edit('<geom name="FL_foot"', '<geom name="FL_foot"', f'{geom}<geom name="FL_foot"'),
     )
-    findings = found(audit_model(written(tmp_path, "mjcf", edits)), "hull-below-foot")
+    findings = find_findings(audit_model(write_model(tmp_path, "mjcf", edits)), "hull-below-foot")
     assert bool(findings) == bool(depth)
     if depth:
         value = findings[0].diagnostic.values["depth"]
@@ -464,8 +466,8 @@ def test_wrong_sign_of_one_small_product_of_inertia_is_found(
     for link, entries in ((FL_CALF, left), (FR_CALF, right)):
         words = " ".join(f'{name}="{value}"' for name, value in entries.items())
         edits.append(Edit(link, "<inertia [^>]*>", f"<inertia {words}/>"))
-    result = audit_model(written(tmp_path, "urdf", tuple(edits)))
-    assert bool(found(result, "mirror-inertia")) == is_found
+    result = audit_model(write_model(tmp_path, "urdf", tuple(edits)))
+    assert bool(find_findings(result, "mirror-inertia")) == is_found
 
 
 PLANAR_LEG = """<body name="thigh{0}" pos="0 0 -0.2"><joint name="hip{0}" axis="0 1 0"/>
@@ -492,8 +494,8 @@ def test_feet_of_a_planar_walker_are_partners(
         "</worldbody></mujoco>"
     )
     result = audit_model(path)
-    assert bool(found(result, "mirror-contacts", "body 'foot_left'")) == is_found
-    assert not found(result, "shape-ends-off-joint")
+    assert bool(find_findings(result, "mirror-contacts", "body 'foot_left'")) == is_found
+    assert not find_findings(result, "shape-ends-off-joint")
 
 
 BROKEN = {
@@ -515,8 +517,8 @@ def test_unreadable_mesh_is_found_with_its_reason(name: str, tmp_path: Path) -> 
     content, code = BROKEN[name]
     (tmp_path / name).write_bytes(content)
     edit = Edit(FL_CALF, r'<cylinder radius="0.011" length="0.11"/>', f'<mesh filename="{name}"/>')
-    path = written(tmp_path, "urdf", (edit,))
-    (finding,) = found(audit_model(path), "mesh-unreadable", "link 'FL_calf'")
+    path = write_model(tmp_path, "urdf", (edit,))
+    (finding,) = find_findings(audit_model(path), "mesh-unreadable", "link 'FL_calf'")
     problem = finding.diagnostic.values["problem"]
     assert isinstance(problem, Diagnostic)
     assert problem.code in code.split()
@@ -526,7 +528,7 @@ def test_unreadable_mesh_is_found_with_its_reason(name: str, tmp_path: Path) -> 
     other = tmp_path / "whole.obj"
     other.write_bytes(whole)
     path.write_text(path.read_text().replace(name, other.name))
-    assert not found(audit_model(path), "mesh-unreadable")
+    assert not find_findings(audit_model(path), "mesh-unreadable")
 
 
 def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None:
@@ -536,7 +538,7 @@ def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None
         geometry[:] = [etree.Element("mesh", filename=name)]
     path = tmp_path / "dog.urdf"
     path.write_bytes(etree.tostring(tree))
-    of_folder, of_package = found(audit_model(path), "mesh-missing")
+    of_folder, of_package = find_findings(audit_model(path), "mesh-missing")
     assert (of_folder.severity, of_package.severity) == (Severity.ERROR, Severity.WARNING)
     assert of_folder.message == "there is no file 'hips/a.stl', 'hips/b.stl'"
     assert of_package.message == (
@@ -554,7 +556,7 @@ def test_a_mesh_that_is_mirrored_in_all_directions_is_found(tmp_path: Path) -> N
         r'<cylinder radius="0.011" length="0.11"/>',
         '<mesh filename="a.obj" scale="SCALE"/>',
     )
-    path = written(tmp_path, "urdf", (edit,))
+    path = write_model(tmp_path, "urdf", (edit,))
     text = path.read_text()
     for scale, rules in (("-1 -1 -1", {"mesh-mirrored"}), ("-1 -1 1", set()),
                          ("1 0 1", {"value-impossible"})):  # fmt: skip
@@ -572,7 +574,9 @@ def test_shape_off_its_link_states_the_displacements_across_and_along_the_link(
         r'(?s)<collision>\s*<origin xyz="0 0 -0.04"/>',
         '<collision>\n      <origin xyz="0 0.03 -0.08"/>',
     )
-    (finding,) = found(audit_model(written(tmp_path, "urdf", (edit,))), "shape-off-link")
+    (finding,) = find_findings(
+        audit_model(write_model(tmp_path, "urdf", (edit,))), "shape-off-link"
+    )
     values = finding.diagnostic.values
     for name, expected in (("aside", 0.03), ("ahead", 0.04), ("way", 0.08)):
         value = values[name]
@@ -585,7 +589,7 @@ def test_two_mirrored_meshes_are_one_finding_with_their_number(tmp_path: Path) -
     shape = r'<cylinder radius="0.011" length="0.11"/>'
     mesh = '<mesh filename="a.obj" scale="-1 -1 -1"/>'
     edits = tuple(Edit(calf, shape, mesh) for calf in (FL_CALF, FR_CALF))
-    (finding,) = found(audit_model(written(tmp_path, "urdf", edits)), "mesh-mirrored")
+    (finding,) = find_findings(audit_model(write_model(tmp_path, "urdf", edits)), "mesh-mirrored")
     assert finding.diagnostic.values["others"] == 1
 
 
@@ -608,7 +612,7 @@ def test_equal_ranges_of_all_hinges_are_found_beside_other_joints(
     )
     path = tmp_path / "robot.urdf"
     path.write_text(f'<robot name="robot">{links}{joints}</robot>')
-    (finding,) = found(audit_model(path), "range-placeholder")
+    (finding,) = find_findings(audit_model(path), "range-placeholder")
     assert finding.diagnostic.values["count"] == 4
 
 
@@ -643,9 +647,9 @@ def test_file_without_ground_is_checked_on_a_default_ground(
     """MuJoCo's rule: the larger condim and friction of foot and ground count, unless a priority is
     set.
     """
-    result = audit_model(written(tmp_path, "mjcf", (FLOOR, *edits)))
+    result = audit_model(write_model(tmp_path, "mjcf", (FLOOR, *edits)))
     assert {one.rule for one in result.findings if one.severity != Severity.NOTE} <= {rule}
-    assert bool(found(result, rule)) is bool(rule)
+    assert bool(find_findings(result, rule)) is bool(rule)
 
 
 @pytest.mark.parametrize(("factor", "named"), [(100.0, True), (0.01, True), (10.0, False)])
@@ -662,22 +666,24 @@ def test_individually_identified_motors_are_no_finding(
         text = text.replace(joint, f'{joint} armature="{value:.6g}"')
     path = tmp_path / "own.xml"
     path.write_text(text)
-    assert {one.element for one in found(audit_model(path), "mirror-drive")} == (
+    assert {one.element for one in find_findings(audit_model(path), "mirror-drive")} == (
         {"joint 'FR_KFE'"} if named else set()
     )
 
 
 def test_keyframe_without_commands_is_a_note(tmp_path: Path) -> None:
     """Missing commands are zeros; no finding if the keyframe's joint positions are zero as well."""
-    path = written(tmp_path, "mjcf", (Edit(KEY, r' ctrl="[^"]*"', ""),))
-    (finding,) = found(audit_model(path), "keyframe-ctrl")
+    path = write_model(tmp_path, "mjcf", (Edit(KEY, r' ctrl="[^"]*"', ""),))
+    (finding,) = find_findings(audit_model(path), "keyframe-ctrl")
     assert finding.severity is Severity.NOTE
     assert (finding.diagnostic.values["ahead"], finding.diagnostic.values["commands"]) == (8, 12)
 
 
 def test_limits_of_a_continuous_joint_are_reported(tmp_path: Path) -> None:
     edit = Edit(FL_HAA, 'type="revolute"', 'type="continuous"')
-    (finding,) = found(audit_model(written(tmp_path, "urdf", (edit,))), "limits-without-effect")
+    (finding,) = find_findings(
+        audit_model(write_model(tmp_path, "urdf", (edit,))), "limits-without-effect"
+    )
     assert finding.diagnostic.code == "limits-without-effect"
     assert finding.diagnostic.values["lower"] == Quantity(-0.8, "rad")
     assert finding.diagnostic.values["upper"] == Quantity(0.8, "rad")
@@ -687,7 +693,7 @@ def test_masses_in_grams_are_reported_as_lighter_than_foam(tmp_path: Path) -> No
     path = tmp_path / "light.urdf"
     text = OWN["urdf"].read_text()
     path.write_text(re.sub(r'<mass value="([^"]+)"', r'<mass value="\1e-3"', text))
-    findings = found(audit_model(path), "density-implausible")
+    findings = find_findings(audit_model(path), "density-implausible")
     assert {finding.diagnostic.code for finding in findings} == {"lighter-than-foam"}
 
 
@@ -708,7 +714,7 @@ def test_findings_are_sorted_and_become_json(tmp_path: Path) -> None:
         Edit(FR_CALF, 'value="0.05"', 'value="-0.05"'),
         Edit(FR_HFE, 'effort="18"', 'effort="0"'),
     )
-    result = audit_model(written(tmp_path, "urdf", edits))
+    result = audit_model(write_model(tmp_path, "urdf", edits))
     keys = [(finding.severity.rank, finding.line) for finding in result.findings]
     assert keys == sorted(keys)
     assert result.format == "urdf"
@@ -751,7 +757,9 @@ def test_the_tutorials_long_leg_is_found(tmp_path: Path) -> None:
         *(Edit(f'<site name="{leg}_foot"', "-0.11", "-0.165") for leg in LEGS),
         Edit('<default class="foot">', "-0.11", "-0.165"),
     )
-    findings = found(audit_model(written(tmp_path, "mjcf", edits)), "shape-ends-off-joint")
+    findings = find_findings(
+        audit_model(write_model(tmp_path, "mjcf", edits)), "shape-ends-off-joint"
+    )
     assert [re.findall(r"'(.*)'", f.element)[0] for f in findings] == [
         f"{leg}_thigh" for leg in ("FL", "FR", "RL", "RR")
     ]
@@ -767,7 +775,7 @@ def test_refusal_by_mujoco_is_the_only_finding(tmp_path: Path) -> None:
         Edit('<default class="HFE">', "-1.8 1.2", "1.2 -1.8"),
         Edit(KEY, "0 0 0.158", "0 0 0.1"),
     )
-    result = audit_model(written(tmp_path, "mjcf", edits))
+    result = audit_model(write_model(tmp_path, "mjcf", edits))
     assert not result.passed
     assert [finding.rule for finding in result.findings] == ["mujoco-refuses"]
 
@@ -779,7 +787,7 @@ def test_reference_to_a_missing_body_is_found_at_its_line(tmp_path: Path) -> Non
     path.write_text(OWN["mjcf"].read_text().replace("</mujoco>", wrong))
     result = audit_model(path)
     assert not result.passed
-    (finding,) = found(result, "mujoco-refuses")
+    (finding,) = find_findings(result, "mujoco-refuses")
     assert "body 'nix' not found" in finding.message
     assert "<exclude" in path.read_text().splitlines()[int(finding.line or 0) - 1]
 
@@ -791,7 +799,7 @@ def test_stated_inertias_of_an_mjcf_are_as_written(tmp_path: Path) -> None:
     body = folder / "pupper_v3_body.xml"
     stated, slip = "4.05e-05 4.05e-05 7.7e-05 3.5e-05", "4.05e-02 4.05e-02 7.7e-02 3.5e-02"
     body.write_text(body.read_text().replace(stated, slip, 1))
-    (finding,) = found(audit_model(folder / "pupper_v3.xml"), "inertia-implausible")
+    (finding,) = find_findings(audit_model(folder / "pupper_v3.xml"), "inertia-implausible")
     assert finding.severity == Severity.WARNING
     assert Path(finding.file).name == body.name
     assert finding.line == line_of(body.read_text(), slip, "")
@@ -816,9 +824,9 @@ def test_a_missing_mesh_of_an_mjcf_is_an_error(bits: str, tmp_path: Path) -> Non
           <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.001"/>
           <geom type="mesh" mesh="foot" {bits}/></body></body></worldbody></mujoco>""")
     result = audit_model(path)
-    (finding,) = found(result, "mesh-missing", "mesh 'foot'")
+    (finding,) = find_findings(result, "mesh-missing", "mesh 'foot'")
     assert finding.severity == "error"
-    assert bool(found(result, "ground-not-met")) == bool(bits)
+    assert bool(find_findings(result, "ground-not-met")) == bool(bits)
 
 
 COM, INERTIA = ("0.03866 0.03585", "0.03866 -0.03585"), ("-3.5e-05", "3.5e-05")
@@ -844,8 +852,8 @@ def test_lost_signs_between_links_with_rotated_frames(
     if format == "mjcf":
         path, part = (tmp_path / "mjcf" / name for name in ("pupper_v3.xml", "pupper_v3_body.xml"))
     edit = Edit(f'<{tag} name="{name}"', re.escape(old), new)
-    part.write_text(edited(part.read_text(), (edit,)))
-    (finding,) = found(audit_model(path), rule)
+    part.write_text(apply_edits(part.read_text(), (edit,)))
+    (finding,) = find_findings(audit_model(path), rule)
     assert finding.element == f"{tag} {name!r}"
     assert Path(finding.file) == part
 
@@ -859,7 +867,9 @@ def test_rounded_inertias_are_sound(tmp_path: Path) -> None:
             '<inertia ixx="6.661e-05" ixy="0" ixz="0" iyy="6.361e-05" iyz="0" izz="2.9997e-06"/>',
         ),
     )
-    assert not found(audit_model(written(tmp_path, "urdf", edits)), "triangle-inequality")
+    assert not find_findings(
+        audit_model(write_model(tmp_path, "urdf", edits)), "triangle-inequality"
+    )
 
 
 # ------------------------------------------------------------------------------------- others
@@ -874,8 +884,8 @@ def test_rules_accept_all_encodings_that_the_reader_accepts(tmp_path: Path) -> N
     path = tmp_path / "model.xml"
     path.write_text(text)
     result = audit_model(path)
-    (mesh,) = found(result, "mesh-missing")
-    (gravity,) = found(result, "gravity-unusual")
+    (mesh,) = find_findings(result, "mesh-missing")
+    (gravity,) = find_findings(result, "gravity-unusual")
     assert "no.obj" in text.splitlines()[int(mesh.line or 0) - 1]
     assert "gravity" in text.splitlines()[int(gravity.line or 0) - 1]
 
@@ -904,7 +914,9 @@ def test_shapes_of_massless_links_are_one_finding(tmp_path: Path) -> None:
     links = [f'<link name="{name}">' for name in ("FL_foot", "body_imu_site")]
     empty = '<mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
     edits = [Edit(link, "(?s)<mass.*?</inertial>", empty + shape) for link in links]
-    (water,) = found(audit_model(written(tmp_path, "urdf", (*edits,))), "massless-link-collides")
+    (water,) = find_findings(
+        audit_model(write_model(tmp_path, "urdf", (*edits,))), "massless-link-collides"
+    )
     others = water.diagnostic.values["others"]
     assert {water.element, *others} == {"link 'body_imu_site'", "FL_foot"}
 
@@ -949,7 +961,7 @@ def test_shape_much_larger_than_the_robot_is_found(tmp_path: Path) -> None:
     """Twenty times its joints' 0.3 m are 6 m: a box in millimetres."""
     for size, message in ((5.9, False), (6.1, True), (100.0, True)):
         (tmp_path / "arm.urdf").write_text(ARM.format(shape=BOX.format(size)))
-        assert bool(found(audit_model(tmp_path / "arm.urdf"), "scale-unusual")) == message
+        assert bool(find_findings(audit_model(tmp_path / "arm.urdf"), "scale-unusual")) == message
 
 
 def test_legs_on_the_world_have_no_lever_to_their_base(tmp_path: Path) -> None:
@@ -977,13 +989,13 @@ def test_legs_on_the_world_have_no_lever_to_their_base(tmp_path: Path) -> None:
 def test_legs_on_the_world_are_reported_as_a_fused_base(tmp_path: Path) -> None:
     """As in MuJoCo's import of a URDF; two arms on a bench are not reported."""
     pair = quadruped(tmp_path)
-    assert not found(audit_model(pair.mjcf), "base-fused")
-    (finding,) = found(audit_model(fused(pair).mjcf), "base-fused")
+    assert not find_findings(audit_model(pair.mjcf), "base-fused")
+    (finding,) = find_findings(audit_model(fuse_trunk(pair).mjcf), "base-fused")
     text = pair.mjcf.read_text()
     assert finding.element.split("'")[1] in text.splitlines()[finding.line - 1]
     arms = re.sub("hip|thigh|knee|calf|foot|shank", lambda found: found[0][::-1], text)
     pair.mjcf.write_text(arms)
-    assert not found(audit_model(pair.mjcf), "base-fused")
+    assert not find_findings(audit_model(pair.mjcf), "base-fused")
 
 
 @pytest.mark.parametrize(("height", "distance"), [(0.2, 0.2), (-0.2, 0.2), (0.0, 0.0)])
@@ -1006,7 +1018,7 @@ def test_gravity_of_zero_is_a_warning_and_a_slope_a_note(
     body = '<body><freejoint/><geom size="0.1" mass="1"/></body>'
     option = f'<option gravity="{gravity}"/>'
     path.write_text(f"<mujoco>{option}<worldbody>{body}</worldbody></mujoco>")
-    (finding,) = found(audit_model(path), "gravity-unusual")
+    (finding,) = find_findings(audit_model(path), "gravity-unusual")
     assert finding.severity == severity
 
 
@@ -1022,5 +1034,5 @@ def test_foot_site_of_a_welded_body_is_compared_with_the_sphere_of_the_moving_bo
         <body name="tip" pos="0 0 -.15"><site name="foot"/></body></body></body></worldbody>
         </mujoco>"""
     )
-    [finding] = found(audit_model(path), "foot-sphere-off-frame")
+    [finding] = find_findings(audit_model(path), "foot-sphere-off-frame")
     assert finding.element == "site 'foot'"

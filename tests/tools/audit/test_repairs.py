@@ -20,7 +20,7 @@ URDF = ROOT / "urdf/pupper_skeleton.urdf"
 MJCF = ROOT / "mjcf/pupper_skeleton.xml"
 
 
-def planted(folder: Path, after: str, old: str, new: str, model: Path = URDF) -> Path:
+def plant_text(folder: Path, after: str, old: str, new: str, model: Path = URDF) -> Path:
     """Write the model with one text replaced after another text, and with DOS line endings."""
     text = model.read_text()
     start = text.index(after)
@@ -31,7 +31,7 @@ def planted(folder: Path, after: str, old: str, new: str, model: Path = URDF) ->
     return path
 
 
-def original(model: Path = URDF) -> bytes:
+def read_original(model: Path = URDF) -> bytes:
     return model.read_text().replace("\n", "\r\n").encode()
 
 
@@ -61,19 +61,19 @@ def repairs_of(audit: Audit, rule: str) -> list[dict[str, str]]:
 def test_planted_number_is_repaired_to_the_original_bytes(
     after: str, old: str, new: str, rule: str, tmp_path: Path
 ) -> None:
-    path = planted(tmp_path, after, old, new)
+    path = plant_text(tmp_path, after, old, new)
     audit = audit_model(path)
     assert repairs_of(audit, rule)
     documents, count = apply_repairs([audit])
     assert count == 1
     write_documents(documents)
-    assert path.read_bytes() == original()
+    assert path.read_bytes() == read_original()
     assert audit_model(path).counts == audit_model(URDF).counts
 
 
 def test_command_range_in_degrees_becomes_the_range_of_the_joint(tmp_path: Path) -> None:
     name = '<general name="FL_HFE"'
-    path = planted(tmp_path, name, "/>", ' ctrlrange="-103.1 68.75"/>', MJCF)
+    path = plant_text(tmp_path, name, "/>", ' ctrlrange="-103.1 68.75"/>', MJCF)
     documents, _ = apply_repairs([audit_model(path)])
     write_documents(documents)
     expected = f'{name} joint="FL_HFE" ctrlrange="-1.8 1.2"/>'.encode()
@@ -83,7 +83,7 @@ def test_command_range_in_degrees_becomes_the_range_of_the_joint(tmp_path: Path)
 def test_command_range_in_degrees_of_a_geared_servo_has_no_repair(tmp_path: Path) -> None:
     """The command of a servo with gear 2 is twice the joint position."""
     extra = ' gear="2" ctrlrange="-206.2 137.5"/>'
-    path = planted(tmp_path, '<general name="FL_HFE"', "/>", extra, MJCF)
+    path = plant_text(tmp_path, '<general name="FL_HFE"', "/>", extra, MJCF)
     audit = audit_model(path)
     assert any(finding.rule == "command-range-in-degrees" for finding in audit.findings)
     assert apply_repairs([audit])[1] == 0
@@ -94,7 +94,7 @@ def test_decimal_point_of_a_moment_is_confirmed_by_the_mirrored_link(tmp_path: P
     moment = re.search(r'FL_calf">.*?ixx="([^"]*)"', URDF.read_text(), re.DOTALL)
     assert moment is not None
     value = float(moment[1])
-    path = planted(tmp_path, '<link name="FL_calf">', moment[1], repr(value * 1000))
+    path = plant_text(tmp_path, '<link name="FL_calf">', moment[1], repr(value * 1000))
     ((repair),) = repairs_of(audit_model(path), "triangle-inequality")
     assert repair.keys() == {"ixx"}
     assert float(repair["ixx"]) == pytest.approx(value, rel=1e-5)
@@ -117,21 +117,21 @@ def test_masses_of_a_biped_are_candidates_and_not_written(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_nothing_is_written_without_a_confirmation(tmp_path: Path) -> None:
-    path = planted(tmp_path, '<link name="FR_calf">', 'value="0.05"', 'value="0.5"')
+    path = plant_text(tmp_path, '<link name="FR_calf">', 'value="0.05"', 'value="0.5"')
     before = path.read_bytes()
     shown = CliRunner().invoke(group, ["audit", str(path), "--fix"])
     assert '-      <mass value="0.5"/>' in shown.output
     assert '+      <mass value="0.05"/>' in shown.output
     assert path.read_bytes() == before
     CliRunner().invoke(group, ["audit", str(path), "--fix", "--yes"])
-    assert path.read_bytes() == original()
+    assert path.read_bytes() == read_original()
     assert CliRunner().invoke(group, ["audit", str(path), "--yes"]).exit_code != 0
     assert CliRunner().invoke(group, ["audit", "v3", "--fix"]).exit_code != 0
 
 
 def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
     """Reference: the original file, after replacing the byte region of SARIF."""
-    path = planted(tmp_path, '<link name="FR_calf">', 'value="0.05"', 'value="0.5"')
+    path = plant_text(tmp_path, '<link name="FR_calf">', 'value="0.05"', 'value="0.5"')
     shown = CliRunner().invoke(group, ["audit", str(path), "--format", "sarif"])
     (run,) = json.loads(shown.stdout)["runs"]
     ((fix,),) = [one["fixes"] for one in run["results"] if "fixes" in one]
@@ -139,4 +139,4 @@ def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
     region, data = replacement["deletedRegion"], path.read_bytes()
     start, end = region["byteOffset"], region["byteOffset"] + region["byteLength"]
     mended = data[:start] + replacement["insertedContent"]["text"].encode() + data[end:]
-    assert mended == original()
+    assert mended == read_original()

@@ -20,7 +20,7 @@ from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasibl
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
 from pupper_analysis.tools.best.space import BASE_COORDINATES, MIN_SINGULAR_VALUE_RATIO, StanceSpace
 from tests.support.engines import with_efforts
-from tests.support.random_legged import drawn, written
+from tests.support.random_legged import draw_robot, write_robot
 from tests.support.variants import load
 
 EVEN = pa.statics.ForceDistribution.MIN_TANGENTIAL
@@ -43,7 +43,7 @@ def com_margin(robot: pa.Robot, stand: pa.Stand) -> float:
     return margin
 
 
-def bent(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
+def compute_leg_singular_values(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
     """The least singular value of each leg's Jacobian."""
     values = []
     for jacobian in pa.Configuration(robot, stand.qpos).foot_jacobians().values():
@@ -66,7 +66,10 @@ def neighbours(robot: pa.Robot, found: pa.analysis.BestStance, count: int) -> li
             stand = pa.solve_stand(robot, task, explain=False)
         except pa.StanceUnreachableError:
             continue
-        if (bent(robot, stand) >= MIN_SINGULAR_VALUE_RATIO * bent(robot, found.nominal)).all():
+        if (
+            compute_leg_singular_values(robot, stand)
+            >= MIN_SINGULAR_VALUE_RATIO * compute_leg_singular_values(robot, found.nominal)
+        ).all():
             stands.append(stand)
     return stands
 
@@ -79,8 +82,8 @@ def check_kept(robot: pa.Robot, found: pa.analysis.BestStance) -> None:
     assert (joints <= robot.upper_limits + 1e-9).all()
     for name, interval in found.bounds.items():
         assert interval.low - 1e-12 <= found.coordinates[name] <= interval.high + 1e-12
-    least = MIN_SINGULAR_VALUE_RATIO * bent(robot, found.nominal)
-    assert (bent(robot, found.stand) >= least * (1 - 1e-9)).all()
+    least = MIN_SINGULAR_VALUE_RATIO * compute_leg_singular_values(robot, found.nominal)
+    assert (compute_leg_singular_values(robot, found.stand) >= least * (1 - 1e-9)).all()
     statics = stand_statics(robot, found.stand, distribution=EVEN)
     assert statics.residual_force < 1e-9
     assert com_margin(robot, found.stand) > 0
@@ -131,7 +134,7 @@ def test_redundant_joints_of_the_best_stance_equal_its_task(tmp_path: Path) -> N
 
     Legs of four joints have a free joint, which a search from a near stand leaves 4e-8 rad away.
     """
-    pair = written(drawn(91004), tmp_path)
+    pair = write_robot(draw_robot(91004), tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
     found = best_stance(robot, Objective.MARGIN)
     typed = pa.solve_stand(robot, found.stand.task)

@@ -34,7 +34,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def written(folder: Path, text: str) -> Path:
+def write_config(folder: Path, text: str) -> Path:
     path = folder / "pupper-analysis.toml"
     path.write_text(text)
     return path
@@ -66,7 +66,7 @@ name = "b"
 urdf = "b.urdf"
 strict = false
 """
-    read = read_config(written(folder, text))
+    read = read_config(write_config(folder, text))
     assert read.baseline == folder / "known.txt"
     assert read.fail_on is Severity.WARNING
     a, b = read.pairs
@@ -132,7 +132,7 @@ REFUSED = {
 def test_invalid_configuration_is_refused_with_its_line(
     folder: Path, text: str, line: int, said: str
 ) -> None:
-    path = written(folder, text)
+    path = write_config(folder, text)
     with pytest.raises(ModelError) as caught:
         read_config(path)
     assert said in str(caught.value)
@@ -142,7 +142,7 @@ def test_invalid_configuration_is_refused_with_its_line(
 
 def test_configuration_without_pairs_is_refused(folder: Path) -> None:
     with pytest.raises(ModelError, match=r"it has no \[\[pair\]\]"):
-        read_config(written(folder, "# nothing\n"))
+        read_config(write_config(folder, "# nothing\n"))
 
 
 def test_page_of_configuration_lists_exactly_the_valid_keys(folder: Path) -> None:
@@ -157,7 +157,7 @@ def test_page_of_configuration_lists_exactly_the_valid_keys(folder: Path) -> Non
     for name in ("urdf/go1.urdf", "mjcf/go1.xml"):
         (folder / name).parent.mkdir()
         (folder / name).write_text("")
-    (pair,) = read_config(written(folder, example)).pairs
+    (pair,) = read_config(write_config(folder, example)).pairs
     assert pair.names == {"lf_haa": "FL_hip"}
     assert pair.tolerances.mass == 1e-3
 
@@ -165,7 +165,7 @@ def test_page_of_configuration_lists_exactly_the_valid_keys(folder: Path) -> Non
 def test_the_config_is_found_in_a_folder_above(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, below = written(folder, LEAST), folder / "x" / "y"
+    path, below = write_config(folder, LEAST), folder / "x" / "y"
     below.mkdir(parents=True)
     assert find_config(below) == path
     monkeypatch.chdir(below)

@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Severity
 from pupper_analysis.base.errors import ModelError
-from tests.support.one_place_edits import FALLS, FELT, HARMLESS, copied
+from tests.support.one_place_edits import FALLS, FELT, HARMLESS, copy_mjcf
 from tests.support.repository import ROOT
 
 CONFIG = """\
@@ -30,7 +30,7 @@ def git(folder: Path, *arguments: str) -> None:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A repository with v3 in it, committed."""
-    copied(tmp_path)
+    copy_mjcf(tmp_path)
     (tmp_path / "urdf").mkdir()
     shutil.copy(ROOT / "urdf/pupper_v3.urdf", tmp_path / "urdf")
     (tmp_path / "pupper-analysis.toml").write_text(CONFIG)

@@ -106,20 +106,20 @@ class PupperCfg(BaseCfg):
 )
 
 
-def listed(values: object) -> str:
+def format_list(values: object) -> str:
     return "[" + ", ".join(map(str, values)) + "]"  # type: ignore[call-overload]
 
 
 DEPLOY = f"""
-joint_ids_map: {listed(range(12))}
+joint_ids_map: {format_list(range(12))}
 step_dt: 0.02
-stiffness: {listed([5.0] * 12)}
-damping: {listed([0.25] * 12)}
-default_joint_pos: {listed(ANGLES)}
+stiffness: {format_list([5.0] * 12)}
+damping: {format_list([0.25] * 12)}
+default_joint_pos: {format_list(ANGLES)}
 actions:
   JointPositionAction:
-    scale: {listed([0.75] * 12)}
-    offset: {listed(ANGLES)}
+    scale: {format_list([0.75] * 12)}
+    offset: {format_list(ANGLES)}
 observations:
   base_ang_vel:
     scale: [0.25, 0.25, 0.25]
@@ -136,16 +136,16 @@ controller_manager:
 walker:
   ros__parameters:
     repeat_action: 10
-    joint_names: {listed(JOINTS)}
-    default_joint_pos: {listed(ANGLES)}
-    init_kps: {listed([7.5] * 12)}
-    kps: {listed([5.0] * 12)}
-    kds: {listed([0.25] * 12)}
+    joint_names: {format_list(JOINTS)}
+    default_joint_pos: {format_list(ANGLES)}
+    init_kps: {format_list([7.5] * 12)}
+    kps: {format_list([5.0] * 12)}
+    kds: {format_list([0.25] * 12)}
 """
 
 RTNEURAL = f"""{{
 "kp": 5.0, "kd": 0.25, "action_scale": 0.75,
-"default_joint_pos": {listed(ANGLES)},
+"default_joint_pos": {format_list(ANGLES)},
 "in_shape": [null, 36], "layers": []
 }}
 """
@@ -161,9 +161,9 @@ joint_limits:
 UNITREE_GYM = f"""policy_path: "{{DIR}}/policy.pt"
 simulation_dt: 0.005
 control_decimation: 4
-kps: {listed([5] * 12)}
-kds: {listed([0.25] * 12)}
-default_angles: {listed(ANGLES)}
+kps: {format_list([5] * 12)}
+kds: {format_list([0.25] * 12)}
+default_angles: {format_list(ANGLES)}
 ang_vel_scale: 0.25
 action_scale: 0.75
 cmd_scale: [2.0, 2.0, 0.25]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.commands import Answer, answer
-from tests.tools.contract.sources import MJCF, URDF, listed, write_all
+from tests.tools.contract.sources import MJCF, URDF, format_list, write_all
 
 BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 9)
@@ -54,7 +54,9 @@ def test_invalid_source_is_refused_in_one_line(tmp_path: Path, name: str) -> Non
 def test_github_annotations_name_both_lines(tmp_path: Path) -> None:
     sources = write_all(tmp_path)
     text = sources["deploy.yaml"].read_text()
-    sources["deploy.yaml"].write_text(text.replace(listed([5.0] * 12), listed([9.0] * 12)))
+    sources["deploy.yaml"].write_text(
+        text.replace(format_list([5.0] * 12), format_list([9.0] * 12))
+    )
     said = run(tmp_path, URDF, sources["gym_cfg.py"], sources["deploy.yaml"], "--format", "sarif")
     assert said.returncode == 1
     results = json.loads(said.stdout)["runs"][0]["results"]
@@ -68,8 +70,8 @@ def test_paths_are_shown_relative_to_the_working_folder(tmp_path: Path) -> None:
     """Also of imported modules. A line that contains both values is shown once."""
     sources = write_all(tmp_path)
     text = sources["deploy.yaml"].read_text()
-    kd = listed([0.25] * 12)
-    sources["deploy.yaml"].write_text(text.replace(kd, listed([0.1] * 11 + [0.2]), 1))
+    kd = format_list([0.25] * 12)
+    sources["deploy.yaml"].write_text(text.replace(kd, format_list([0.1] * 11 + [0.2]), 1))
     said = run(tmp_path, URDF, "training/mjlab_cfg.py", "deploy.yaml")
     assert "   training/mjlab_cfg.py:11   deploy.yaml:5" in said.stdout.splitlines()
     assert "   deploy.yaml:5" in said.stdout.splitlines()

@@ -20,7 +20,7 @@ from tests.tools.contract.sources import (
     UNITREE_GYM,
     URDF,
     field,
-    listed,
+    format_list,
     value,
     write_all,
 )
@@ -48,12 +48,12 @@ def test_isaac_lab_lists_are_ordered_by_depth_if_left_and_right_agree(
     """As in policies of Isaac Lab; a list without left-right symmetry in any order is not read."""
     path = sources["policy.json"]
     text = path.read_text()
-    path.write_text(text.replace(listed(ANGLES), listed(angles)))
+    path.write_text(text.replace(format_list(ANGLES), format_list(angles)))
     found = contract(sources["isaac_cfg.py"], path)
     (read,) = [one for one in found.sources if one.role == "policy"]
     assert {name[-2:] for name in read.order[:4]} == kinds
     assert found.findings == ()
-    path.write_text(text.replace(listed(ANGLES), listed(range(12))))
+    path.write_text(text.replace(format_list(ANGLES), format_list(range(12))))
     found = contract(sources["isaac_cfg.py"], path)
     assert not [one for one in found.facts if one.source == path.name and "angle" in one.quantity]
     assert any(one.code == "contract-list-unread" for one in found.notes)
@@ -67,19 +67,21 @@ def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
     base, policy = folder / "base.yaml", folder / "config.yaml"
     motors = [*JOINTS[3:6], *JOINTS[:3], *JOINTS[6:]]
     base.write_text(
-        f"pupper:\n  joint_names: {listed(motors)}\n  joint_mapping: {listed(range(12))}\n"
-        f"  fixed_kp: {listed([80] * 12)}\n  default_dof_pos: {listed([0.0] * 12)}\n"
+        f"pupper:\n  joint_names: {format_list(motors)}\n"
+        f"  joint_mapping: {format_list(range(12))}\n"
+        f"  fixed_kp: {format_list([80] * 12)}\n  default_dof_pos: {format_list([0.0] * 12)}\n"
     )
     numbers = [3, 4, 5, 0, 1, 2, *range(6, 12)]
     policy.write_text(
-        f"pupper/walk:\n  JOINT_MAPPING: {listed(numbers)}\n  rl_kp: {listed([5.0] * 12)}\n"
-        f"  default_dof_pos: {listed(ANGLES)}\n"
+        f"pupper/walk:\n  JOINT_MAPPING: {format_list(numbers)}\n"
+        f"  rl_kp: {format_list([5.0] * 12)}\n"
+        f"  default_dof_pos: {format_list(ANGLES)}\n"
     )
     found = contract(sources["gym_cfg.py"], base, policy)
     assert found.findings == ()
     order = {one.name: (one.order_source, one.order) for one in found.sources}
     assert order["config.yaml:pupper/walk"] == ("motors", tuple(JOINTS))
-    policy.write_text(policy.read_text().replace(listed(numbers), listed(range(12))))
+    policy.write_text(policy.read_text().replace(format_list(numbers), format_list(range(12))))
     wrong = contract(sources["gym_cfg.py"], base, policy).findings
     assert {one.kind for one in wrong} == {"default angle"}
     moved = {joint for one in wrong for joint in one.joints}
@@ -92,9 +94,9 @@ def test_invalid_motor_numbers_are_ignored_with_a_note(
 ) -> None:
     path = sources["deploy.yaml"]
     text = path.read_text()
-    numbers = listed(range(12))
+    numbers = format_list(range(12))
     assert numbers in text
-    path.write_text(text.replace(numbers, listed([*range(11), given])))
+    path.write_text(text.replace(numbers, format_list([*range(11), given])))
     notes = [one.code for one in contract(path).notes]
     assert "contract-motors-unread" in notes
 
@@ -128,7 +130,7 @@ def test_joints_of_other_names_are_matched_by_structure(
         text = text.replace(f'"{link}"', f'"body{number}"')
     urdf.write_text(text)
     deploy = sources["config.yaml"]
-    deploy.write_text(deploy.read_text().replace(listed(JOINTS), listed(names.values())))
+    deploy.write_text(deploy.read_text().replace(format_list(JOINTS), format_list(names.values())))
     found = read_contract(MJCF, urdf, deploy, stand=False)
     assert any(one.code == "contract-matched" for one in found.notes)
     said = {(one.source, one.joint) for one in found.facts if one.quantity in ("effort", "kp")}
@@ -165,7 +167,9 @@ def test_usd_is_accepted_as_the_model_of_a_contract(tmp_path: Path) -> None:
 def test_line_of_a_training_value_is_that_of_its_assignment(sources: dict[str, Path]) -> None:
     """Closed form of the trained scale: 0.5 (2 x 1.5) / 5 + 0.45 = 0.75."""
     text = sources["deploy.yaml"].read_text()
-    sources["deploy.yaml"].write_text(text.replace(listed([0.75] * 12), listed([0.4] * 12)))
+    sources["deploy.yaml"].write_text(
+        text.replace(format_list([0.75] * 12), format_list([0.4] * 12))
+    )
     found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
     (finding,) = [one for one in found.findings if one.kind == "action scale"]
     place, _, line = finding.places[0].rpartition(":")
@@ -182,7 +186,7 @@ def test_rounded_numbers_agree(sources: dict[str, Path]) -> None:
     deploy = sources["deploy.yaml"]
     found = contract(sources["mjlab_cfg.py"], deploy)
     assert [one for one in found.findings if one.kind == "kp"] == []  # 5.0123 is 5.0
-    deploy.write_text(deploy.read_text().replace(listed([5.0] * 12), listed([5.1] * 12)))
+    deploy.write_text(deploy.read_text().replace(format_list([5.0] * 12), format_list([5.1] * 12)))
     found = contract(sources["mjlab_cfg.py"], deploy)
     assert [one.joints for one in found.findings if one.kind == "kp"] == [tuple(JOINTS)]
 
@@ -282,10 +286,10 @@ def test_joint_orders_of_unitree_rl_lab_are_read(sources: dict[str, Path]) -> No
                 for leg in ("front_r", "front_l", "back_r", "back_l")]  # fmt: skip
     angles = dict(zip(JOINTS, ANGLES, strict=True))
     deploy.write_text(
-        f"joint_ids_map: {listed(motors.index(one) for one in by_depth)}\n"
-        f"default_joint_pos: {listed(angles[one] for one in by_depth)}\n"
-        f"stiffness: {listed(6.0 if one.endswith('3') else 5.0 for one in motors)}\n"
-        f"damping: {listed([0.25] * 12)}\n"
+        f"joint_ids_map: {format_list(motors.index(one) for one in by_depth)}\n"
+        f"default_joint_pos: {format_list(angles[one] for one in by_depth)}\n"
+        f"stiffness: {format_list(6.0 if one.endswith('3') else 5.0 for one in motors)}\n"
+        f"damping: {format_list([0.25] * 12)}\n"
     )
     found = contract(path, deploy)
     (read,) = [one for one in found.sources if one.role == "deployment"]
@@ -304,12 +308,12 @@ def test_list_of_another_length_is_not_assigned_to_joints(
     sources: dict[str, Path], given: list[float]
 ) -> None:
     alone = sources["deploy.yaml"].with_name("alone.yaml")
-    alone.write_text(f"kps: {listed(given)}\n")
+    alone.write_text(f"kps: {format_list(given)}\n")
     with pytest.raises(ModelError, match=rf"kp has {len(given)} values for 12 joints"):
         contract(alone)
     for name in ("deploy.yaml", "config.yaml"):  # with motor numbers, and with names
         text = sources[name].read_text()
-        sources[name].write_text(text.replace(listed([5.0] * 12), listed(given)))
+        sources[name].write_text(text.replace(format_list([5.0] * 12), format_list(given)))
         found = contract(sources["gym_cfg.py"], sources[name])
         assert found.findings == ()
         assert not [one for one in found.facts if one.quantity == "kp"
@@ -328,11 +332,11 @@ def test_duplicate_yaml_key_is_refused_and_merged_keys_are_read(
 ) -> None:
     path = sources["deploy.yaml"]
     text = path.read_text()
-    path.write_text(text + f"damping: {listed([0.5] * 12)}\n")
+    path.write_text(text + f"damping: {format_list([0.5] * 12)}\n")
     line = text.count("\n") + 1
     with pytest.raises(ModelError, match=rf"deploy\.yaml:{line}: 'damping' stands twice"):
         contract(path)
-    kd = f"damping: {listed([0.25] * 12)}"
+    kd = f"damping: {format_list([0.25] * 12)}"
     assert kd in text
     path.write_text("<<: *gains\n" + text.replace(kd, f"gains: &gains {{{kd}}}"))
     with pytest.raises(ModelError, match="undefined alias"):
@@ -441,7 +445,7 @@ def test_motor_limits_are_compared_with_the_urdf(sources: dict[str, Path]) -> No
 def test_an_observation_in_another_joint_order_is_a_finding(sources: dict[str, Path]) -> None:
     text = sources["config.yaml"].read_text()
     swapped = [*JOINTS[:6], *JOINTS[9:], *JOINTS[6:9]]
-    sources["config.yaml"].write_text(text.replace(listed(JOINTS), listed(swapped)))
+    sources["config.yaml"].write_text(text.replace(format_list(JOINTS), format_list(swapped)))
     found = contract(sources["policy.onnx"], sources["config.yaml"])
     orders = [one for one in found.findings if one.kind == "order"]
     assert len(orders) == 1

@@ -64,7 +64,7 @@ def test_planted_mistake_is_found_with_both_lines(
     assert {one.kind for one in found.findings} <= {quantity, "action offset"} | more, messages
 
 
-def _aliased(text: str) -> str:
+def _add_alias(text: str) -> str:
     head, _, rest = text.partition("default_joint_pos:\n")
     return f"{head}default_joint_pos: &home\n{rest}action_offset_too: *home\n"
 
@@ -74,7 +74,7 @@ SOUND: dict[str, tuple[str, Callable[[str], str]]] = {
     "whole numbers": ("deploy", lambda text: text.replace("5.0\n", "5\n").replace("60.0", "60")),
     "exponents": ("deploy", lambda text: text.replace("0.25\n", "2.5e-1\n")),
     "plus signs": ("ros2", lambda text: text.replace("- 0.26", "- +0.26").replace("- 0.6", "- .6")),
-    "an alias": ("deploy", _aliased),
+    "an alias": ("deploy", _add_alias),
     "windows' ends of lines": ("ros2", lambda text: text.replace("\n", "\r\n")),
     "comments": ("mjlab", lambda text: text.replace(",\n", ",  # deg, 99\n")),
     "names with a prefix": ("ros2", lambda text: text.replace("leg_", "robot_leg_")),

@@ -25,7 +25,7 @@ from tests.support.conversions import (
     write_standing_urdf,
 )
 from tests.support.repository import ROOT
-from tests.support.robots import NOTHING, Part, Parts, arm, changed, mjcf_text, urdf_text
+from tests.support.robots import NOTHING, Part, Parts, arm, change_part, mjcf_text, urdf_text
 from tests.support.round_trips import round_trip
 
 # ---------------------------------------------------------------------------- a URDF as an MJCF
@@ -103,7 +103,7 @@ def test_mimic_joints_are_converted_to_couplings(tmp_path: Path) -> None:
     back.
     """
     urdf = tmp_path / "arm.urdf"
-    text = urdf_text(changed(arm(), "rod", effort=7.0), ())
+    text = urdf_text(change_part(arm(), "rod", effort=7.0), ())
     mimic = '<mimic joint="lift" multiplier="-0.5" offset="0.1"/></joint>'
     place = text.index("</joint>", text.index('name="push"'))
     urdf.write_text(text[:place] + mimic + text[place + len("</joint>") :])
@@ -279,9 +279,11 @@ def test_round_trip_of_v3_reports_each_loss(tmp_path: Path, file: str) -> None:
 
 
 def test_invalid_model_is_refused_before_any_file_is_written(tmp_path: Path) -> None:
-    flat = changed(arm(), "rod", inertia=(1.0, 0.1, 0.1, *NOTHING))
+    flat = change_part(arm(), "rod", inertia=(1.0, 0.1, 0.1, *NOTHING))
     cases = {
-        "has no mass, and MuJoCo refuses such bodies": urdf_text(changed(arm(), "rod", mass=0.0)),
+        "has no mass, and MuJoCo refuses such bodies": urdf_text(
+            change_part(arm(), "rod", mass=0.0)
+        ),
         "joint 'push' is planar": urdf_text(arm()).replace('"prismatic"', '"planar"'),
         "which no body has; repair it": urdf_text(flat),
         "no joint that moves": urdf_text({"box": Part("box")}),
@@ -342,7 +344,7 @@ def test_invalid_command_line_is_refused_in_one_line(
 # ------------------ What a converted robot's base does: free or fixed, from `qpos0`, and on a slope
 
 
-def hand(folder: Path, count: int = 3) -> Path:
+def write_hand(folder: Path, count: int = 3) -> Path:
     """Write a palm with fingers that point upwards, with as many limbs as a tripod."""
     parts: Parts = {"palm": Part("palm", mass=0.5, com=(0.0, 0.0, 0.01))}
     for finger in range(count):
@@ -376,12 +378,12 @@ def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_free_hand_that_cannot_stand_fails_and_names_fixed_base(tmp_path: Path) -> None:
     """A hand has as many limbs as a tripod; with fixed_base the conversion passes."""
-    mjcf, found = convert_file(hand(tmp_path), "free.xml")
+    mjcf, found = convert_file(write_hand(tmp_path), "free.xml")
     assert found.agree
     assert not found.passed
     assert "--fixed-base" in str(found.failures[0])
     assert is_free(compile_file(mjcf))
-    mjcf, found = convert_file(hand(tmp_path), "hand.xml", fixed_base=True)
+    mjcf, found = convert_file(write_hand(tmp_path), "hand.xml", fixed_base=True)
     assert found.passed, found.failures
     assert not is_free(compile_file(mjcf))
 

@@ -16,10 +16,10 @@ from tests.support.robots import (
     Part,
     Parts,
     all_changed,
-    changed,
-    compared,
-    found,
-    headline,
+    change_part,
+    compare_files,
+    format_headline,
+    list_differences,
     mjcf_text,
     numbers,
     quadruped,
@@ -30,10 +30,10 @@ from tests.support.robots import (
 
 def get_headline(files: Files) -> str:
     """Return the first line of a comparison that must disagree with a complete explanation."""
-    comparison = compared(files)
+    comparison = compare_files(files)
     assert not comparison.agree
     assert comparison.complete
-    return headline(comparison)
+    return format_headline(comparison)
 
 
 def pair(folder: Path, mjcf: Parts) -> Files:
@@ -57,7 +57,7 @@ def with_euler(text: str, order: str, compiler: str) -> str:
 
 def test_euler_angles_with_their_stated_sequence_agree(tmp_path: Path) -> None:
     text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian" eulerseq="XYZ"')
-    assert compared(write(tmp_path, urdf_text(quadruped()), text)).agree
+    assert compare_files(write(tmp_path, urdf_text(quadruped()), text)).agree
 
 
 @pytest.mark.slow
@@ -83,7 +83,9 @@ def test_exchanged_limbs_are_one_cause(tmp_path: Path) -> None:
     assert "limbs are exchanged between the files: hip0 and hip1, hip2 and hip3;" in line
 
 
-def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float = 1.0) -> Parts:
+def scale_parts(
+    parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float = 1.0
+) -> Parts:
     return {
         name: replace(
             part,
@@ -108,7 +110,7 @@ def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float 
 )
 def test_a_ratio_of_a_unit_is_named(tmp_path: Path, factors: dict[str, float], words: str) -> None:
     """All masses, lengths or inertias scaled by one factor."""
-    assert words in get_headline(pair(tmp_path, scaled(quadruped(), **factors)))
+    assert words in get_headline(pair(tmp_path, scale_parts(quadruped(), **factors)))
 
 
 def test_limits_in_degrees_are_one_cause(tmp_path: Path) -> None:
@@ -121,7 +123,7 @@ def test_limits_in_degrees_are_one_cause(tmp_path: Path) -> None:
 
 
 def test_tenfold_mass_is_named_as_a_decimal_point_error(tmp_path: Path) -> None:
-    line = get_headline(pair(tmp_path, changed(quadruped(), "shank2", mass=2.2)))
+    line = get_headline(pair(tmp_path, change_part(quadruped(), "shank2", mass=2.2)))
     assert line.startswith("DISAGREE: link shank2: mass 0.22 kg in the URDF, 2.2 kg in the MJCF")
     assert "(ten times: a decimal point?)" in line
 
@@ -130,22 +132,24 @@ def test_causes_are_ordered_by_their_effect(tmp_path: Path) -> None:
     """A slip before a limit that differs as well, and after a base of nine times the mass."""
     thigh = quadruped()["thigh0"]
     tenfold = {"mass": 10 * thigh.mass, "inertia": tuple(10 * np.array(thigh.inertia))}
-    limit = changed(changed(quadruped(), "thigh0", **tenfold), "shank3", lower=-2.51)
-    heavy = changed(limit, "base", mass=9 * quadruped()["base"].mass)
+    limit = change_part(change_part(quadruped(), "thigh0", **tenfold), "shank3", lower=-2.51)
+    heavy = change_part(limit, "base", mass=9 * quadruped()["base"].mass)
     for mjcf, said in ((limit, "mass and inertia of thigh0"), (heavy, "link base: mass")):
-        comparison = compared(pair(tmp_path, mjcf))
+        comparison = compare_files(pair(tmp_path, mjcf))
         assert len(comparison.causes) == 1
         assert len(comparison.unexplained_differences) > 0
-        assert headline(comparison).startswith(f"DISAGREE: {said}")
+        assert format_headline(comparison).startswith(f"DISAGREE: {said}")
 
 
 def test_base_of_another_robot_is_one_cause(tmp_path: Path) -> None:
     other = {"mass": 11.0, "com": (0.03, 0.0, 0.01), "inertia": (0.1, 0.2, 0.25, 0.0, 0.0, 0.0)}
-    comparison = compared(pair(tmp_path, changed(quadruped(), "base", **other)))
-    assert set(found(comparison)) == {(kind, "base") for kind in ("mass", "com", "inertia")}
+    comparison = compare_files(pair(tmp_path, change_part(quadruped(), "base", **other)))
+    assert set(list_differences(comparison)) == {
+        (kind, "base") for kind in ("mass", "com", "inertia")
+    }
     (cause,) = comparison.causes
     assert cause.differences == (0, 1, 2)
-    assert headline(comparison).startswith(
+    assert format_headline(comparison).startswith(
         "DISAGREE: mass, com and inertia of base all differ, and no single link"
     )
 
@@ -160,7 +164,7 @@ def test_masses_derived_from_geoms_are_one_cause(tmp_path: Path) -> None:
     )
     assert count == 2
     files.mjcf.write_text(text)
-    comparison = compared(files)
+    comparison = compare_files(files)
     (cause,) = comparison.causes
     assert cause.kind == "geoms"
     assert set(cause.diagnostic.values["bodies"]) == {"thigh0", "thigh1"}
@@ -176,7 +180,7 @@ def test_inertials_overridden_by_the_compiler_are_one_cause(tmp_path: Path) -> N
         r'(<body name="[^"]*"[^>]*>(?:\s*<(?:free)?joint[^>]*/>)?)', box, files.mjcf.read_text()
     )
     files.mjcf.write_text(re.sub(r"<compiler ", '<compiler inertiafromgeom="true" ', text))
-    (cause,) = [one for one in compared(files).causes if one.kind == "geoms"]
+    (cause,) = [one for one in compare_files(files).causes if one.kind == "geoms"]
     assert "overrules, by inertiafromgeom, the <inertial> of" in str(cause.diagnostic)
 
 
@@ -188,15 +192,15 @@ def test_loops_closed_by_the_mjcf_are_one_cause(tmp_path: Path) -> None:
     )
     text = files.mjcf.read_text().replace("</mujoco>", f"<equality>{loops}</equality></mujoco>")
     files.mjcf.write_text(text)
-    (cause,) = compared(files).causes
+    (cause,) = compare_files(files).causes
     assert cause.kind == "equalities"
     assert set(cause.diagnostic.values["names"]) == {"loop0", "loop1", "loop2"}
 
 
 def test_unrelated_differences_have_no_common_cause(tmp_path: Path) -> None:
-    mjcf = changed(changed(quadruped(), "base", mass=6.1), "shank0", mass=0.25, upper=0.1)
-    assert compared(pair(tmp_path, mjcf)).causes == ()
-    assert compared(pair(tmp_path, all_changed(quadruped(), friction=0.3))).causes == ()
+    mjcf = change_part(change_part(quadruped(), "base", mass=6.1), "shank0", mass=0.25, upper=0.1)
+    assert compare_files(pair(tmp_path, mjcf)).causes == ()
+    assert compare_files(pair(tmp_path, all_changed(quadruped(), friction=0.3))).causes == ()
 
 
 def offset_joint(text: str, joint: str, pos: str) -> str:
@@ -208,8 +212,10 @@ def offset_joint(text: str, joint: str, pos: str) -> str:
 def test_displaced_joint_axis_is_the_cause_of_moved_coms(tmp_path: Path) -> None:
     """CoM and child are unmoved in the robot, but displaced in the frame of the moved joint."""
     text = offset_joint(mjcf_text(quadruped()), "hip1", "0 0 0.004")
-    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
-    assert {("position", "hip1"), ("position", "knee1"), ("com", "hip1")} <= set(found(comparison))
+    comparison = compare_files(write(tmp_path, urdf_text(quadruped()), text))
+    assert {("position", "hip1"), ("position", "knee1"), ("com", "hip1")} <= set(
+        list_differences(comparison)
+    )
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert "joint hip1: its axis is elsewhere in the MJCF, 4 mm away, and all" in line
 
@@ -231,12 +237,12 @@ def test_axis_rotated_about_another_point_has_no_offset(tmp_path: Path) -> None:
 def test_moved_body_is_one_difference_with_its_axis(tmp_path: Path) -> None:
     part = quadruped()["thigh1"]
     place = tuple(np.add(part.position, (0.0, 0.0, 0.004)))
-    comparison = compared(pair(tmp_path, changed(quadruped(), "thigh1", position=place)))
-    assert found(comparison) == [("position", "hip1")]
+    comparison = compare_files(pair(tmp_path, change_part(quadruped(), "thigh1", position=place)))
+    assert list_differences(comparison) == [("position", "hip1")]
     assert comparison.causes == ()
 
 
-def geared(text: str, gears: tuple[float, ...]) -> str:
+def add_gears(text: str, gears: tuple[float, ...]) -> str:
     """Return an MJCF whose motors have gears."""
     names = [f"{kind}{leg}" for leg in range(4) for kind in ("hip", "knee")]
     for name, gear in zip(names, gears, strict=True):
@@ -246,9 +252,11 @@ def geared(text: str, gears: tuple[float, ...]) -> str:
 
 def test_efforts_stated_before_the_gear_are_the_first_cause(tmp_path: Path) -> None:
     """As Cassie's: 4.5 N m in the URDF and at ctrl, 112.5 N m at the joint."""
-    mjcf = changed(quadruped(), "base", mass=7.0)  # a kilogram goes before efforts, but not first
-    text = geared(mjcf_text(mjcf), (25, 16) * 4)
-    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    mjcf = change_part(
+        quadruped(), "base", mass=7.0
+    )  # a kilogram goes before efforts, but not first
+    text = add_gears(mjcf_text(mjcf), (25, 16) * 4)
+    comparison = compare_files(write(tmp_path, urdf_text(quadruped()), text))
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert "the URDF's efforts of 8 joints are the motors', before their gears" in line
     assert "20 times 25 is 500 on hip0" in line
@@ -262,19 +270,19 @@ def test_efforts_that_no_gear_explains(tmp_path: Path) -> None:
         name: replace(part, effort=1.7 * part.effort) if part.joint else part
         for name, part in quadruped().items()
     }
-    comparison = compared(pair(tmp_path, mjcf))
+    comparison = compare_files(pair(tmp_path, mjcf))
     assert comparison.causes == ()
-    other = geared(mjcf_text(mjcf), (25,) * 8)
-    assert compared(write(tmp_path, urdf_text(quadruped()), other)).causes == ()
+    other = add_gears(mjcf_text(mjcf), (25,) * 8)
+    assert compare_files(write(tmp_path, urdf_text(quadruped()), other)).causes == ()
 
 
 def test_an_effort_of_zero_is_no_difference_between_engines(tmp_path: Path) -> None:
     """Pinocchio reads 0 N m and MuJoCo no limit, because the MJCF states none: a difference between
     the files."""
-    urdf = urdf_text(changed(quadruped(), "shank2", effort=0.0))
-    comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
+    urdf = urdf_text(change_part(quadruped(), "shank2", effort=0.0))
+    comparison = compare_files(write(tmp_path, urdf, mjcf_text(quadruped())))
     assert comparison.engines == ()
-    assert found(comparison) == [("effort", "knee2")]
+    assert list_differences(comparison) == [("effort", "knee2")]
 
 
 def test_dropped_products_of_inertia_are_one_cause(tmp_path: Path) -> None:
@@ -320,11 +328,13 @@ def test_tensors_about_the_origin_of_the_link_are_one_cause(file: str, tmp_path:
 
     slips = {name: moved(part) for name, part in quadruped().items()}
     files = (slips, quadruped()) if file == "URDF" else (quadruped(), slips)
-    comparison = compared(write(tmp_path, urdf_text(files[0]), mjcf_text(files[1])))
+    comparison = compare_files(write(tmp_path, urdf_text(files[0]), mjcf_text(files[1])))
     (cause,) = comparison.causes
     assert cause.kind == "inertia origin"
     assert len(cause.differences) == len(comparison.differences)
-    assert headline(comparison).startswith(f"DISAGREE: the {file} states the inertia tensors of")
+    assert format_headline(comparison).startswith(
+        f"DISAGREE: the {file} states the inertia tensors of"
+    )
 
 
 @pytest.mark.slow
@@ -336,7 +346,7 @@ def test_tensors_with_axes_of_the_inverse_rotation_are_one_cause(tmp_path: Path)
         return with_tensor(part, axes.T @ np.diag(moments) @ axes)
 
     mjcf = {name: conjugated(part) for name, part in quadruped().items()}
-    comparison = compared(pair(tmp_path, mjcf))
+    comparison = compare_files(pair(tmp_path, mjcf))
     (cause,) = comparison.causes
     assert cause.kind == "inertia axes"
     assert len(cause.differences) == len(comparison.differences)
@@ -350,7 +360,7 @@ def test_other_tensors_with_equal_moments_have_no_such_cause(tmp_path: Path) -> 
         name: with_tensor(part, turn @ tensor_of(part) @ turn.T)
         for name, part in quadruped().items()
     }
-    comparison = compared(pair(tmp_path, mjcf))
+    comparison = compare_files(pair(tmp_path, mjcf))
     assert "inertia" in {difference.kind for difference in comparison.differences}
     assert not [cause for cause in comparison.causes if "inertia" in cause.kind]
 
@@ -361,7 +371,7 @@ def test_lost_rotation_of_an_inertial_names_the_link(tmp_path: Path) -> None:
     turned = origin.replace("/>", ' rpy="0.3 0.5 0"/>')
     urdf = urdf_text(quadruped()).replace(origin, turned)
     assert urdf.count(turned) == 1
-    comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
+    comparison = compare_files(write(tmp_path, urdf, mjcf_text(quadruped())))
     (cause,) = comparison.causes
     assert cause.kind == "inertia turn"
     assert cause.diagnostic.values["links"] == ("thigh2",)
@@ -375,6 +385,8 @@ def test_lost_mimic_comes_before_the_missing_motor(tmp_path: Path) -> None:
     mjcf = mjcf_text(quadruped())
     limit = re.compile(r'(<joint name="knee0"[^>]*?) actuatorfrcrange="[^"]*"')
     mjcf = re.sub(r'<\w+ [^>]*joint="knee0"[^>]*/>', "", limit.sub(r"\1", mjcf))
-    comparison = compared(write(tmp_path, urdf, mjcf))
-    assert found(comparison) == [("effort", "knee0"), ("mimic", "knee0")]
-    assert headline(comparison).startswith("DISAGREE: knee0 mimics another joint in the URDF")
+    comparison = compare_files(write(tmp_path, urdf, mjcf))
+    assert list_differences(comparison) == [("effort", "knee0"), ("mimic", "knee0")]
+    assert format_headline(comparison).startswith(
+        "DISAGREE: knee0 mimics another joint in the URDF"
+    )

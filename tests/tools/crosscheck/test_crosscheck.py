@@ -14,7 +14,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.crosscheck.crosscheck import EDGE_NAMES, cross_check
-from tests.support.robots import Frame, arm, compared, mjcf_text, numbers, urdf_text, write
+from tests.support.robots import Frame, arm, compare_files, mjcf_text, numbers, urdf_text, write
 
 
 @pytest.mark.parametrize("name", pa.VARIANTS)
@@ -157,7 +157,7 @@ def test_length_of_a_joint_axis_is_ignored(tmp_path: Path) -> None:
     text = text.replace(one, two)
     assert text.count(two) == 1
     files = write(tmp_path, text, mjcf_text(arm(), tip, free=False))
-    comparison = compared(files)
+    comparison = compare_files(files)
     assert comparison.agree
     assert comparison.engines == ()
 
@@ -168,7 +168,7 @@ def test_different_mass_lists_the_fixed_links_of_the_body(tmp_path: Path) -> Non
     <joint name="bolted" type="fixed"><parent link="rod"/><child link="pack"/></joint></robot>"""
     parts = {**arm(), "rod": replace(arm()["rod"], mass=1.0)}
     urdf = urdf_text(parts, ()).replace("</robot>", pack)
-    differences = compared(write(tmp_path, urdf, mjcf_text(parts, (), free=False))).differences
+    differences = compare_files(write(tmp_path, urdf, mjcf_text(parts, (), free=False))).differences
     (mass,) = [one for one in differences if one.kind == "mass"]
     assert [str(one) for one in mass.made_of] == [
         "in the URDF 4 kg: pack 3 kg, rod 1 kg",

@@ -16,8 +16,8 @@ from tests.support.printing import printed
 from tests.support.robots import (
     Files,
     all_changed,
-    changed,
-    compared,
+    change_part,
+    compare_files,
     mjcf_text,
     quadruped,
     urdf_text,
@@ -27,8 +27,8 @@ from tests.support.robots import (
 
 
 def test_annotations_name_unmatched_and_guessed_joints(tmp_path: Path) -> None:
-    urdf = changed(changed(quadruped(), "shank3", kind="fixed"), "thigh0", joint="lf_haa")
-    comparison = compared(write_parts(tmp_path, urdf, quadruped()))
+    urdf = change_part(change_part(quadruped(), "shank3", kind="fixed"), "thigh0", joint="lf_haa")
+    comparison = compare_files(write_parts(tmp_path, urdf, quadruped()))
     found = {remark.title: remark for remark in make_comparison_annotations(comparison)}
     assert found["joint knee3"].level == "error"
     assert found["joint knee3"].message == f"joint knee3 is not in {comparison.urdf}"
@@ -44,7 +44,7 @@ def test_unexplained_deviation_is_the_verdict(
     monkeypatch.setattr(extras, "of_joints", lambda _: iter(()))
     text = mjcf_text(quadruped())
     text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
-    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    comparison = compare_files(write(tmp_path, urdf_text(quadruped()), text))
     first = printed(comparison).replace(" robot.urdf and robot.xml: ", ": ", 1)
     assert re.match(r"DISAGREE: \S+ of forward dynamics is left that no difference explains", first)
     (remark,) = (r for r in make_comparison_annotations(comparison) if r.title == "agreement")
@@ -55,8 +55,8 @@ def test_unexplained_deviation_is_the_verdict(
 def test_printed_verdict_is_the_largest_difference_and_groups_equal_differences(
     tmp_path: Path,
 ) -> None:
-    mjcf = changed(all_changed(quadruped(), damping=0.3), "base", mass=7.5)
-    text = printed(compared(write_parts(tmp_path, quadruped(), mjcf)))
+    mjcf = change_part(all_changed(quadruped(), damping=0.3), "base", mass=7.5)
+    text = printed(compare_files(write_parts(tmp_path, quadruped(), mjcf)))
     first = text.replace(" robot.urdf and robot.xml: ", ": ", 1).splitlines()[0]
     assert first == "DISAGREE: link base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)"
     lines = text.splitlines()
@@ -71,11 +71,11 @@ def test_annotations_have_the_given_path_and_line(
 ) -> None:
     """GitHub shows an annotation only at a path from the repository's root."""
     (tmp_path / "models").mkdir()
-    mjcf = changed(quadruped(), "base", mass=7.5)
+    mjcf = change_part(quadruped(), "base", mass=7.5)
     write_parts(tmp_path / "models", quadruped(), mjcf)
     monkeypatch.chdir(tmp_path)
     files = Files(Path("models/robot.urdf"), Path("models/robot.xml"))
-    (annotation,) = make_comparison_annotations(compared(files))
+    (annotation,) = make_comparison_annotations(compare_files(files))
     assert (annotation.level, annotation.title) == ("error", "mass of base")
     assert annotation.place == "models/robot.urdf:5"
     assert "robot.xml:7" in annotation.message
@@ -83,7 +83,7 @@ def test_annotations_have_the_given_path_and_line(
 
 def test_no_error_is_annotated_within_the_tolerance(tmp_path: Path) -> None:
     """A mass of 6.3 kg instead of 6 kg, with a tolerance of 10 %."""
-    files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.3))
-    comparison = compared(files, tolerances=Tolerances().with_values({"mass": 0.1}))
+    files = write_parts(tmp_path, quadruped(), change_part(quadruped(), "base", mass=6.3))
+    comparison = compare_files(files, tolerances=Tolerances().with_values({"mass": 0.1}))
     assert comparison.agree
     assert not [note for note in make_comparison_annotations(comparison) if note.level == "error"]

@@ -21,10 +21,10 @@ from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
     Part,
     Parts,
-    changed,
-    compared,
-    found,
-    headline,
+    change_part,
+    compare_files,
+    format_headline,
+    list_differences,
     mjcf_text,
     quadruped,
     turned_frames,
@@ -44,7 +44,7 @@ def rotor(leg: int, on: str, place: tuple[float, float, float], mass: float = 0.
     )  # fmt: skip
 
 
-def geared() -> Parts:
+def add_rotors() -> Parts:
     """The quadruped with a rotor on each thigh, and four and a sensor on its base."""
     parts = quadruped()
     for leg in range(4):
@@ -56,7 +56,7 @@ def geared() -> Parts:
     return {**parts, "lidar": sensor}
 
 
-def without(parts: Parts, *endings: str) -> Parts:
+def remove_parts(parts: Parts, *endings: str) -> Parts:
     return {name: part for name, part in parts.items() if not name.endswith(endings)}
 
 
@@ -77,27 +77,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("lacks", ["MJCF", "URDF"])
 def test_missing_links_are_one_cause_and_the_first(lacks: str, folder: Path) -> None:
     """Reference: eight rotors of 0.089 kg, 0.712 kg together."""
-    full, bare = urdf_text(geared()), mjcf_text(without(geared(), "_rotor"))
+    full, bare = urdf_text(add_rotors()), mjcf_text(remove_parts(add_rotors(), "_rotor"))
     if lacks == "URDF":
-        full, bare = urdf_text(without(geared(), "_rotor")), mjcf_text(geared())
-    comparison = compared(write(folder, full, bare))
+        full, bare = urdf_text(remove_parts(add_rotors(), "_rotor")), mjcf_text(add_rotors())
+    comparison = compare_files(write(folder, full, bare))
     message = get_cause_message(comparison, "links")
     assert message.startswith(f"the {lacks} lacks mass that the ")
     assert "0.712 kg in all, that of 8 *_rotor of 0.089 kg each" in message
-    assert headline(comparison) == f"DISAGREE: {message}"
+    assert format_headline(comparison) == f"DISAGREE: {message}"
     (cause,) = comparison.causes
     assert len(cause.differences) == len(comparison.differences)
 
 
 def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
-    bare = without(geared(), "thigh0_rotor", "thigh1_rotor", "hip2_rotor")
-    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(bare)))
+    bare = remove_parts(add_rotors(), "thigh0_rotor", "thigh1_rotor", "hip2_rotor")
+    comparison = compare_files(write(folder, urdf_text(add_rotors()), mjcf_text(bare)))
     assert "that of 3 *_rotor of 0.089 kg each" in get_cause_message(comparison, "links")
 
 
 def test_missing_link_is_found_despite_rotated_frames(folder: Path) -> None:
-    files = write(folder, urdf_text(geared()), turned_frames(without(geared(), "_rotor"), seed=3))
-    assert "8 *_rotor of 0.089 kg each" in get_cause_message(compared(files), "links")
+    files = write(
+        folder, urdf_text(add_rotors()), turned_frames(remove_parts(add_rotors(), "_rotor"), seed=3)
+    )
+    assert "8 *_rotor of 0.089 kg each" in get_cause_message(compare_files(files), "links")
 
 
 @pytest.mark.slow
@@ -109,15 +111,15 @@ def test_decimal_point_error_is_found_in_folded_links(inertia: bool, folder: Pat
         moments = tuple((10.0 if inertia else 1.0) * value for value in part.inertia)
         return replace(part, mass=10 * part.mass, inertia=moments)
 
-    parts = {n: tenfold(p) if n.endswith("_rotor") else p for n, p in geared().items()}
-    parts = {**parts, **{f"hip{leg}_rotor": geared()[f"hip{leg}_rotor"] for leg in range(4)}}
-    comparison = compared(write(folder, urdf_text(parts), mjcf_text(geared())))
+    parts = {n: tenfold(p) if n.endswith("_rotor") else p for n, p in add_rotors().items()}
+    parts = {**parts, **{f"hip{leg}_rotor": add_rotors()[f"hip{leg}_rotor"] for leg in range(4)}}
+    comparison = compare_files(write(folder, urdf_text(parts), mjcf_text(add_rotors())))
     message = get_cause_message(comparison, "scaled links")
     assert message.startswith("mass and inertia of" if inertia else "the mass of")
     for leg in range(4):
         assert f"thigh{leg}_rotor (0.89 kg in the URDF, 0.089 kg in the MJCF)" in message
     assert "0.1 times in the MJCF what the URDF has" in message
-    assert headline(comparison) == f"DISAGREE: {message}"
+    assert format_headline(comparison) == f"DISAGREE: {message}"
 
 
 @pytest.mark.parametrize(("mass", "other", "reported"), [(0.3, 3.0, True), (4.0, 2.5, False)])
@@ -131,8 +133,8 @@ def test_equal_factor_of_two_masses_is_a_decimal_point_error(
         {n: replace(p, mass=value) if n in names else p for n, p in quadruped().items()}
         for value in (mass, other)
     )
-    comparison = compared(write(folder, urdf_text(urdf), mjcf_text(mjcf)))
-    assert [kind for kind, _ in found(comparison)] == ["mass", "mass"]
+    comparison = compare_files(write(folder, urdf_text(urdf), mjcf_text(mjcf)))
+    assert [kind for kind, _ in list_differences(comparison)] == ["mass", "mass"]
     assert ("scaled links" in {cause.kind for cause in comparison.causes}) == reported
 
 
@@ -141,12 +143,12 @@ def test_dropped_products_are_found_if_the_base_has_fixed_links(folder: Path) ->
     """Offsets of fixed links give the merged base products of inertia, also without own ones."""
     mjcf = {
         name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
-        for name, part in geared().items()
+        for name, part in add_rotors().items()
     }
-    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(mjcf)))
+    comparison = compare_files(write(folder, urdf_text(add_rotors()), mjcf_text(mjcf)))
     message = get_cause_message(comparison, "products")
     assert message.startswith("all products of inertia are 0 in the MJCF, of 18 bodies")
-    comparison = compared(write(folder, urdf_text(mjcf), mjcf_text(geared())))
+    comparison = compare_files(write(folder, urdf_text(mjcf), mjcf_text(add_rotors())))
     assert get_cause_message(comparison, "products").startswith(
         "all products of inertia are 0 in the URDF"
     )
@@ -157,27 +159,29 @@ def test_random_change_of_an_inertial_is_not_explained_by_a_missing_link(folder:
     """Six random inertials whose mass differs by exactly the mass of one or several links."""
     random = np.random.default_rng(5)
     for _ in range(6):
-        base, less = geared()["base"], 0.089 * int(random.integers(1, 5))
+        base, less = add_rotors()["base"], 0.089 * int(random.integers(1, 5))
         com = tuple(np.array(base.com) + 1e-3 * random.normal(size=3))
         other = {
             "mass": base.mass - less,
             "com": com,
             "inertia": tuple(np.array(base.inertia) * random.uniform(0.98, 1.02, size=6)),
         }
-        files = write(folder, urdf_text(geared()), mjcf_text(changed(geared(), "base", **other)))
-        comparison = compared(files)
-        assert ("mass", "base") in found(comparison)
+        files = write(
+            folder, urdf_text(add_rotors()), mjcf_text(change_part(add_rotors(), "base", **other))
+        )
+        comparison = compare_files(files)
+        assert ("mass", "base") in list_differences(comparison)
         kinds = {cause.kind for cause in comparison.causes}
         assert not kinds & {"links", "scaled links"}, (other, comparison.causes)
 
 
 def test_moved_rotor_is_not_reported_as_missing(folder: Path) -> None:
     """The mass of both bodies agrees, but not CoM and inertia."""
-    parts = changed(geared(), "hip0_rotor", position=(-0.2, 0.1, 0.02))
-    files = write(folder, urdf_text(parts), mjcf_text(without(geared(), "hip0_rotor")))
-    assert "links" in {cause.kind for cause in compared(files).causes}
-    moved = write(folder, urdf_text(parts), mjcf_text(geared()))
-    assert "links" not in {cause.kind for cause in compared(moved).causes}
+    parts = change_part(add_rotors(), "hip0_rotor", position=(-0.2, 0.1, 0.02))
+    files = write(folder, urdf_text(parts), mjcf_text(remove_parts(add_rotors(), "hip0_rotor")))
+    assert "links" in {cause.kind for cause in compare_files(files).causes}
+    moved = write(folder, urdf_text(parts), mjcf_text(add_rotors()))
+    assert "links" not in {cause.kind for cause in compare_files(moved).causes}
 
 
 def test_folded_body_of_two_boxes_equals_mujocos_body() -> None:

@@ -25,7 +25,7 @@ from tests.support.robots import (
     FEET,
     Parts,
     arm,
-    changed,
+    change_part,
     mjcf_text,
     pendulum,
     quadruped,
@@ -38,7 +38,7 @@ ROBOT = quadruped()
 TEXT = {"urdf": urdf_text, "xml": mjcf_text}
 
 
-def written(folder: Path, old: str, new: str, kind: str) -> tuple[Path, Path]:
+def write_both(folder: Path, old: str, new: str, kind: str) -> tuple[Path, Path]:
     files = folder / f"old.{kind}", folder / f"new.{kind}"
     for file, text in zip(files, (old, new), strict=True):
         file.write_text(text)
@@ -48,10 +48,10 @@ def written(folder: Path, old: str, new: str, kind: str) -> tuple[Path, Path]:
 def diff_of(
     folder: Path, old: Parts, new: Parts, kind: str, **options: Any
 ) -> pa.analysis.ModelDiff:
-    return pa.diff_models(*written(folder, TEXT[kind](old), TEXT[kind](new), kind), **options)
+    return pa.diff_models(*write_both(folder, TEXT[kind](old), TEXT[kind](new), kind), **options)
 
 
-def kinds(diff: pa.analysis.ModelDiff) -> list[tuple[str, str]]:
+def list_changes(diff: pa.analysis.ModelDiff) -> list[tuple[str, str]]:
     return [(change.kind, change.element) for change in diff.changes]
 
 
@@ -90,9 +90,9 @@ def test_change_is_found_with_the_lines_of_both_versions(
     Changes without effect on the dynamics have a deviation of exactly zero.
     """
     link, values, expected, text = CHANGES[name]
-    diff = diff_of(tmp_path, ROBOT, changed(ROBOT, link, **values), kind)
+    diff = diff_of(tmp_path, ROBOT, change_part(ROBOT, link, **values), kind)
     assert not diff.same
-    assert kinds(diff) == expected
+    assert list_changes(diff) == expected
     (change,) = diff.changes
     assert change.old_place.startswith(f"{tmp_path}/old.{kind}:")
     assert text in line_at(change.new_place)
@@ -107,7 +107,7 @@ def test_change_is_found_with_the_lines_of_both_versions(
 
 
 def test_old_and_new_are_not_exchanged(tmp_path: Path) -> None:
-    other = changed(ROBOT, "base", mass=9.0)
+    other = change_part(ROBOT, "base", mass=9.0)
     diff = diff_of(tmp_path, ROBOT, other, "urdf")
     assert (diff.changes[0].old, diff.changes[0].new) == (6.0, 9.0)
     assert diff.changes[0].message == (
@@ -121,7 +121,7 @@ def test_old_and_new_are_not_exchanged(tmp_path: Path) -> None:
 def test_moved_lines_and_other_digits_are_no_change(tmp_path: Path) -> None:
     text = urdf_text(ROBOT)
     other = text.replace(">\n", ">\n\n").replace('value="6.0"', 'value="6.00000000000"')
-    assert pa.diff_models(*written(tmp_path, text, other, "urdf")).same
+    assert pa.diff_models(*write_both(tmp_path, text, other, "urdf")).same
 
 
 def test_a_moved_base_frame_is_one_change(tmp_path: Path) -> None:
@@ -129,37 +129,37 @@ def test_a_moved_base_frame_is_one_change(tmp_path: Path) -> None:
 
     A joint with another zero, and limits moved by as much, is one change as well.
     """
-    moved = changed(ROBOT, "base", com=(0.01, 0.002, 0.045))
+    moved = change_part(ROBOT, "base", com=(0.01, 0.002, 0.045))
     for leg in range(4):
         x, y, z = ROBOT[f"thigh{leg}"].position
-        moved = changed(moved, f"thigh{leg}", position=(x, y, z + 0.05))
+        moved = change_part(moved, f"thigh{leg}", position=(x, y, z + 0.05))
     (change,) = diff_of(tmp_path, ROBOT, moved, "urdf").changes
     assert (change.kind, change.element) == ("base frame", "base")
     assert "that of the old file is at (0, 0, 0.05) m, in that of the new file" in change.message
     thigh = ROBOT["thigh1"]
     turned = turned_about(thigh, thigh.axis, 0.3)
-    new = changed(ROBOT, "thigh1", quaternion=turned, lower=thigh.lower - 0.3, upper=0.6)
+    new = change_part(ROBOT, "thigh1", quaternion=turned, lower=thigh.lower - 0.3, upper=0.6)
     diff = diff_of(tmp_path, ROBOT, new, "urdf")
-    assert kinds(diff) == [("zero", "hip1")]
+    assert list_changes(diff) == [("zero", "hip1")]
     assert "q of the old file = q of the new file + 0.3 rad" in diff.changes[0].message
     assert diff.complete
 
 
 @pytest.mark.parametrize("kind", ["urdf", "xml"])
 def test_removed_joint_is_reported_and_the_rest_compared_at_zero(tmp_path: Path, kind: str) -> None:
-    new = changed(ROBOT, "shank2", kind="fixed", mass=0.3)
+    new = change_part(ROBOT, "shank2", kind="fixed", mass=0.3)
     diff = diff_of(tmp_path, ROBOT, new, kind)
-    assert ("joint", "knee2") in kinds(diff)
+    assert ("joint", "knee2") in list_changes(diff)
     message = next(change for change in diff.changes if change.kind == "joint")
     assert "is in the old file alone" in message.message
-    assert ("mass", "hip2") in kinds(diff)  # of thigh and shank together
+    assert ("mass", "hip2") in list_changes(diff)  # of thigh and shank together
     assert diff.mass[1] - diff.mass[0] == pytest.approx(0.3 - ROBOT["shank2"].mass)
     assert diff.complete
     back = diff_of(tmp_path, new, ROBOT, kind)
     message = next(change for change in back.changes if change.kind == "joint")
     assert "is in the new file alone" in message.message
-    same = changed(ROBOT, "shank2", kind="fixed")
-    others = [kind for kind, _ in kinds(diff_of(tmp_path, ROBOT, same, kind))]
+    same = change_part(ROBOT, "shank2", kind="fixed")
+    others = [kind for kind, _ in list_changes(diff_of(tmp_path, ROBOT, same, kind))]
     assert set(others) <= {"joint", "motor"}
 
 
@@ -172,9 +172,9 @@ def test_tendon_and_site_motors_are_matched_by_target_name(tmp_path: Path) -> No
     )
     text = mjcf_text(ROBOT, extra=extra)
     more = text.replace('<site name="foot0"', '<site name="mark"/><site name="foot0"')
-    assert pa.diff_models(*written(tmp_path, text, more, "xml")).same
+    assert pa.diff_models(*write_both(tmp_path, text, more, "xml")).same
     new = text.replace('site="foot2"', 'site="foot3"').replace('gear="2"', 'gear="2.5"')
-    diff = pa.diff_models(*written(tmp_path, text, new, "xml"))
+    diff = pa.diff_models(*write_both(tmp_path, text, new, "xml"))
     assert [change.message for change in diff.changes] == [
         "motor winch: gear (2) in the old file, gear (2.5) in the new file",
         "motor thruster: at site foot2 in the old file, at site foot3 in the new file",
@@ -183,8 +183,8 @@ def test_tendon_and_site_motors_are_matched_by_target_name(tmp_path: Path) -> No
 
 def test_base_that_became_fixed_is_a_change(tmp_path: Path) -> None:
     text = mjcf_text(ROBOT)
-    diff = pa.diff_models(*written(tmp_path, text, mjcf_text(ROBOT, free=False), "xml"))
-    assert kinds(diff) == [("type", "base")]
+    diff = pa.diff_models(*write_both(tmp_path, text, mjcf_text(ROBOT, free=False), "xml"))
+    assert list_changes(diff) == [("type", "base")]
     assert diff.changes[0].message == "base base: free in the old file, fixed in the new file"
 
 
@@ -198,14 +198,14 @@ def test_changed_and_removed_mimic_are_reported_with_their_values(tmp_path: Path
     mimic = '<mimic joint="hip0" multiplier="2" offset="0.1"/>'
     old = text.replace('<axis xyz="0.0 1.0 0.0"/>', f'<axis xyz="0.0 1.0 0.0"/>{mimic}', 1)
     new = old.replace('multiplier="2"', 'multiplier="3"')
-    diff = pa.diff_models(*written(tmp_path, old, new, "urdf"))
-    assert kinds(diff) == [("mimic", "knee0")]
+    diff = pa.diff_models(*write_both(tmp_path, old, new, "urdf"))
+    assert list_changes(diff) == [("mimic", "knee0")]
     assert "(hip0, 2, 0.1) in the old file, (hip0, 3, 0.1) in the new file" in (
         diff.changes[0].message
     )
-    gone = pa.diff_models(*written(tmp_path, old, text, "urdf"))
+    gone = pa.diff_models(*write_both(tmp_path, old, text, "urdf"))
     assert (gone.changes[0].kind, gone.changes[0].new) == ("mimic", None)
-    assert pa.diff_models(*written(tmp_path, old, old, "urdf")).same
+    assert pa.diff_models(*write_both(tmp_path, old, old, "urdf")).same
 
 
 # ------------------------------------------------------------------------------------- physics
@@ -217,7 +217,7 @@ def test_gravity_torques_equal_the_pendulum_in_closed_form(tmp_path: Path) -> No
     diff = diff_of(tmp_path, old, new, "urdf")
     one, two = diff.torques["swing"]
     assert two / one == pytest.approx(3.0 * 0.7 / (2.0 * 0.5), rel=1e-12)
-    files = written(tmp_path, urdf_text(old, []), urdf_text(new, []), "urdf")
+    files = write_both(tmp_path, urdf_text(old, []), urdf_text(new, []), "urdf")
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "base", ["swing"], {})
     positions = RandomStates(tree).qpos[:, 7]
@@ -351,7 +351,7 @@ def _commit(repository: Path) -> None:
 
 
 def test_file_with_the_name_of_a_revision_is_read_as_a_file(repository: Path) -> None:
-    (repository / "HEAD:robot.urdf").write_text(urdf_text(changed(ROBOT, "base", mass=9.0)))
+    (repository / "HEAD:robot.urdf").write_text(urdf_text(change_part(ROBOT, "base", mass=9.0)))
     assert run(repository, "HEAD:robot.urdf", "robot.urdf").returncode == 1
 
 
@@ -441,11 +441,11 @@ def test_file_of_git_lfs_is_read_from_its_store_or_refused(repository: Path) -> 
 
 def test_a_link_without_mass_is_compared(tmp_path: Path) -> None:
     """The acceleration of a massless link is undefined; all other quantities are compared."""
-    old = changed(ROBOT, "shank2", mass=0.0)
+    old = change_part(ROBOT, "shank2", mass=0.0)
     diff = diff_of(tmp_path, old, old, "urdf")
     assert diff.same
     assert diff.complete
-    assert kinds(diff_of(tmp_path, old, changed(old, "base", mass=7.0), "urdf")) == [
+    assert list_changes(diff_of(tmp_path, old, change_part(old, "base", mass=7.0), "urdf")) == [
         ("mass", "base")
     ]
 

@@ -12,14 +12,14 @@ import pupper_analysis as pa
 from pupper_analysis.models import attributes
 from pupper_analysis.models.stated import mjcf as elements
 from pupper_analysis.tools.diff.elements import _find_ground_height
-from tests.support.one_place_edits import FALLS, FELT, HARMLESS, Edit, copied
-from tests.support.random_edits import apart, rollout
+from tests.support.one_place_edits import FALLS, FELT, HARMLESS, Edit, copy_mjcf
+from tests.support.random_edits import measure_difference, rollout
 from tests.support.repository import ROOT
 
 
-def edited(folder: Path, edit: Edit) -> Path:
+def write_edited(folder: Path, edit: Edit) -> Path:
     """Returns v3's MJCF with one edit."""
-    place = copied(folder)
+    place = copy_mjcf(folder)
     edit.written(place)
     return place / "pupper_v3.xml"
 
@@ -40,7 +40,7 @@ def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, 
     `diff` reports the height of the CoM.
     """
     edit = (FELT | HARMLESS)[name]
-    before, after = ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, edit)
+    before, after = ROOT / "mjcf/pupper_v3.xml", write_edited(tmp_path, edit)
     diff = pa.diff_models(before, after)
     assert not diff.same
     assert any(change.new_place.endswith(f"{edit.file}:{edit.line}") for change in diff.changes)
@@ -61,7 +61,7 @@ def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, 
 def test_several_changes_have_a_common_effect(tmp_path: Path) -> None:
     """A friction of 0.01 acts only if the floor has the higher priority: each change alone has
     no effect."""
-    after = edited(tmp_path, FELT["floor's friction"])
+    after = write_edited(tmp_path, FELT["floor's friction"])
     diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", after)
     assert {str(change.diagnostic.values["what"]) for change in diff.changes} == {
         "friction", "priority",
@@ -77,7 +77,7 @@ def test_models_are_not_equal_if_no_change_explains_the_simulation(
     """Whatever the table of elements lacks, both files are simulated."""
     table = [row for row in attributes.ELEMENT_ATTRIBUTES if row.word != "impratio"]
     monkeypatch.setattr(elements, "ELEMENT_ATTRIBUTES", table)
-    diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, FELT["impratio"]))
+    diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", write_edited(tmp_path, FELT["impratio"]))
     assert not diff.changes
     assert not diff.same
     assert [message.code for message in diff.combined] == ["simulation-changes"]
@@ -125,7 +125,7 @@ def in_a_scene(file: Path) -> Path:
 @pytest.mark.parametrize("name", ["conaffinity", "shape", "solref", "condim", "contacts off"])
 def test_robots_without_ground_are_compared_on_a_plane(tmp_path: Path, name: str) -> None:
     """In the air, the contact parameters of the feet would have no effect."""
-    folders = [copied(tmp_path / each) for each in ("before", "after")]
+    folders = [copy_mjcf(tmp_path / each) for each in ("before", "after")]
     for folder in folders:
         scene = folder / "pupper_v3.xml"
         assert FLOOR in scene.read_text()
@@ -149,7 +149,7 @@ DRAWN = '<geom class="visual" type="sphere" material="rubber" size="0.01995"'
 def test_renumbered_geoms_without_name_are_no_change(tmp_path: Path) -> None:
     """Visual geoms before the foot are removed, which changes the numbers of geoms without a
     name."""
-    file = copied(tmp_path) / "pupper_v3_body.xml"
+    file = copy_mjcf(tmp_path) / "pupper_v3_body.xml"
     text = file.read_text()
     lines = [line for line in text.splitlines(keepends=True) if DRAWN not in line]
     assert len(lines) == len(text.splitlines()) - 4
@@ -223,7 +223,7 @@ def test_fused_links_keep_their_position(tmp_path: Path) -> None:
     old.write_text(text)
     fused = text.replace('"radian"', '"radian" fusestatic="true"')
     new.write_text(fused)
-    assert apart(rollout(old), rollout(new)) > 1e-4
+    assert measure_difference(rollout(old), rollout(new)) > 1e-4
     for pair in ((old, new), (new, old)):
         diff = pa.diff_models(*pair)
         (change,) = diff.changes
@@ -235,7 +235,7 @@ def test_fused_links_keep_their_position(tmp_path: Path) -> None:
     assert (shape.element, shape.old[1], shape.new[1]) == ("ball", 0.02, 0.03)
     for path, content in ((old, text), (new, fused)):
         path.write_text(content.replace('name="ball"', 'name="ball" contype="0" conaffinity="0"'))
-    assert apart(rollout(old), rollout(new)) < 1e-9
+    assert measure_difference(rollout(old), rollout(new)) < 1e-9
     assert pa.diff_models(old, new).same
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.random_edits import FELT, answers
-from tests.support.random_legged import drawn, written
+from tests.support.random_edits import FELT, compute_answers
+from tests.support.random_legged import draw_robot, write_robot
 from tests.support.repository import ROOT
 
 
@@ -18,7 +18,7 @@ def test_random_edits_of_v3_are_reported(tmp_path: Path) -> None:
     """Reference: distance between two rollouts of bare MuJoCo; at least one edit changes the
     motion.
     """
-    found = answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path)
+    found = compute_answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path)
     assert not [one for one in found if not one.right]
     assert any(one.truth > FELT for one in found)
 
@@ -27,8 +27,8 @@ def test_random_edits_of_v3_are_reported(tmp_path: Path) -> None:
 def test_random_structural_edits_are_reported(tmp_path: Path) -> None:
     """Classes, the compiler, memory, keyframes, parts that are included, attached or repeated."""
     (tmp_path / "drawn").mkdir()
-    source = written(drawn(44), tmp_path / "drawn").mjcf
-    found = answers(source, 10, 0, tmp_path, structure=True)
+    source = write_robot(draw_robot(44), tmp_path / "drawn").mjcf
+    found = compute_answers(source, 10, 0, tmp_path, structure=True)
     assert not [one for one in found if not one.right]
     assert any(one.truth > FELT for one in found)
 
@@ -40,7 +40,7 @@ def test_random_edits_of_a_random_robot_are_reported(tmp_path: Path, seed: int) 
     motion.
     """
     (tmp_path / "drawn").mkdir()
-    source = written(drawn(seed), tmp_path / "drawn").mjcf
-    found = answers(source, 12, 1000 * seed, tmp_path)
+    source = write_robot(draw_robot(seed), tmp_path / "drawn").mjcf
+    found = compute_answers(source, 12, 1000 * seed, tmp_path)
     assert not [one for one in found if not one.right]
     assert any(one.truth > FELT for one in found)

@@ -100,7 +100,7 @@ def commands() -> list[Message]:
     ]
 
 
-def held(rows: int = 4) -> Any:
+def hold_rows(rows: int = 4) -> Any:
     return POSITION[rows * (np.arange(len(TIME)) // rows)]
 
 
@@ -117,7 +117,7 @@ def test_states_are_read_and_a_command_holds_until_the_next(
     assert found.joints == JOINTS
     assert found.time == pytest.approx(TIME, abs=1e-6)
     assert found.position == pytest.approx(POSITION)
-    assert found.command == pytest.approx(held())
+    assert found.command == pytest.approx(hold_rows())
     (file,) = (one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
     assert read_log(file, joints=NAMED).position == pytest.approx(POSITION)
     for names, code in (((), "joints-not-named"), (("knee",), "message-of-other-joints")):
@@ -175,7 +175,7 @@ def test_command_of_a_trajectory_with_one_point_holds_until_the_next(tmp_path: P
     ]
     found = read_log(bag(tmp_path, [*states(), *messages]))
     assert found.position == pytest.approx(POSITION)
-    assert found.command == pytest.approx(held())
+    assert found.command == pytest.approx(hold_rows())
 
 
 @pytest.mark.parametrize("driver", [False, True])
@@ -198,7 +198,7 @@ def _points(folder: Path) -> Path:
     return bag(folder, [*states(), ("/trajectory", TRAJECTORY, 0.0, whole)])
 
 
-def _backwards(folder: Path) -> Path:
+def _write_backwards(folder: Path) -> Path:
     messages = states()
     messages.append(("/joint_states", STATE, 2.0, state(JOINTS, [0, 0], [1, 1], -30.0)))
     return bag(folder, messages)
@@ -208,7 +208,7 @@ def _of_nothing(folder: Path) -> Path:
     return bag(folder, [("/numbers", ARRAY, 0.0, array([1.0]))])
 
 
-def _broken(folder: Path, name: str = "broken.mcap") -> Path:
+def _write_broken(folder: Path, name: str = "broken.mcap") -> Path:
     path = folder / name
     path.write_bytes(b"\x89MCAP0\r\n" + bytes(range(200)) if name == "broken.mcap" else b"")
     return path
@@ -222,11 +222,11 @@ def _pipe(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("make", "code"),
     [
-        (_backwards, "stamps-go-back"),
+        (_write_backwards, "stamps-go-back"),
         (_points, "trajectory-of-points"),
         (_of_nothing, "bag-without-states"),
-        (_broken, "no-bag"),
-        (lambda folder: _broken(folder, "empty.db3"), "no-bag"),
+        (_write_broken, "no-bag"),
+        (lambda folder: _write_broken(folder, "empty.db3"), "no-bag"),
         (lambda folder: folder / "none.mcap", "no-such-file"),
         (_pipe, "file-not-regular"),
     ],
@@ -277,7 +277,7 @@ def test_missing_package_is_named_by_its_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(MissingPackageError) as refused:
-        read_log(_broken(tmp_path))
+        read_log(_write_broken(tmp_path))
     assert refused.value.extra == "bags"
 
 

@@ -127,10 +127,10 @@ RESULTS = {"stands": stand_fit, "motions": motion_fit, "plan": stand_plan}
 @pytest.mark.parametrize("name", RESULTS)
 def test_documents_equal_the_golden_files(name: str) -> None:
     """``python -m tests.tools.fit.test_document`` writes them anew: read their diff."""
-    assert shown(name) == (GOLDEN / f"{name}.md").read_text(encoding="utf-8")
+    assert write_document(name) == (GOLDEN / f"{name}.md").read_text(encoding="utf-8")
 
 
-def shown(name: str) -> str:
+def write_document(name: str) -> str:
     return write_markdown(build_report([("", RESULTS[name]())]))
 
 
@@ -156,4 +156,4 @@ def test_bars_show_the_residuals() -> None:
 if __name__ == "__main__":
     GOLDEN.mkdir(exist_ok=True)
     for one in RESULTS:
-        (GOLDEN / f"{one}.md").write_text(shown(one), encoding="utf-8")
+        (GOLDEN / f"{one}.md").write_text(write_document(one), encoding="utf-8")

@@ -24,7 +24,7 @@ def log(seconds: float = 4.0) -> Log:
     return Log("a.csv", time, JOINTS, command, position)
 
 
-def written(folder: Path, header: str, *rows: str) -> Path:
+def write_csv(folder: Path, header: str, *rows: str) -> Path:
     file = folder / "log.csv"
     file.write_text("\n".join([header, *rows]))
     return file
@@ -40,7 +40,7 @@ HEADER = "time [ms],position.elbow [deg],command.elbow"
 def test_units_and_missing_cells_are_read(tmp_path: Path) -> None:
     rows = table()
     rows[3][1], rows[4][2] = "", "nan"
-    found = read_log(written(tmp_path, HEADER, *map(",".join, rows)))
+    found = read_log(write_csv(tmp_path, HEADER, *map(",".join, rows)))
     assert found.interval == pytest.approx(5e-3)
     assert found.position[10, 0] == pytest.approx(np.deg2rad(1.0))
     assert found.command[10, 0] == pytest.approx(0.02)
@@ -70,7 +70,7 @@ def test_invalid_log_is_refused(tmp_path: Path, header: str, change: object, cod
     if isinstance(change, tuple):
         rows[change[0]][change[1]] = change[2]
     with pytest.raises(MeasurementError) as refused:
-        read_log(written(tmp_path, header, *map(",".join, rows)))
+        read_log(write_csv(tmp_path, header, *map(",".join, rows)))
     assert refused.value.cause.code == code
 
 
@@ -78,11 +78,11 @@ def test_repeated_time_is_refused_as_repeated(tmp_path: Path) -> None:
     rows = table()
     rows[5][0] = rows[4][0]
     with pytest.raises(MeasurementError) as refused:
-        read_log(written(tmp_path, HEADER, *map(",".join, rows)))
+        read_log(write_csv(tmp_path, HEADER, *map(",".join, rows)))
     assert "line 7, where it is that of the line before (1 such line)" in str(refused.value)
     rows[5][0] = rows[3][0]
     with pytest.raises(MeasurementError, match=r"line 7, where it goes back by 0\.005 s"):
-        read_log(written(tmp_path, HEADER, *map(",".join, rows)))
+        read_log(write_csv(tmp_path, HEADER, *map(",".join, rows)))
 
 
 def test_log_is_reordered_to_the_robot_and_unknown_joints_are_refused() -> None:

@@ -22,7 +22,7 @@ MASS = Parameter("mass", "base", "", 2.0, 1.0)
 KP = Parameter("kp", "knee", "", 4.0, 2.0)
 
 
-def fitted(
+def fit_linear(
     parameters: tuple[Parameter, ...], rows: Array, values: Array, noise: float
 ) -> Posterior:
     """Return the fit of linear measurements rows @ x = values, with the given noise."""
@@ -42,7 +42,7 @@ def test_ratio_is_determined_if_neither_parameter_is() -> None:
     - z_m, has the variance v / 2.
     """
     noise = 0.2
-    found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
+    found = fit_linear((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
     left = 1 / (1 + 8 / noise**2)
     np.testing.assert_allclose(found.variance_ratios, (1 + left) / 2, rtol=1e-9)
     np.testing.assert_allclose(found.mean, [2.0, 4.0], atol=1e-12)
@@ -56,6 +56,6 @@ def test_ratio_is_determined_if_neither_parameter_is() -> None:
     ]
     assert alone.std == pytest.approx(0.5 * math.sqrt((1 + left) / 2))
     # Of a servo that is half as stiff on a robot of the same mass.
-    soft = fitted((MASS, KP), np.eye(2), np.array([2.0, 2.0]), 1e-6)
+    soft = fit_linear((MASS, KP), np.eye(2), np.array([2.0, 2.0]), 1e-6)
     assert estimate_kp_over_mass(soft).mean == pytest.approx(0.5, rel=1e-3)
-    assert estimate_kp_over_mass(fitted((MASS,), np.eye(1), np.array([2.0]), 1.0)) is None
+    assert estimate_kp_over_mass(fit_linear((MASS,), np.eye(1), np.array([2.0]), 1.0)) is None

@@ -91,7 +91,7 @@ def test_masses_and_coms_equal_pinocchio_in_joint_frames(name: str) -> None:
     assert data.qfrc_bias[at] == pytest.approx(bias[by], abs=1e-9)
 
 
-def moving(seconds: float = 1.5, interval: float = 0.005) -> Log:
+def make_moving_log(seconds: float = 1.5, interval: float = 0.005) -> Log:
     time = np.arange(0, seconds, interval)
     command = MIDDLE + 0.2 * np.sin(np.outer(time, (5.0, 7.0, 4.0, 6.0))) * (1, 0.2, 1, 1)
     command[len(time) // 2 :] += (0.1, 0.01, -0.1, 0.2)
@@ -105,7 +105,7 @@ def test_prediction_equals_stepwise_mujoco_with_delay_and_offsets() -> None:
     x = given.stated + given.width * np.random.default_rng(1).uniform(0, 1, len(given))
     x[-1] = 0.013
     simulator = Simulator(robot, drive, given, 0.005)
-    (run,) = split_runs(moving(), MIDDLE, 0.2)
+    (run,) = split_runs(make_moving_log(), MIDDLE, 0.2)
     found = simulator.predict_positions(run, [x])[0]
 
     model, step = copy.copy(simulator.bodies.model), 1.25e-4
@@ -131,7 +131,9 @@ def test_lag_equals_stepwise_simulation_of_slow_motors() -> None:
     late = [Parameter("lag", SERVOS_SUBJECT, part, 0.0, 0.005) for part in ("command", "position")]
     given = ParameterTable((Parameter("delay", SERVOS_SUBJECT, "", 0.0, 0.01), *late))
     simulator = Simulator(robot, model_with_servos(robot), given, 0.005)
-    (run,) = split_runs(moving(3.0).select_rows(slice(0, 300)), MIDDLE, 0.2)  # before its step
+    (run,) = split_runs(
+        make_moving_log(3.0).select_rows(slice(0, 300)), MIDDLE, 0.2
+    )  # before its step
     model = copy.copy(simulator.bodies.model)
     simulator.set_parameters(model, np.zeros(3))
     model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -238,7 +240,7 @@ def test_common_factor_of_all_forces_is_not_determined() -> None:
 
 
 def test_runs_are_split_at_clock_jumps_and_gaps_are_kept() -> None:
-    log = moving(4.0)
+    log = make_moving_log(4.0)
     command, position = log.command.copy(), log.position.copy()
     command[100:110, 0], position[200:210, 1] = np.nan, np.nan
     time = log.time + 5.0 * (np.arange(len(log.time)) > 399)

@@ -125,7 +125,7 @@ def predict_readings(robot: Robot, planted: Robot, count: int, seed: int = 5) ->
     )
 
 
-def joined(one: MeasuredStands, other: MeasuredStands, **values: object) -> MeasuredStands:
+def join_stands(one: MeasuredStands, other: MeasuredStands, **values: object) -> MeasuredStands:
     """The stands of both."""
     arrays = {
         name: np.concatenate([getattr(one, name), getattr(other, name)])
@@ -148,7 +148,7 @@ def with_mass(robot: Robot, planted: Robot, stands: MeasuredStands) -> MeasuredS
     loaded = predict_readings(robot, with_payload(planted, 0.25, PLACE), 8, seed=6)
     loads = np.zeros((len(stands) + len(loaded), 4))
     loads[len(stands) :] = (0.25, *PLACE)
-    return joined(stands, loaded, added={robot.base: loads})
+    return join_stands(stands, loaded, added={robot.base: loads})
 
 
 def equations(
@@ -311,7 +311,7 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     assert com.low < robot.structure.model.inertias[2].lever[0] + 0.012 < com.high
 
 
-def com(one: Robot) -> Array:
+def compute_com(one: Robot) -> Array:
     """By Pinocchio, in the base's frame, at the nominal joint positions."""
     model = one.structure.model
     q = one.structure.convention.unit_q(one.make_qpos(one.nominal))
@@ -333,7 +333,7 @@ def test_com_uncertainty_follows_from_one_parameter(
     mean, zero = np.array([stated]), np.zeros(1)
     known = Posterior((one,), mean, np.array([[off**2]]), n, n, 0.0, zero, 1)
     scale = 1 + off / stated if kind == "mass" else off
-    moved = com(scale_robot(robot, {f"{factor}:{subject}": scale})) - com(robot)
+    moved = compute_com(scale_robot(robot, {f"{factor}:{subject}": scale})) - compute_com(robot)
     assert np.abs(moved).max() > 1e-8
     found = [estimate.std for estimate in estimate_com(robot, known)]
     np.testing.assert_allclose(found, np.abs(moved), rtol=1e-3, atol=1e-11)
@@ -346,14 +346,14 @@ def test_the_whole_com_is_that_of_the_planted_robot(
     """By Pinocchio's own centre of mass."""
     fit = fit_stands(robot, stands, weight=planted.total_mass)
 
-    found, truth = np.array([one.mean for one in fit.com]), com(planted)
-    np.testing.assert_allclose([one.stated for one in fit.com], com(robot), atol=1e-12)
+    found, truth = np.array([one.mean for one in fit.com]), compute_com(planted)
+    np.testing.assert_allclose([one.stated for one in fit.com], compute_com(robot), atol=1e-12)
     half = np.array([one.high - one.mean for one in fit.com])
     assert (np.abs(found - truth) < half).all()
     # A link's own com is known to 20 mm. (16 planned stands, half of them turned: 1 mm.) With legs
     # that are as long as the file says, 5 mm.
     assert (half[:2] < 6.5e-3).all()
-    assert abs(truth[0] - com(robot)[0]) > half[0]
+    assert abs(truth[0] - compute_com(robot)[0]) > half[0]
 
 
 @pytest.mark.slow
@@ -509,7 +509,7 @@ def test_rotated_stands_distinguish_slope_from_com(robot: Robot, planted: Robot)
         tilted = replace(planted, pin_model=model)
         runs.append(predict_readings(robot, tilted, 6, seed=7 + way))
     heading = np.repeat([0.0, math.pi], [len(one) for one in runs])
-    fit = fit_stands(robot, joined(*runs, heading=heading), priors=["kp=0"])
+    fit = fit_stands(robot, join_stands(*runs, heading=heading), priors=["kp=0"])
     (said,) = (one for one in fit.failures if one.code == "ground-slopes")
     assert said.values["axis"] == "x"
     assert said.values["slope"].value == pytest.approx(slope, rel=0.3)
@@ -785,7 +785,7 @@ def test_scale_is_unbiased_if_only_ratios_are_determined() -> None:
 WIDTH = math.radians(0.2)
 
 
-def measured(parameters: tuple[Parameter, ...], values: Array, noise: float) -> Posterior:
+def make_posterior(parameters: tuple[Parameter, ...], values: Array, noise: float) -> Posterior:
     """Return the posterior of independent measurements, with noise as a fraction of the prior
     width.
     """
@@ -814,8 +814,8 @@ def test_slope_is_found_from_two_weak_components() -> None:
     0.002), both together are above."""
     noise = 0.5
     sigma = WIDTH * math.hypot(1, noise)
-    one = measured(SLOPE, np.array([2.6, 0.0]) * sigma, noise)
-    both = measured(SLOPE, np.array([2.6, -2.7]) * sigma, noise)
+    one = make_posterior(SLOPE, np.array([2.6, 0.0]) * sigma, noise)
+    both = make_posterior(SLOPE, np.array([2.6, -2.7]) * sigma, noise)
     assert not list(check_surroundings(one))
     (message,) = check_surroundings(both)
     assert message.code == "ground-slopes"
@@ -827,11 +827,11 @@ def test_slope_is_found_from_two_weak_components() -> None:
 def test_common_softness_of_soles_is_reported_and_of_one_sole_is_not() -> None:
     noise = 1.0
     sigma = 0.5 * math.hypot(1, noise)
-    alike = measured(FEET, 1 + np.array([2.1, 2.2, 2.3, 1.9]) * sigma, noise)
+    alike = make_posterior(FEET, 1 + np.array([2.1, 2.2, 2.3, 1.9]) * sigma, noise)
     messages = list(check_surroundings(alike))
     assert [one.subject.name for one in messages if one.subject] == ["FL", "FR", "RL"]
     assert messages[0].values["times"] == pytest.approx(1 + 2.1 * sigma)
-    assert not list(check_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
+    assert not list(check_surroundings(make_posterior(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
 
 
 def test_equal_length_error_of_all_legs_is_found_from_part_tolerances() -> None:
@@ -847,17 +847,17 @@ def test_equal_length_error_of_all_legs_is_found_from_part_tolerances() -> None:
     def legs(width: float) -> tuple[Parameter, ...]:
         return tuple(Parameter("length", foot, "", 1.0, width) for foot in ("FL", "FR", "RL", "RR"))
 
-    found = list(check_surroundings(measured(legs(width), 1 + off, noise)))
+    found = list(check_surroundings(make_posterior(legs(width), 1 + off, noise)))
     assert [one.subject.name for one in found if one.subject] == ["FL", "FR", "RR"]
     assert found[2].values["longer"] == pytest.approx(-100 * 2.3 * sigma)
-    assert not list(check_surroundings(measured(legs(width), 1 + 0.8 * off, noise)))
-    assert not list(check_surroundings(measured(legs(0.05), 1 + off, noise * width / 0.05)))
+    assert not list(check_surroundings(make_posterior(legs(width), 1 + 0.8 * off, noise)))
+    assert not list(check_surroundings(make_posterior(legs(0.05), 1 + off, noise * width / 0.05)))
     load, mass = Parameter("load", "scale", "", 0.0, 0.06), Parameter("added", "a", "", 1.0, 0.005)
-    off = measured((load, mass), np.array([0.4, 1.0]), 0.5)
+    off = make_posterior((load, mass), np.array([0.4, 1.0]), 0.5)
     (said,) = check_surroundings(off)
     assert said.code == "known-mass-contradicts-the-scale"
     assert said.values["load"] == pytest.approx(40)
-    assert not list(check_surroundings(measured((load,), np.array([0.4]), 0.5)))
+    assert not list(check_surroundings(make_posterior((load,), np.array([0.4]), 0.5)))
 
 
 @pytest.mark.parametrize(
@@ -877,7 +877,7 @@ def test_expected_friction_limits_the_stated_friction(
     """
     stuck = 1e-3
     servos = Parameter("deadband", "servos", "", 0.0, math.radians(1.0))
-    known = measured((servos,), np.array([-band * stuck * 1.01]), 0.01 / servos.width * 1e-3)
+    known = make_posterior((servos,), np.array([-band * stuck * 1.01]), 0.01 / servos.width * 1e-3)
     known = replace(known, rows=100, chi2=100.0)
     found = StandNoise(1e-4, friction=random)
     said = check_residuals(known, found, StandNoise(1e-4, friction=typed), stuck)
@@ -887,11 +887,11 @@ def test_expected_friction_limits_the_stated_friction(
 def test_unknown_load_is_reported_with_the_scale(robot: Robot) -> None:
     """It takes a part of a wrong weight: of kp and masses alone less is left to surprise."""
     load, mass = Parameter("load", "scale", "", 0.0, 0.08), Parameter("added", "a", "", 1.0, 0.005)
-    (said,) = check_scale(robot, measured((load,), np.array([-0.4]), 0.5))
+    (said,) = check_scale(robot, make_posterior((load,), np.array([-0.4]), 0.5))
     assert said.code == "scale-far-from-the-file"
-    assert not list(check_scale(robot, measured((load,), np.array([-0.2]), 0.5)))
-    assert not list(check_scale(robot, measured((load,), np.array([-0.4]), 0.5), level=False))
-    assert not list(check_scale(robot, measured((load, mass), np.array([-0.4, 1.0]), 0.5)))
+    assert not list(check_scale(robot, make_posterior((load,), np.array([-0.2]), 0.5)))
+    assert not list(check_scale(robot, make_posterior((load,), np.array([-0.4]), 0.5), level=False))
+    assert not list(check_scale(robot, make_posterior((load, mass), np.array([-0.4, 1.0]), 0.5)))
 
 
 @pytest.mark.slow
@@ -901,10 +901,10 @@ def test_false_alarm_rate_is_as_stated() -> None:
     alarms = 0
     for _ in range(4000):
         true = WIDTH * rng.normal(size=2)
-        found = measured(SLOPE, true + noise * WIDTH * rng.normal(size=2), noise)
+        found = make_posterior(SLOPE, true + noise * WIDTH * rng.normal(size=2), noise)
         alarms += bool(list(check_surroundings(found)))
     assert 1 <= alarms <= 20  # 8 on average
 
 
 def test_undetermined_slope_is_not_reported() -> None:
-    assert not list(check_surroundings(measured(SLOPE, np.array([9.0, 9.0]) * WIDTH, 30.0)))
+    assert not list(check_surroundings(make_posterior(SLOPE, np.array([9.0, 9.0]) * WIDTH, 30.0)))

@@ -44,7 +44,7 @@ def v3() -> pa.Robot:
     return pa.load_variant("v3")
 
 
-def estimated(mass: float = 1.88251) -> Posterior:
+def make_posterior(mass: float = 1.88251) -> Posterior:
     parameters = tuple(Parameter(*name, row[0], 0.5) for name, row in WANTED.items())
     mean = np.array([row[1] for row in WANTED.values()])
     mean[0] = mass
@@ -56,7 +56,7 @@ def estimated(mass: float = 1.88251) -> Posterior:
 @pytest.fixture(scope="module")
 def written(v3: pa.Robot, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FitFiles]:
     folder = tmp_path_factory.mktemp("fitted")
-    return folder, write_fit(v3, estimated(), folder, fit={"stands": 30})
+    return folder, write_fit(v3, make_posterior(), folder, fit={"stands": 30})
 
 
 def test_written_models_have_the_significant_digits_of_the_estimates(
@@ -135,25 +135,25 @@ def test_samples_are_factors_of_a_study(written: tuple[Path, FitFiles], v3: pa.R
 def test_no_file_is_left_if_one_cannot_be_written(v3: pa.Robot, tmp_path: Path) -> None:
     (tmp_path / "samples.csv").mkdir()
     with pytest.raises(pa.OutputError):
-        write_fit(v3, estimated(), tmp_path)
+        write_fit(v3, make_posterior(), tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 @pytest.mark.slow
 def test_fit_overwrites_its_own_models_unless_edited(v3: pa.Robot, tmp_path: Path) -> None:
     urdf = tmp_path / "urdf" / "pupper_v3.urdf"
-    write_fit(v3, estimated(), tmp_path)
+    write_fit(v3, make_posterior(), tmp_path)
     first = urdf.read_bytes()
-    write_fit(v3, estimated(mass=1.8), tmp_path)
+    write_fit(v3, make_posterior(mass=1.8), tmp_path)
     second = urdf.read_bytes()
     assert first != second
     edited = second.replace(b"<robot", b"<!-- mine --><robot", 1)
     urdf.write_bytes(edited)
     before = (tmp_path / "fit.json").read_bytes()
     with pytest.raises(pa.OutputError, match="no model as a fit has written it"):
-        write_fit(v3, estimated(), tmp_path)
+        write_fit(v3, make_posterior(), tmp_path)
     assert (urdf.read_bytes(), (tmp_path / "fit.json").read_bytes()) == (edited, before)
-    write_fit(v3, estimated(), tmp_path, force=True)
+    write_fit(v3, make_posterior(), tmp_path, force=True)
     assert urdf.read_bytes() == first
 
 
@@ -163,7 +163,7 @@ def test_fit_never_overwrites_the_source_files(tmp_path: Path) -> None:
     robot = pa.load_robot(tmp_path / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     with pytest.raises(pa.OutputError, match="which this run reads"):
-        write_fit(robot, estimated(), tmp_path, force=True)
+        write_fit(robot, make_posterior(), tmp_path, force=True)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
@@ -180,6 +180,6 @@ def test_a_full_disk_leaves_no_file(
 
     monkeypatch.setattr(files, "write_new", full)
     with pytest.raises(pa.OutputError, match="No space left"):
-        write_fit(v3, estimated(), tmp_path)
+        write_fit(v3, make_posterior(), tmp_path)
     assert len(written) == 4
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

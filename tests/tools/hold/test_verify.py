@@ -11,7 +11,7 @@ from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.hold.hold import hold_posture
 from tests.prepare.test_own_run import codes
-from tests.prepare.test_planted import right
+from tests.prepare.test_planted import is_cause_right
 from tests.support import arm, arm_features, features
 
 
@@ -114,4 +114,4 @@ ODD = {
 def test_planted_fault_of_an_arm_is_named(tmp_path: Path, feature: str) -> None:
     """The first reported causes are those of `ODD`; see `right`."""
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[feature])
-    assert right(urdf, mjcf, ODD[feature], judge_posture)
+    assert is_cause_right(urdf, mjcf, ODD[feature], judge_posture)

@@ -109,7 +109,7 @@ def page() -> Iterator[Page]:
     one.close()
 
 
-def asked(address: str, **headers: str) -> tuple[int, str]:
+def send_request(address: str, **headers: str) -> tuple[int, str]:
     try:
         with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as found:
             return found.status, str(found.headers.get("Set-Cookie", ""))
@@ -118,8 +118,8 @@ def asked(address: str, **headers: str) -> tuple[int, str]:
 
 
 def test_server_refuses_other_host_names(page: Page) -> None:
-    assert asked(page.address)[0] == 200
-    status, said = asked(page.address, Host="evil.example")
+    assert send_request(page.address)[0] == 200
+    status, said = send_request(page.address, Host="evil.example")
     assert status == 403
     assert "the address that the program printed" in said
 
@@ -129,11 +129,11 @@ def test_remote_page_requires_its_token() -> None:
     try:
         (token,) = parse_qs(urlsplit(page.address).query)["token"]
         bare = page.address.partition("?")[0]
-        assert asked(bare)[0] == 403
-        status, cookie = asked(page.address)
+        assert send_request(bare)[0] == 403
+        status, cookie = send_request(page.address)
         assert status == 200
         assert token in cookie
-        assert asked(bare, Cookie=cookie.partition(";")[0])[0] == 200
+        assert send_request(bare, Cookie=cookie.partition(";")[0])[0] == 200
     finally:
         page.close()
 
@@ -177,4 +177,4 @@ def test_a_message_of_more_than_a_mebibyte_ends_the_connection_as_too_big(
     with pytest.raises(closed) as caught:
         asyncio.run(_talk(page.address, bytes(int(mebibytes * 2**20)), b"x"))
     assert (caught.value.rcvd.code == 1009) is too_big
-    assert asked(page.address)[0] == 200
+    assert send_request(page.address)[0] == 200

@@ -138,7 +138,7 @@ def opened(browser: Any, served: Page) -> Iterator[Opened]:  # noqa: F811
     assert one.complaints == []
 
 
-def differs(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[type-arg]
+def measure_difference(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[type-arg]
     return float((np.abs(one - other).max(axis=-1) > 25).mean())
 
 
@@ -154,7 +154,7 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     opened.takes(
         pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(8.0)))
     )
-    wait_for(lambda: differs(opened.pixels(), before) > 0.005, "the robot does not move")
+    wait_for(lambda: measure_difference(opened.pixels(), before) > 0.005, "the robot does not move")
 
     opened.set("height (mm)", 120)
     task = pa.StandTask(roll=np.radians(8.0), height=0.12)

@@ -12,7 +12,7 @@ from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task
 from pupper_analysis.stance.fields import Field
 from pupper_analysis.tools.live.controls import CONTROL_BY_NAME, make_slider_ranges
 from pupper_analysis.tools.live.state import State, write_stance_file
-from tests.stance.test_fields import ON_PAGE, SLIDING, asked, near
+from tests.stance.test_fields import ON_PAGE, SLIDING, choose_value, is_near
 from tests.support.variants import load
 
 
@@ -25,7 +25,7 @@ def state_with(field: Field) -> State:
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
 def test_each_field_is_in_a_pages_state(field: Field) -> None:
     state = state_with(field)
-    assert near(state.task().values()[field.name], asked(field))
+    assert is_near(state.task().values()[field.name], choose_value(field))
     assert state != State()
     assert state.with_task(state.task()) == state
 
@@ -55,4 +55,4 @@ def test_each_field_is_in_the_file_that_is_saved(field: Field, tmp_path: Path) -
     words = ["--stance", str(file)]
     context = cli.find_command("stand").make_context("stand", words)
     typed = make_task({name: context.params[name] for name in OPTION_FIELDS})
-    assert near(typed.values()[field.name], asked(field))
+    assert is_near(typed.values()[field.name], choose_value(field))

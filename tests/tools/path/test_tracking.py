@@ -20,7 +20,7 @@ from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import path_commands, study_path, track_path
 from tests.prepare.test_imported import four_legs
-from tests.prepare.test_own_run import codes, slipped
+from tests.prepare.test_own_run import codes, load_slip
 from tests.support.commands import check_refusal, run_command
 from tests.support.engines import evaluate_mujoco
 from tests.support.repository import benchmark
@@ -249,7 +249,7 @@ def judge_path(robot: pa.Robot) -> Verdict:
 
 @pytest.mark.slow
 def test_path_verdict_states_the_run_of_the_unmodified_file(tmp_path: Path) -> None:
-    verdict = judge_path(slipped(tmp_path, lambda text: text + "\n"))
+    verdict = judge_path(load_slip(tmp_path, lambda text: text + "\n"))
     assert verdict.question is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"

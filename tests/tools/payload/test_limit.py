@@ -34,7 +34,7 @@ from pupper_analysis.tools.payload.limit import (
 )
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.engines import with_efforts
-from tests.support.random_legged import drawn, irregular_biped, ring, written
+from tests.support.random_legged import draw_robot, irregular_biped, ring, write_robot
 from tests.support.variants import load, stand_of
 
 ON_TOP = (0.0, 0.0, 0.05)
@@ -85,7 +85,7 @@ def test_payload_limits_of_random_robots_are_exact_in_stand(
 
 def check_random_robot(seed: int, legs: int, folder: Path) -> None:
     """Check the payload limit of a random robot, with a given number of legs or a random one."""
-    robot = pa.load_robot(*written(ring(seed, legs) if legs else drawn(seed), folder))
+    robot = pa.load_robot(*write_robot(ring(seed, legs) if legs else draw_robot(seed), folder))
     place = np.random.default_rng(seed).uniform((-0.1, -0.1, 0.0), (0.1, 0.1, 0.2))
     check_typed_back(robot, tuple((place * robot.stand_height).tolist()))
 
@@ -226,7 +226,7 @@ def test_payload_is_zero_if_the_stand_fails_without_payload(
     assert limit.servos.mass > 5  # what servos would bear is told all the same
 
 
-def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.inf) -> Bound:
+def bisect_bound(most: float, *, verdict: float = math.inf, nudged: float = math.inf) -> Bound:
     def tried(mass: float) -> Any:
         falls = mass > nudged
         return SimpleNamespace(failure=Failure.TIPPING if falls else None, failing_parts=("FL",))
@@ -240,14 +240,14 @@ def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.in
 @pytest.mark.parametrize("most", [39.0, 9.0, 3.3])
 def test_failed_trial_load_is_bisected(most: float) -> None:
     """To a part of itself, and not of the equilibrium's: 1.03 kg were stated where 1.13 hold."""
-    found = simulated(most, nudged=3.0)
+    found = bisect_bound(most, nudged=3.0)
     assert 3.0 / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * found.mass <= 3.0
     assert (found.failure, found.failing_parts) == (Failure.TIPPING, ("FL",))
-    found = simulated(most, verdict=3.0)
+    found = bisect_bound(most, verdict=3.0)
     assert 3.0 / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * found.mass <= 3.0
     assert found.failure is Failure.SIMULATED
-    assert simulated(most).mass == math.inf
-    nothing = simulated(most, verdict=-1.0)
+    assert bisect_bound(most).mass == math.inf
+    nothing = bisect_bound(most, verdict=-1.0)
     assert (nothing.mass, nothing.failure) == (0.0, Failure.UNLOADED)
 
 
@@ -318,7 +318,7 @@ tried, and stood; with the second to none."""
 @pytest.fixture(scope="module")
 def biped(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
     """Load a biped whose soles tip early in some directions."""
-    return pa.load_robot(*written(irregular_biped(3), tmp_path_factory.mktemp("biped")))
+    return pa.load_robot(*write_robot(irregular_biped(3), tmp_path_factory.mktemp("biped")))
 
 
 @pytest.mark.slow

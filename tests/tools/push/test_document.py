@@ -7,31 +7,31 @@ import numpy as np
 from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.tools.push.document import push_document, push_plot
 from tests.support import printing
-from tests.support.stubs import SERVOS, problem, pushed, pushes, run
+from tests.support.stubs import SERVOS, make_push_result, problem, pushes, run
 
 
-def printed(shown: object) -> list[str]:
+def print_words(shown: object) -> list[str]:
     return printing.printed(shown, width=240).split()
 
 
 def test_push_limits_of_a_failing_stand_state_its_verdict() -> None:
     """A robot that stands, but not as predicted, has limits and FAILS; a robot that does not stand
     has no limits."""
-    one = pushed("one", 0.0, 0.00311)
+    one = make_push_result("one", 0.0, 0.00311)
     one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False
-    text = " ".join(printed(push_document(one)))
+    text = " ".join(print_words(push_document(one)))
     assert text.startswith("FAILS one: FAILS in MuJoCo: ")
     assert "largest push in the weakest direction (240 deg): 0.43 N s" in text
     one.recovery.failures_without_push = (problem("it fell over"),)
-    text = " ".join(printed(push_document(one)))
+    text = " ".join(print_words(push_document(one)))
     assert "it does not stand, so it withstands no push of 2.15 kg" in text
     assert "weakest" not in text
 
 
 def test_pushes_on_motors_with_unknown_limits_are_upper_bounds() -> None:
-    one = pushed("one", 0.0, 0.00311)
+    one = make_push_result("one", 0.0, 0.00311)
     one.unknown_limits, one.peak_torques = ("knee",), np.array([9.0, 4.32])
-    text = " ".join(printed(push_document(one)))
+    text = " ".join(print_words(push_document(one)))
     assert "largest push UNKNOWN without torque limits" in text
     assert "withstands 0.43 N s at 240°, its weakest direction" in text
     assert "up to 4.32 N m (knee)" in text

@@ -27,7 +27,7 @@ COARSE = {"directions": 4, "duration": 3.0, "resolution": 0.05}
 
 
 @cache
-def pushed(name: str) -> PushRecovery:
+def push_variant(name: str) -> PushRecovery:
     return push_recovery(load(name), stand_of(name), **COARSE)  # type: ignore[arg-type]
 
 
@@ -62,7 +62,7 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
 @pytest.mark.parametrize(("name", "index"), [("original", 0), ("original", 1), ("v3", 2)])
 def test_push_limit_equals_that_of_a_plain_mujoco_loop(name: str, index: int) -> None:
     """98 % of the impulse [N s] is survived; the impulse plus 1.02 resolutions is not."""
-    result = pushed(name)
+    result = push_variant(name)
     angle, impulse = result.directions[index], result.impulses[index]
     assert plain_push(name, angle, 0.0, 3.0)
     assert plain_push(name, angle, 0.98 * impulse, 3.0)
@@ -213,7 +213,7 @@ def test_push_limit_is_zero_if_the_stand_fails(tmp_path: Path, kd: float, stands
 @pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
 def test_early_termination_does_not_change_the_outcome(name: str) -> None:
     """Around the limits, where robots dwell on two feet; v3-long-leg for seconds."""
-    robot, stand, found = load(name), stand_of(name), pushed(name)
+    robot, stand, found = load(name), stand_of(name), push_variant(name)
     bench = make_push_bench(
         robot, stand, found.directions, duration=3.0, kp=None, kd=None, feedforward=True,
         integrator=None,

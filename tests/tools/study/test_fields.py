@@ -11,7 +11,7 @@ from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.tools.study.design import STANCE_VARIABLES, check_variable_range
 from pupper_analysis.tools.study.design import apply_stance_values as task_of_numbers
 from pupper_analysis.tools.study.measures import METRICS
-from tests.stance.test_fields import asked, task_with
+from tests.stance.test_fields import choose_value, task_with
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
@@ -19,13 +19,13 @@ def test_each_field_that_is_a_number_is_a_parameter_of_studies(field: Field) -> 
     own = {name: axis for name, (known, axis) in STANCE_VARIABLES.items() if known is field}
     if field.per == "joint":
         made = task_of_numbers(task_with(field), {f"{field.name}:knee": 0.5})
-        assert made.values()[field.name] == {**asked(field), "knee": 0.5}
+        assert made.values()[field.name] == {**choose_value(field), "knee": 0.5}
         check_variable_range(f"{field.name}:knee", -1.0, 1.0)
     if field.per or field.choices or field.name in METRICS:
         assert not own  # a measure's column has the name
         return
     assert len(own) == max(1, len(field.axes))
-    value = asked(field)
+    value = choose_value(field)
     numbers = {name: value[axis] if field.axes else value for name, axis in own.items()}
     assert task_of_numbers(pa.StandTask(), numbers).values()[field.name] == value
     for name in own:

@@ -18,7 +18,7 @@ from pupper_analysis.tools.study.design import Variants
 from pupper_analysis.tools.study.lengths import find_stretch, stretch_inertia
 from pupper_analysis.tools.study.parameters import scale_robot
 from tests.support.legged import quadruped
-from tests.support.random_legged import irregular_biped, written
+from tests.support.random_legged import irregular_biped, write_robot
 
 
 def test_a_stretched_box_is_the_longer_box() -> None:
@@ -80,7 +80,7 @@ def own(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     """
     folder = tmp_path_factory.mktemp("own")
     straight = request.param == "straight"
-    pair = quadruped(folder) if straight else written(irregular_biped(7), folder)
+    pair = quadruped(folder) if straight else write_robot(irregular_biped(7), folder)
     return pa.load_robot(pair.urdf, pair.mjcf)
 
 
@@ -94,7 +94,7 @@ def with_length(robot: Robot) -> list[str]:
     return found
 
 
-def placed(robot: Robot, joint: str) -> tuple[np.ndarray, np.ndarray]:
+def locate_link(robot: Robot, joint: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the position of a joint's link by Pinocchio and by MuJoCo, at angles other than
     zero.
     """
@@ -127,11 +127,11 @@ def test_scaled_link_lengths_are_equal_in_both_engines(own: Robot) -> None:
         )
         at = urdf.joints[end].origin.translation
         across = at - normal * (normal @ at) / (normal @ normal)
-        moved = placed(longer, end)[0] - placed(own, end)[0]
+        moved = locate_link(longer, end)[0] - locate_link(own, end)[0]
         assert np.linalg.norm(moved) == pytest.approx(0.5 * np.linalg.norm(across), rel=1e-9)
-        both = placed(longer, end)
+        both = locate_link(longer, end)
         apart = both[0] - both[1]
-        before = placed(own, end)[0] - placed(own, end)[1]
+        before = locate_link(own, end)[0] - locate_link(own, end)[1]
         np.testing.assert_allclose(apart, before, atol=1e-9)  # the files' frames stay as apart
         mass = own.mj_model.body_mass.sum()
         body = own.mj_model.body(own.mj_model.jnt_bodyid[own.mj_model.joint(joint).id])

@@ -242,7 +242,7 @@ def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
         moved = config.frame_rotation(child) @ offset
         weight = mass * np.array([0.0, 0.0, -9.81])
         changes = [Configuration(after, qpos).gravity() - config.gravity(),
-                   bias(after, qpos) - bias(before, qpos)]  # fmt: skip
+                   compute_bias(after, qpos) - compute_bias(before, qpos)]  # fmt: skip
         about_base = -config.base_rotation().T @ np.cross(moved, weight)
         for change in changes:
             assert change[:3] == pytest.approx(np.zeros(3), abs=1e-10)
@@ -255,7 +255,7 @@ def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
                 assert change[6:] == pytest.approx(np.zeros(before.nu), abs=1e-10)
 
 
-def bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
+def compute_bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
     """MuJoCo's own gravity torques, in the public order."""
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)

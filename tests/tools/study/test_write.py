@@ -18,7 +18,7 @@ from tests.support.legged import quadruped
 METRICS = ["total_mass", "peak_utilisation", "torque", "servo_sag", "stands"]
 
 
-def written(
+def write_studied_design(
     robot: Any, vary: dict[str, Any], folder: Path, number: int = 1, **options: Any
 ) -> WrittenDesign:
     study = pa.Study(robot, vary, METRICS, **options)
@@ -30,7 +30,7 @@ def written(
 def heavy(tmp_path_factory: pytest.TempPathFactory) -> WrittenDesign:
     """Write a v3 with longer legs, heavier hips and stiffer servos: the second of two designs."""
     vary = {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}
-    return written("v3", vary, tmp_path_factory.mktemp("study"), 2)
+    return write_studied_design("v3", vary, tmp_path_factory.mktemp("study"), 2)
 
 
 @pytest.mark.slow
@@ -67,7 +67,7 @@ def test_written_design_includes_payload_and_stance(tmp_path: Path) -> None:
     """
     pair = quadruped(tmp_path)
     files = {"urdf": str(pair.urdf), "mjcf": str(pair.mjcf)}
-    found = written(
+    found = write_studied_design(
         files, {"payload": [0.5], "pitch": [0.1], "kp": [80.0], "kd": [2.0]}, tmp_path / "out"
     )
     assert found.passed, found.failures

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.support.commands import Answer, answer
-from tests.support.robots import changed, quadruped, write_parts
+from tests.support.robots import change_part, quadruped, write_parts
 
 ROBOT = quadruped()
-DIFFERENT = changed(changed(ROBOT, "base", mass=7.5), "thigh1", effort=25.0, armature=0.5)
+DIFFERENT = change_part(change_part(ROBOT, "base", mass=7.5), "thigh1", effort=25.0, armature=0.5)
 
 
 def run(folder: Path, *arguments: str) -> Answer:
@@ -19,7 +19,7 @@ def run(folder: Path, *arguments: str) -> Answer:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    write_parts(tmp_path, ROBOT, changed(DIFFERENT, "thigh1", armature=0.01))
+    write_parts(tmp_path, ROBOT, change_part(DIFFERENT, "thigh1", armature=0.01))
     return tmp_path
 
 

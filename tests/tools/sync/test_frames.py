@@ -11,9 +11,9 @@ import pytest
 import pupper_analysis as pa
 from tests.support.robots import (
     Parts,
-    agree,
     arm,
-    changed,
+    change_part,
+    files_agree,
     mjcf_text,
     quadruped,
     turned_about,
@@ -42,11 +42,11 @@ def test_link_frames_that_are_turned(
     tmp_path: Path, link: str, values: dict[str, object], side: str
 ) -> None:
     """Every body of the MJCF has another frame, and keeps it."""
-    files = write(tmp_path, urdf_text(changed(ROBOT, link, **values)), turned_frames(ROBOT, 3))
+    files = write(tmp_path, urdf_text(change_part(ROBOT, link, **values)), turned_frames(ROBOT, 3))
     before = [file.read_text() for file in files]
     result = pa.sync_models(*files, take=side)
     assert result.agree
-    assert agree(files)
+    assert files_agree(files)
     assert len(result.edits) <= 6
     other = files.urdf if side == "urdf" else files.mjcf
     assert other.read_text() == before[0 if side == "urdf" else 1]
@@ -74,10 +74,10 @@ def test_arm_on_a_displaced_base_is_synchronised(
     tmp_path: Path, link: str, values: dict[str, object], side: str
 ) -> None:
     mjcf = mjcf_text(arm(), free=False, base_position=(0.3, -0.2, 0.7))
-    files = write(tmp_path, urdf_text(changed(arm(), link, **values)), mjcf)
+    files = write(tmp_path, urdf_text(change_part(arm(), link, **values)), mjcf)
     result = pa.sync_models(*files, take=side)
     assert result.agree
-    assert agree(files)
+    assert files_agree(files)
     if side == "mjcf":
         assert 1 <= len(result.edits) <= 2
 
@@ -89,7 +89,7 @@ def shift_knee_zero(**more: Any) -> Parts:
     part = ROBOT["shank1"]
     turned = turned_about(part, part.axis, 0.4)
     limits = {"lower": part.lower - 0.4, "upper": part.upper - 0.4}
-    return changed(ROBOT, "shank1", quaternion=turned, **limits, **more)
+    return change_part(ROBOT, "shank1", quaternion=turned, **limits, **more)
 
 
 @pytest.mark.slow
@@ -109,12 +109,12 @@ def test_difference_beside_a_joint_zero_is_written_in_the_own_convention(tmp_pat
 def test_different_base_frame_is_not_changed(tmp_path: Path) -> None:
     """Other differences are written in the base frame of each file."""
     x, y, z = ROBOT["base"].com
-    parts = changed(ROBOT, "base", com=(x, y, z + 0.05))
+    parts = change_part(ROBOT, "base", com=(x, y, z + 0.05))
     for name, part in ROBOT.items():
         if part.parent == "base":
             x, y, z = part.position
-            parts = changed(parts, name, position=(x, y, z + 0.05))
-    heavier = changed(parts, "base", mass=7.0)
+            parts = change_part(parts, name, position=(x, y, z + 0.05))
+    heavier = change_part(parts, "base", mass=7.0)
     for side in ("urdf", "mjcf"):
         files = write(tmp_path, urdf_text(ROBOT), mjcf_text(heavier))
         result = pa.sync_models(*files, take=side)
@@ -134,7 +134,7 @@ def test_positions_inside_a_frame_are_not_changed(tmp_path: Path) -> None:
     framed = text.replace(leg, f'<frame pos="0.05 0.02 0">{inside}</frame>')
     files = write(tmp_path, urdf_text(ROBOT), framed)
     assert pa.sync_models(*files).agree
-    other = changed(ROBOT, "thigh2", position=(-0.21, -0.1, 0.01))
+    other = change_part(ROBOT, "thigh2", position=(-0.21, -0.1, 0.01))
     files = write(tmp_path, urdf_text(other), framed)
     before = files.mjcf.read_bytes()
     result = pa.sync_models(*files, take="urdf")
@@ -142,7 +142,7 @@ def test_positions_inside_a_frame_are_not_changed(tmp_path: Path) -> None:
     assert result.withheld
     assert files.mjcf.read_bytes() == before
     assert pa.sync_models(*files, take="mjcf").agree
-    assert agree(files)
+    assert files_agree(files)
 
 
 def test_body_of_an_offset_joint_is_not_changed(tmp_path: Path) -> None:
@@ -154,7 +154,7 @@ def test_body_of_an_offset_joint_is_not_changed(tmp_path: Path) -> None:
     assert result.withheld
     assert files.mjcf.read_text() == text
     assert pa.sync_models(*files, take="mjcf").agree
-    assert agree(files)
+    assert files_agree(files)
 
 
 def test_attached_copies_are_not_changed(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_attached_copies_are_not_changed(tmp_path: Path) -> None:
     main = main.replace(
         "<worldbody>", '<asset><model name="leg" file="leg.xml"/></asset><worldbody>'
     )
-    files = write(tmp_path, urdf_text(changed(parts, "thigh0", mass=2.0)), main)
+    files = write(tmp_path, urdf_text(change_part(parts, "thigh0", mass=2.0)), main)
     before = (tmp_path / "leg.xml").read_bytes()
     result = pa.sync_models(*files, take="urdf:mass")
     reasons = {left.difference: str(left.reason) for left in result.not_mended}

@@ -9,7 +9,7 @@ import mujoco
 import pytest
 
 import pupper_analysis as pa
-from tests.support.robots import changed, mjcf_text, quadruped, urdf_text, write
+from tests.support.robots import change_part, mjcf_text, quadruped, urdf_text, write
 
 
 def test_mass_is_changed_in_the_child_body_that_has_the_mass(tmp_path: Path) -> None:
@@ -19,7 +19,7 @@ def test_mass_is_changed_in_the_child_body_that_has_the_mass(tmp_path: Path) -> 
     head, rest = mjcf_text(robot).split('<body name="thigh1"', 1)
     rest, count = re.subn("(<inertial [^>]*/>)", r'<body name="core">\1</body>', rest, count=1)
     assert count == 1
-    heavier = urdf_text(changed(robot, "thigh1", mass=1.25))
+    heavier = urdf_text(change_part(robot, "thigh1", mass=1.25))
     files = write(tmp_path, heavier, f'{head}<body name="thigh1"{rest}')
     result = pa.sync_models(files.urdf, files.mjcf, take="urdf")
     assert result.agree

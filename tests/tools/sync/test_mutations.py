@@ -83,17 +83,17 @@ class Mutated(NamedTuple):
 Change = Callable[[random.Random, list[float]], list[float]]
 
 
-def scaled(choose: random.Random, values: list[float]) -> list[float]:
+def scale_numbers(choose: random.Random, values: list[float]) -> list[float]:
     return [value * (1 + choose.choice([-1, 1]) * choose.uniform(0.02, 0.1)) for value in values]
 
 
-def shifted(choose: random.Random, values: list[float]) -> list[float]:
+def shift_number(choose: random.Random, values: list[float]) -> list[float]:
     index = choose.randrange(len(values))
     step = choose.choice([-1, 1]) * choose.uniform(0.002, 0.01)
     return [value + step * (place == index) for place, value in enumerate(values)]
 
 
-def turned(choose: random.Random, values: list[float]) -> list[float]:
+def turn_quaternion(choose: random.Random, values: list[float]) -> list[float]:
     w, x, y, z = values
     axis = [choose.gauss(0, 1) for _ in range(3)]
     length = math.hypot(*axis)
@@ -119,28 +119,28 @@ def limits(choose: random.Random, values: list[float]) -> list[float]:
 
 KINDS: dict[str, list[tuple[str, str, Change]]] = {
     ".urdf": [
-        ("mass", "value", scaled),
-        ("inertial origin", "xyz", shifted),
-        ("inertia", "ixx", scaled),
-        ("inertia", "iyy", scaled),
-        ("inertia", "izz", scaled),
-        ("moving origin", "xyz", shifted),
+        ("mass", "value", scale_numbers),
+        ("inertial origin", "xyz", shift_number),
+        ("inertia", "ixx", scale_numbers),
+        ("inertia", "iyy", scale_numbers),
+        ("inertia", "izz", scale_numbers),
+        ("moving origin", "xyz", shift_number),
         ("limit", "lower", limits),
         ("limit", "upper", limits),
-        ("limit", "effort", scaled),
-        ("dynamics", "damping", scaled),
-        ("dynamics", "friction", scaled),
+        ("limit", "effort", scale_numbers),
+        ("dynamics", "damping", scale_numbers),
+        ("dynamics", "friction", scale_numbers),
     ],
     ".xml": [
-        ("inertial", "mass", scaled),
-        ("inertial", "pos", shifted),
+        ("inertial", "mass", scale_numbers),
+        ("inertial", "pos", shift_number),
         ("inertial", "fullinertia", one_scaled),
         ("inertial", "diaginertia", one_scaled),
-        ("inertial", "quat", turned),
-        ("body", "pos", shifted),
+        ("inertial", "quat", turn_quaternion),
+        ("body", "pos", shift_number),
         ("joint", "range", limits),
-        ("joint", "damping", scaled),
-        ("joint", "frictionloss", scaled),
+        ("joint", "damping", scale_numbers),
+        ("joint", "frictionloss", scale_numbers),
         ("joint+", "range", lambda *_: [-0.3, 0.4]),
         ("joint+", "damping", lambda *_: [0.3]),
         ("joint+", "frictionloss", lambda *_: [0.3]),
@@ -193,7 +193,7 @@ def mutate_attribute(pair: Pair, choose: random.Random) -> Mutated | None:
         at = place.end(2)
         return Mutated(file, f'{text[:at]} {attribute}="{words}"{text[at:]}')
     values = [float(word) for word in stated[attribute].split()]
-    if not any(values) and change in (scaled, one_scaled):
+    if not any(values) and change in (scale_numbers, one_scaled):
         return None
     words = " ".join(repr(value) for value in change(choose, values))
     span = re.compile(rf'\s{attribute}="([^"]*)"').search(text, place.start(2))

@@ -21,7 +21,7 @@ from tests.support.robots import (
     Files,
     Part,
     Parts,
-    changed,
+    change_part,
     mjcf_text,
     quadruped,
     turned_frames,
@@ -127,7 +127,7 @@ def shank_of_three(thin: float) -> Parts:
     rod = Part("rod", "shank0", "to_rod", "fixed", (0.0, 0.01, -0.1), mass=0.3)
     rod = replace(rod, inertia=(thin, 1e-3, 1e-3, 0, 0, 0), com=(0.05, 0.0, 0.0))
     other = replace(rod, link="other", joint="to_other", position=(0.0, -0.02, -0.05))
-    return {**changed(quadruped(), "shank0", mass=0.05), "rod": rod, "other": other}
+    return {**change_part(quadruped(), "shank0", mass=0.05), "rod": rod, "other": other}
 
 
 def test_change_of_merged_links_is_written_to_one_link_or_refused(tmp_path: Path) -> None:

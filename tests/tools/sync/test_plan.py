@@ -23,8 +23,8 @@ from tests.support.hidden_files import leave_hidden_file
 from tests.support.robots import (
     Files,
     Parts,
-    agree,
-    changed,
+    change_part,
+    files_agree,
     mjcf_text,
     quadruped,
     urdf_text,
@@ -47,7 +47,7 @@ def edits(result: pa.sync.Sync) -> list[tuple[str, str, str | None, str]]:
     return [(edit.element, edit.attribute, edit.old, edit.new) for edit in result.edits]
 
 
-def replaced(file: Path, old: str, new: str, count: int = 1) -> None:
+def replace_text(file: Path, old: str, new: str, count: int = 1) -> None:
     text = file.read_text()
     assert old in text
     file.write_text(text.replace(old, new, count))
@@ -56,7 +56,7 @@ def replaced(file: Path, old: str, new: str, count: int = 1) -> None:
 # ------------------------------------------------------------------------------------- choices
 
 
-DIFFERENT = changed(changed(ROBOT, "base", mass=7.0), "thigh1", effort=25.0, damping=0.3)
+DIFFERENT = change_part(change_part(ROBOT, "base", mass=7.0), "thigh1", effort=25.0, damping=0.3)
 
 
 @pytest.mark.slow
@@ -115,21 +115,21 @@ def test_degrees_of_the_file_are_kept(tmp_path: Path) -> None:
         text,
     )
     files.mjcf.write_text(text)
-    replaced(files.urdf, 'lower="-1.0" upper="0.9"', 'lower="-0.5" upper="0.9"')
+    replace_text(files.urdf, 'lower="-1.0" upper="0.9"', 'lower="-0.5" upper="0.9"')
     (limit,) = sync(files, "urdf").edits
-    assert agree(files)
+    assert files_agree(files)
     assert float(limit.new.split()[0]) == pytest.approx(math.degrees(-0.5), rel=1e-15)
 
 
 @pytest.mark.slow
 def test_directional_attributes_are_not_changed(tmp_path: Path) -> None:
     """Rotations and axes stay; a mass, which has no direction, is written if selected."""
-    files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))
+    files = pair(tmp_path, change_part(ROBOT, "base", mass=7.0))
     text = files.mjcf.read_text()
     files.mjcf.write_text(
         re.sub(r'(body name="thigh1"[^>]*) quat="[^"]*"', r'\1 zaxis="0 1 1"', text)
     )
-    replaced(files.urdf, '<axis xyz="1.0 0.0 0.0"/>', '<axis xyz="-1.0 0.0 0.0"/>')
+    replace_text(files.urdf, '<axis xyz="1.0 0.0 0.0"/>', '<axis xyz="-1.0 0.0 0.0"/>')
     for side in ("urdf", "mjcf"):
         result = sync(files, side, dry_run=True)
         kinds = {left.difference.rpartition(": ")[2] for left in result.not_mended}
@@ -144,27 +144,27 @@ def test_inertia_is_written_as_moments_and_quaternion_if_the_file_has_these(
     tmp_path: Path, quaternion: str
 ) -> None:
     tensor = (0.002, 0.003, 0.004, 1e-4, -2e-4, 3e-4)
-    files = pair(tmp_path, urdf=changed(ROBOT, "base", inertia=tensor))
+    files = pair(tmp_path, urdf=change_part(ROBOT, "base", inertia=tensor))
     moments = 'diaginertia="0.002 0.003 0.004"' + (f' quat="{quaternion}"' if quaternion else "")
     text = re.sub('fullinertia="[^"]*"', moments, files.mjcf.read_text(), count=1)
     files.mjcf.write_text(text)
     result = sync(files, "urdf")
     assert [edit.attribute for edit in result.edits] == ["diaginertia", "quat"]
-    assert agree(files)
+    assert files_agree(files)
 
 
 def test_urdf_inertia_is_written_in_the_turned_axes_of_its_origin(tmp_path: Path) -> None:
     """The two files agree afterwards only if the tensor is turned in the right direction."""
     files = pair(tmp_path)
-    replaced(files.urdf, '<origin xyz="0.01 0.002 -0.005"/>',
+    replace_text(files.urdf, '<origin xyz="0.01 0.002 -0.005"/>',
              '<origin xyz="0.01 0.002 -0.005" rpy="0.3 -0.4 0.9"/>')  # fmt: skip
     result = sync(files, "mjcf")
     assert {edit.element for edit in result.edits} == {"link base > inertial > inertia"}
-    assert agree(files)
+    assert files_agree(files)
 
 
 def test_other_inertia_orientations_are_not_changed(tmp_path: Path) -> None:
-    files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))
+    files = pair(tmp_path, change_part(ROBOT, "base", mass=7.0))
     moments = 'diaginertia="0.002 0.003 0.004" euler="0.1 0.2 0.3"'
     text = re.sub('fullinertia="[^"]*"', moments, files.mjcf.read_text(), count=1)
     files.mjcf.write_text(text)
@@ -175,7 +175,7 @@ def test_other_inertia_orientations_are_not_changed(tmp_path: Path) -> None:
 
 
 def test_includes_are_changed_in_place(tmp_path: Path) -> None:
-    files = pair(tmp_path, changed(ROBOT, "shank3", mass=0.5))
+    files = pair(tmp_path, change_part(ROBOT, "shank3", mass=0.5))
     lines = files.mjcf.read_text().split("\n")
     first = next(i for i, line in enumerate(lines) if 'name="thigh3"' in line)
     last = max(i for i, line in enumerate(lines) if line == "</body>")  # of the base
@@ -188,7 +188,7 @@ def test_includes_are_changed_in_place(tmp_path: Path) -> None:
     before = files.mjcf.read_bytes()
     leg = (tmp_path / "parts" / "leg.xml").read_bytes()
     result = sync(files, "urdf")
-    assert agree(files)
+    assert files_agree(files)
     assert result.written == (str(tmp_path / "parts" / "leg.xml"),)
     assert files.mjcf.read_bytes() == before
     after = (tmp_path / "parts" / "leg.xml").read_bytes()
@@ -225,26 +225,26 @@ def test_missing_element_is_inserted(tmp_path: Path) -> None:
     files.urdf.write_text(text)
     result = sync(files, "mjcf")
     assert result.agree
-    assert agree(files)
+    assert files_agree(files)
     assert {edit.old for edit in result.edits} == {None}
     assert '<mass value="6"/>' in files.urdf.read_text()
 
 
 def test_missing_limits_are_inserted(tmp_path: Path) -> None:
-    endless = changed(ROBOT, "thigh2", kind="continuous")
+    endless = change_part(ROBOT, "thigh2", kind="continuous")
     files = pair(tmp_path, urdf=endless)
     assert sync(files, "mjcf").agree
-    assert agree(files)
+    assert files_agree(files)
     assert files.urdf.read_text().count('type="continuous"') == 0
     files = pair(tmp_path, endless)
     assert edits(sync(files, "urdf")) == [("joint hip2", "range", None, "-1.02 0.9")]
-    assert agree(files)
+    assert files_agree(files)
 
 
 @pytest.mark.slow
 def test_unstated_values_overwrite_nothing(tmp_path: Path) -> None:
     """An effort of 0 is no limit, and a missing <dynamics> or attribute is not 0."""
-    heavy = changed(ROBOT, "base", mass=7.0)
+    heavy = change_part(ROBOT, "base", mass=7.0)
     stated = re.sub('effort="[^"]*"', 'effort="0"', urdf_text(heavy))
     files = write(tmp_path, re.sub("<dynamics [^>]*/>", "", stated), mjcf_text(ROBOT))
     result = sync(files, "urdf")
@@ -271,7 +271,7 @@ def test_unstated_values_overwrite_nothing(tmp_path: Path) -> None:
 def test_all_chosen_changes_are_written_or_none(tmp_path: Path) -> None:
     """A body that cannot be changed would leave files that describe a mixture of two robots."""
     parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
-    parts = changed(changed(parts, "shank0", mass=1.0), "thigh1", mass=2.0)
+    parts = change_part(change_part(parts, "shank0", mass=1.0), "thigh1", mass=2.0)
     files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
     before = files.urdf.read_bytes(), files.mjcf.read_bytes()
     for dry in (True, False):
@@ -299,11 +299,11 @@ def test_merged_link_with_the_fewest_changes_is_edited(tmp_path: Path) -> None:
     """A foot on a fixed joint weighs 0.1 kg in the URDF, 0.12 kg in the MJCF's one body."""
     foot = ROBOT["shank0"]
     parts = {**ROBOT, "pad": type(foot)("pad", "shank0", "to_pad", "fixed", (0, 0, -0.2), mass=0.1)}
-    heavy = changed(parts, "pad", mass=0.12)
+    heavy = change_part(parts, "pad", mass=0.12)
     files = write(tmp_path, urdf_text(parts), mjcf_text(heavy))
     result = sync(files, "mjcf")
     assert edits(result) == [("link pad > inertial > mass", "value", "0.1", "0.12")]
-    assert agree(files)
+    assert files_agree(files)
     # Of the mass alone, the sum can be made right as well, by the shank.
     files = write(tmp_path, urdf_text(parts), mjcf_text(heavy))
     result = sync(files, "mjcf:mass")
@@ -319,7 +319,7 @@ def test_body_with_mass_from_shapes_gets_an_inertial(tmp_path: Path) -> None:
     )
     files.mjcf.write_text(text)
     result = sync(files, "urdf")
-    assert agree(files)
+    assert files_agree(files)
     assert {edit.attribute for edit in result.edits} == {"pos", "mass", "fullinertia"}
     files.mjcf.write_text(text.replace("<compiler", '<compiler inertiafromgeom="true"'))
     result = sync(files, "urdf:base")
@@ -331,7 +331,7 @@ def test_body_with_mass_from_shapes_gets_an_inertial(tmp_path: Path) -> None:
 
 
 def test_values_that_a_urdf_cannot_state_are_reported(tmp_path: Path) -> None:
-    sprung = mjcf_text(changed(ROBOT, "base", mass=7.0)).replace(
+    sprung = mjcf_text(change_part(ROBOT, "base", mass=7.0)).replace(
         '<joint name="knee1"', '<joint name="knee1" stiffness="3"'
     )
     sprung = sprung.replace('<joint name="hip1"', '<joint name="hip1" springref="0.1"')
@@ -349,7 +349,7 @@ def test_values_that_a_urdf_cannot_state_are_reported(tmp_path: Path) -> None:
 
 
 def test_joint_of_one_file_alone_is_not_changed(tmp_path: Path) -> None:
-    fixed = changed(ROBOT, "shank2", kind="fixed")
+    fixed = change_part(ROBOT, "shank2", kind="fixed")
     files = pair(tmp_path, urdf=fixed)
     result = sync(files, "urdf")
     assert ("joint knee2", "the MJCF alone has it, not the URDF") in [
@@ -394,7 +394,7 @@ def test_backups_modes_and_links_are_kept(tmp_path: Path) -> None:
     assert (tmp_path / "robot.xml.bak").read_text() == "mine"
     assert linked.mjcf.is_symlink()
     assert files.mjcf.stat().st_mode & 0o777 == 0o640
-    assert agree(files)
+    assert files_agree(files)
 
 
 def git(folder: Path, *arguments: str) -> None:
@@ -409,11 +409,11 @@ def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> 
         git(tmp_path, "init")
     except FileNotFoundError:
         pytest.skip("git is not installed")
-    replaced(files.mjcf, 'mass="6.0"', 'mass="7.0"')
+    replace_text(files.mjcf, 'mass="6.0"', 'mass="7.0"')
     assert sync(files, "urdf").agree  # not under version control
     git(tmp_path, "add", "robot.urdf", "robot.xml")
     git(tmp_path, "commit", "-m", "robot")
-    replaced(files.mjcf, 'mass="6"', 'mass="7"')
+    replace_text(files.mjcf, 'mass="6"', 'mass="7"')
     before = files.mjcf.read_bytes()
     with pytest.raises(pa.OutputError, match="changes that are not committed; commit them, or add"):
         sync(files, "urdf")
@@ -423,7 +423,7 @@ def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> 
     assert sync(files, "mjcf").agree  # the URDF has no changes
     git(tmp_path, "checkout", "robot.urdf")
     assert sync(files, "urdf", force=True).agree
-    assert agree(files)
+    assert files_agree(files)
 
 
 @pytest.fixture
@@ -512,7 +512,7 @@ def test_leftovers_of_a_killed_sync_are_removed(tmp_path: Path, done: bool) -> N
 
 def test_copied_placeholder_effort_gives_a_note(tmp_path: Path) -> None:
     joint = ROBOT["thigh0"].joint
-    files = pair(tmp_path, urdf=changed(ROBOT, "thigh0", effort=5000.0))
+    files = pair(tmp_path, urdf=change_part(ROBOT, "thigh0", effort=5000.0))
     result = sync(files, "urdf")
     assert [edit.new for edit in result.edits if "5000" in edit.new]
     (note,) = result.notes.values()
@@ -524,7 +524,7 @@ def test_copied_placeholder_effort_gives_a_note(tmp_path: Path) -> None:
 def test_a_sum_of_inertias_that_no_body_can_have_is_not_written(tmp_path: Path) -> None:
     """Pad and shank weigh 1 kg each in the URDF; in the MJCF, together less than either."""
     parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
-    parts = changed(parts, "shank0", mass=1.0)
+    parts = change_part(parts, "shank0", mass=1.0)
     files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
     before = files.urdf.read_bytes()
     result = sync(files, "mjcf")

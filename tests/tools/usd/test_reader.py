@@ -47,7 +47,7 @@ def test_converted_usd_agrees_with_its_source(converter: str, folder: str, tmp_p
         assert found.agree, [str(one.diagnostic) for one in found.differences]
 
 
-def compared(
+def compare_with_usd(
     folder: Path, *changes: tuple[str, str], after: str = "", **options: bool
 ) -> Comparison:
     path = usd.write(folder, *changes, after=after)
@@ -57,7 +57,7 @@ def compared(
 
 def test_every_convention_agrees(tmp_path: Path) -> None:
     """Residuals below 1e-12, and deviations below 1e-7 because of single precision."""
-    found = compared(tmp_path)
+    found = compare_with_usd(tmp_path)
     assert found.agree
     assert found.joints == ("hip", "knee", "spring")
     assert max(found.residual.values()) < 1e-12
@@ -84,7 +84,7 @@ SLIPS = {
 @pytest.mark.parametrize("kind", SLIPS)
 def test_changed_usd_number_is_found_at_its_prim(kind: str, tmp_path: Path) -> None:
     change, element, prim = SLIPS[kind]
-    found = compared(tmp_path, change)
+    found = compare_with_usd(tmp_path, change)
     assert not found.agree
     (difference,) = found.differences
     assert (difference.kind, difference.element) == (kind, element)
@@ -99,13 +99,13 @@ def test_a_turned_axis_is_found(tmp_path: Path) -> None:
         ("localRot0 = (0.70710677, 0, 0, 0.70710677)", "localRot0 = (0.6427876, 0, 0, 0.7660444)"),
         ("localRot1 = (0.70710677, 0, 0, 0.70710677)", "localRot1 = (0.6427876, 0, 0, 0.7660444)"),
     )
-    kinds = {found.kind for found in compared(tmp_path, *turned, after='"hip"').differences}
+    kinds = {found.kind for found in compare_with_usd(tmp_path, *turned, after='"hip"').differences}
     assert kinds == {"axis"}
 
 
 def test_a_gain_per_radian_is_57_times_too_large(tmp_path: Path) -> None:
     """Closed form: 180 / pi, since USD's gains are per degree."""
-    found = compared(tmp_path, ("double mjc:damping", "float newton:damping"))
+    found = compare_with_usd(tmp_path, ("double mjc:damping", "float newton:damping"))
     (difference,) = found.differences
     assert difference.kind == "damping"
     assert difference.mjcf == pytest.approx(0.1 * 57.29577951)
@@ -127,7 +127,7 @@ def test_usd_body_with_mass_from_shapes_is_refused(tmp_path: Path, change: tuple
 
 def test_unread_usd_actuators_give_a_note(tmp_path: Path) -> None:
     motor = 'def MjcActuator "motor"\n{\n}\ndef PhysicsFixedJoint "ankle"'
-    found = compared(tmp_path, ('def PhysicsFixedJoint "ankle"', motor))
+    found = compare_with_usd(tmp_path, ('def PhysicsFixedJoint "ankle"', motor))
     (note,) = (note for note in found.notes if note.code == "usd-actuators-not-read")
     assert note.values["count"] == 1
 
@@ -139,7 +139,7 @@ def test_values_missing_in_the_usd_are_no_difference(tmp_path: Path) -> None:
         ("float newton:friction = 500000\n", ""),
         ("double mjc:damping = 1000000\n", ""),
     )
-    found = compared(tmp_path, *changes)
+    found = compare_with_usd(tmp_path, *changes)
     assert found.agree
     values = {
         str(note.values["what"]): list(note.values["joints"])
@@ -147,7 +147,7 @@ def test_values_missing_in_the_usd_are_no_difference(tmp_path: Path) -> None:
         if note.code == "unknown-taken-from-urdf"
     }
     assert values == {"effort": ["hip"], "damping": ["hip"], "friction": ["hip"]}
-    strict = compared(tmp_path, *changes, strict_names=True)
+    strict = compare_with_usd(tmp_path, *changes, strict_names=True)
     assert {one.kind for one in strict.differences} == {"effort", "damping", "friction"}
 
 
@@ -155,7 +155,7 @@ def test_invalid_inertia_of_a_fixed_part_is_a_difference(tmp_path: Path) -> None
     """The inertia of a part fixed to another body is invalid by itself; the sum of both parts is
     compared."""
     thin = "float3 physics:diagonalInertia = (0, 0, 200)"
-    found = compared(tmp_path, ("float3 physics:diagonalInertia = (200, 200, 200)", thin))
+    found = compare_with_usd(tmp_path, ("float3 physics:diagonalInertia = (200, 200, 200)", thin))
     assert {(one.kind, one.element) for one in found.differences} == {("inertia", "spring")}
 
 
@@ -170,7 +170,7 @@ def test_a_joint_that_closes_a_loop_is_a_difference(tmp_path: Path) -> None:
         }
 
         def PhysicsFixedJoint "ankle\""""
-    found = compared(tmp_path, ('def PhysicsFixedJoint "ankle"', loop))
+    found = compare_with_usd(tmp_path, ('def PhysicsFixedJoint "ankle"', loop))
     assert not found.agree
     assert {one.kind for one in found.differences} == {"equality"}
 
@@ -178,7 +178,7 @@ def test_a_joint_that_closes_a_loop_is_a_difference(tmp_path: Path) -> None:
 def test_a_joint_of_several_axes_is_refused(tmp_path: Path) -> None:
     free = ('def PhysicsFixedJoint "ankle"', 'def PhysicsJoint "ankle"')
     with pytest.raises(ModelError, match="ankle"):
-        compared(tmp_path, free)
+        compare_with_usd(tmp_path, free)
 
 
 def test_inertia_of_a_plate_in_single_precision_is_accepted(tmp_path: Path) -> None:
@@ -189,13 +189,13 @@ def test_inertia_of_a_plate_in_single_precision_is_accepted(tmp_path: Path) -> N
 
 def test_invalid_usd_inertia_is_refused_at_its_prim(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"leg\.usda:</leg/base/thigh/shank>"):
-        compared(tmp_path, ("(20000, 19000, 2000)", "(20000, 10000, 2000)"))
+        compare_with_usd(tmp_path, ("(20000, 19000, 2000)", "(20000, 10000, 2000)"))
 
 
 def test_a_range_from_0_to_0_is_a_difference(tmp_path: Path) -> None:
     """A converter wrote 0 to 0, which locks the joint, for a URDF without a range."""
     zero = (("lowerLimit = -30", "lowerLimit = 0"), ("upperLimit = 60", "upperLimit = 0"))
-    kinds = {one.kind for one in compared(tmp_path, *zero).differences}
+    kinds = {one.kind for one in compare_with_usd(tmp_path, *zero).differences}
     assert kinds == {"lower limit", "upper limit"}
 
 

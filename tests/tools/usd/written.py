@@ -18,15 +18,17 @@ USD, URDF = ((Path(__file__).parent / f"leg.{end}").read_text() for end in ("usd
 
 def write(folder: Path, *changes: tuple[str, str], name: str = "leg.usda", after: str = "") -> Path:
     """Write the USD with replaced texts, each once, after the text `after`."""
-    return _changed(folder / name, USD, changes, after)
+    return _write_changed(folder / name, USD, changes, after)
 
 
 def write_urdf(folder: Path, *changes: tuple[str, str]) -> Path:
     """Write the URDF with replaced texts, each once."""
-    return _changed(folder / "leg.urdf", URDF, changes)
+    return _write_changed(folder / "leg.urdf", URDF, changes)
 
 
-def _changed(file: Path, text: str, changes: tuple[tuple[str, str], ...], after: str = "") -> Path:
+def _write_changed(
+    file: Path, text: str, changes: tuple[tuple[str, str], ...], after: str = ""
+) -> Path:
     head, mark, rest = text.partition(after) if after else ("", "", text)
     assert mark == after
     for old, new in changes:

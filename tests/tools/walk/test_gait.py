@@ -38,7 +38,7 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Policy:
     return Policy.load(made.write_standing_policy(tmp_path_factory.mktemp("walk") / "still.json"))
 
 
-def bare(robot: pa.Robot, height: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+def simulate_bare(robot: pa.Robot, height: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """Return torques and states of the standing policy, simulated by bare MuJoCo."""
     model = mujoco.MjModel.from_xml_path(str(robot.description.mjcf_source))
     data = mujoco.MjData(model)
@@ -67,7 +67,7 @@ def test_torques_and_motion_of_a_walk_equal_bare_mujoco(still: Policy) -> None:
     robot = load("v3")
     stage = prepare_stage(robot, still)
     walk = simulate_walk(robot, still, (0, 0, 0), seconds=3.0, warm_up=1.0)
-    torques, states = bare(robot, float(stage.default[2]), 3.0)
+    torques, states = simulate_bare(robot, float(stage.default[2]), 3.0)
     gait = walk.gaits[0]
     rms = np.sqrt((torques[501:] ** 2).mean(axis=0))
     assert gait.torque_rms == pytest.approx(rms, rel=1e-3, abs=1e-4)

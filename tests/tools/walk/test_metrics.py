@@ -36,7 +36,7 @@ def test_walk_metrics_equal_walk(tmp_path: Path) -> None:
 def test_walk_torque_of_a_fall_is_unknown(tmp_path: Path) -> None:
     """The default pose of the policy cannot stand: the torques until the fall are no result."""
     pose = [0.26, 1.2, -0.52, -0.26, 1.2, 0.52] * 2
-    path = made.still(tmp_path / "still.json", default_joint_pos=pose)
+    path = made.write_standing_policy(tmp_path / "still.json", default_joint_pos=pose)
     torque = make_metric(f"walk_torque:{path}@0,0,0")
     with pytest.raises(NotStandingError):
         torque.function(SimpleNamespace(robot=load("v3")))  # type: ignore[arg-type]

@@ -163,7 +163,7 @@ def test_onnx_graphs_equal_onnxruntime(kind: str, tmp_path: Path) -> None:
         assert found == pytest.approx(action, abs=ALIKE)  # theirs is of single precision
 
 
-def refused(layers: list[dict[str, Any]]) -> str:
+def get_refusal(layers: list[dict[str, Any]]) -> str:
     with pytest.raises(ModelError) as caught:
         read(layers)
     text = str(caught.value)
@@ -171,18 +171,22 @@ def refused(layers: list[dict[str, Any]]) -> str:
     return text
 
 
-def dense(matrix: Any, bias: Any, **more: Any) -> dict[str, Any]:
+def make_dense_layer(matrix: Any, bias: Any, **more: Any) -> dict[str, Any]:
     return {"type": "dense", "activation": "tanh", "weights": [matrix, bias], **more}
 
 
 def test_layer_size_mismatch_names_its_layer() -> None:
-    good = dense([[1.0, 2.0]], [0.0, 0.0])
-    assert "layer 2 (dense)" in refused([good, dense([[1.0]], [0.0])])
-    assert "layer 2 (dense), weights 1" in refused([good, dense([[1.0], [float("nan")]], [0.0])])
-    assert "layer 1 (conv1d)" in refused([{"type": "conv1d"}])
-    assert "layer 1 (dense): gelu" in refused([dense([[1.0]], [0.0], activation="gelu")])
-    assert "layer 1 (dense)" in refused([dense([[1.0], [2.0, 3.0]], [0.0])])
-    assert "RTNeural" in refused([])
+    good = make_dense_layer([[1.0, 2.0]], [0.0, 0.0])
+    assert "layer 2 (dense)" in get_refusal([good, make_dense_layer([[1.0]], [0.0])])
+    assert "layer 2 (dense), weights 1" in get_refusal(
+        [good, make_dense_layer([[1.0], [float("nan")]], [0.0])]
+    )
+    assert "layer 1 (conv1d)" in get_refusal([{"type": "conv1d"}])
+    assert "layer 1 (dense): gelu" in get_refusal(
+        [make_dense_layer([[1.0]], [0.0], activation="gelu")]
+    )
+    assert "layer 1 (dense)" in get_refusal([make_dense_layer([[1.0], [2.0, 3.0]], [0.0])])
+    assert "RTNeural" in get_refusal([])
 
 
 def test_torchscript_without_torch_is_refused(
@@ -200,7 +204,7 @@ def torch() -> Any:
     return pytest.importorskip("torch", reason="torch is not installed")
 
 
-def _saved(torch: Any, module: Any, path: Path) -> Path:
+def _save_onnx(torch: Any, module: Any, path: Path) -> Path:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.jit.save(torch.jit.script(module), str(path))
@@ -210,7 +214,7 @@ def _saved(torch: Any, module: Any, path: Path) -> Path:
 @pytest.mark.slow
 def test_torchscript_equals_plain_loops(torch: Any, tmp_path: Path) -> None:
     layers = torch.nn.Linear(7, 9), torch.nn.ELU(), torch.nn.Linear(9, 4)
-    path = _saved(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
+    path = _save_onnx(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
     network, given = policy.build_torchscript_network(path), rows(5, 7)
     found, _ = network.forward(given)
     assert (network.inputs, network.outputs) == (7, 4)

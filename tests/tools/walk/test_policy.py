@@ -142,10 +142,10 @@ def places_in(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...
             yield from places_in(value[index], (*path, index))
 
 
-def replaced(value: Any, path: tuple[Any, ...], new: Any) -> Any:
+def replace_value(value: Any, path: tuple[Any, ...], new: Any) -> Any:
     """Return JSON with another value at a path."""
     found = copy.copy(value)
-    found[path[0]] = replaced(value[path[0]], path[1:], new) if path[1:] else new
+    found[path[0]] = replace_value(value[path[0]], path[1:], new) if path[1:] else new
     return found
 
 
@@ -171,7 +171,7 @@ def test_rtneural_of_wrong_types_is_read_or_refused(tmp_path: Path) -> None:
     cases = [(place, new) for place in places_in(sound) for new in WRONG]
     assert len(cases) > 500
     for place, new in cases:
-        (tmp_path / "p.json").write_text(json.dumps(replaced(sound, place, new)))
+        (tmp_path / "p.json").write_text(json.dumps(replace_value(sound, place, new)))
         check_read_or_refused(tmp_path / "p.json")
 
 
