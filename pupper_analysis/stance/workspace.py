@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, borrow
@@ -132,7 +133,10 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     """
     start = solve_stand(robot, task)
     robot = start.check(robot)
-    intervals = {direction: find_interval(robot, start, direction) for direction in DIRECTIONS}
+    intervals = {}
+    for count, direction in enumerate(DIRECTIONS):
+        report_progress("directions", count, len(DIRECTIONS))
+        intervals[direction] = find_interval(robot, start, direction)
     return BaseWorkspace(name=robot.name, start=start, intervals=intervals)
 
 

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 import pytest
 
 from pupper_analysis.base.progress import ProgressClock, observe_progress, report_progress
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.shared import format_progress
+from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.stance.posture import find_posture
+from pupper_analysis.tools.hold.worst import worst_postures
+from tests.support.commands import answer
+from tests.support.repository import ROOT
+from tests.support.variants import load
 
 
 class Time:
@@ -71,3 +83,45 @@ def test_reports_reach_the_innermost_observer_alone() -> None:
         assert (outer.done, outer.total) == (0, 0)
     with observe_progress() as later:
         assert later.total == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("audit", "{urdf}"),
+        ("crosscheck", "{urdf}", "{mjcf}"),
+        ("diff", "{urdf}", "{urdf}"),
+        ("sync", "{urdf}", "{mjcf}"),
+        ("check", "--config", "{config}"),
+    ],
+    ids=str,
+)
+def test_commands_about_files_show_progress(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of these commands may read large meshes for more than two seconds."""
+    shown: list[str] = []
+
+    @contextmanager
+    def record(what: str) -> Iterator[None]:
+        shown.append(what)
+        yield
+
+    monkeypatch.setattr(shared, "show_progress", record)
+    urdf, mjcf = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
+    config = tmp_path / "pupper-analysis.toml"
+    shutil.copy(urdf, tmp_path / "robot.urdf")
+    config.write_text('[[pair]]\nname = "robot"\nurdf = "robot.urdf"\n')
+    files = {"urdf": urdf, "mjcf": mjcf, "config": config}
+    result = answer(*(word.format(**files) for word in arguments), folder=tmp_path)
+    assert result.returncode in (0, 1), result.stderr
+    assert len(shown) == 1
+
+
+def test_hold_reports_the_completed_searches_of_the_motors() -> None:
+    """The number of parts is that of the motors whose torque depends on the posture."""
+    robot = load("v3", fixed_base=True)
+    posture = find_posture(robot)
+    with observe_progress() as clock:
+        worst_postures(robot, posture, find_tool(robot))
+    assert 0 < clock.done == clock.total - 1 <= robot.nu - 1

@@ -102,9 +102,10 @@ def command(
     if fix and (is_variant(str(file)) or not file.is_file()):
         raise ConfigurationError("--fix", diagnose("nothing-to-fix", file=str(file)))
     with variant_model_files(str(file)) if is_variant(str(file)) else nullcontext((file,)) as files:
-        results = [
-            audit_model(model_file, packages=folders, disabled=disabled) for model_file in files
-        ]
+        with shared.show_progress("checking the model against the rules"):
+            results = [
+                audit_model(model_file, packages=folders, disabled=disabled) for model_file in files
+            ]
         if style in ("text", "markdown"):
             shown = [("", result) for result in results]
             step = NextStep("crosscheck") if len(results) > 1 else None  # files of a variant

@@ -15,6 +15,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.errors import OutputError, PupperAnalysisError
 from pupper_analysis.base.files import check_writable
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.base.tools import find_tool_modules
@@ -193,7 +194,8 @@ def check_repository(
     if update_baseline:
         check_writable(settings.baseline, BASELINE_FILE)
     pairs, all_remarks = [], []
-    for pair in settings.pairs:
+    for count, pair in enumerate(settings.pairs):
+        report_progress("models", count, len(settings.pairs))
         done, remarks = _check_pair_files(pair, settings.path.parent)
         pairs.append(done)
         all_remarks += remarks

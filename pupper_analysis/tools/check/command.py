@@ -84,7 +84,8 @@ def command(
         refuse_unused("--init", {"--init": {"first", "config"}})
         _write_first_config(config)
         return
-    result = check_repository(config, update_baseline=update_baseline, since=since)
+    with shared.show_progress("checking all models"):
+        result = check_repository(config, update_baseline=update_baseline, since=since)
     if style in ("text", "markdown"):
         shared.show_results([("", result)], style, everything=everything)
     else:

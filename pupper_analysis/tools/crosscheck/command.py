@@ -103,15 +103,16 @@ def command(
     folders = shared.parse_packages(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = change_tolerances(tolerances, changes)
-    comparison = compare_models(
-        urdf,
-        mjcf,
-        names=names,
-        packages=folders,
-        feet=feet,
-        tolerances=tolerances,
-        strict_names=strict,
-    )
+    with shared.show_progress("comparing both files in both engines"):
+        comparison = compare_models(
+            urdf,
+            mjcf,
+            names=names,
+            packages=folders,
+            feet=feet,
+            tolerances=tolerances,
+            strict_names=strict,
+        )
     if style in ("text", "markdown"):
         shared.show_results([("", comparison)], style, everything=everything)
     else:

@@ -36,9 +36,9 @@ def command(
     """Show the changes of the robot between OLD and NEW: two URDFs, or two MJCFs.
 
     Each changed number is shown with its lines in both files and its effect on the dynamics, then
-    the change in total mass and in the torques that hold the links in the air. Moved text, moved
-    link frames and other ways to write the same robot are not changes. OLD or NEW may be
-    REVISION:PATH, a file in git's history.
+    the change in total mass; with -v, the change in the torques that hold the links in the air.
+    Moved text, moved link frames and other ways to write the same robot are not changes. OLD or NEW
+    may be REVISION:PATH, a file in git's history.
 
     \b
     Examples:
@@ -52,6 +52,8 @@ def command(
     from pupper_analysis.tools.diff.compare import diff_models
 
     tolerances = change_tolerances(Tolerances.strict(), changes)
-    result = diff_models(old, new, packages=shared.parse_packages(packages), tolerances=tolerances)
+    folders = shared.parse_packages(packages)
+    with shared.show_progress("comparing both versions"):
+        result = diff_models(old, new, packages=folders, tolerances=tolerances)
     shared.show_results([("", result)], style, everything=everything)
     shared.finish_command(json_path, result, passed=result.same)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, NoStiffnessError
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.alike import sibling_joints
 from pupper_analysis.robot.robot import Robot
@@ -216,6 +217,14 @@ class GainStudy(Result):
         )
 
 
+_STAGE = "bounds of gains"
+"""Name of the stage of `study_gains` in reports of progress."""
+
+_NUM_BOUNDS = 3
+"""Number of bounds for all joints together that `study_gains` searches first: smallest and largest
+stiffness, largest damping. Counted as parts in reports of progress."""
+
+
 @check_arguments
 def study_gains(
     robot: Robot,
@@ -257,6 +266,8 @@ def study_gains(
     held = make_stand_start(robot, settled, kp=kp, kd=kd)
     loop = ControlledStand(held, rate, delay)
     gains = _Gains(loop, np.array(held.drive.kp), np.array(held.drive.kd))
+    groups = group_joints(robot, gains.kp, gains.kd)
+    num_parts = _NUM_BOUNDS + len(groups) + 2 * _CURVE_HALF_LENGTH + 1
     stiffness, damping = gains.find_stable_pair()
 
     def with_stiffness(factor: float) -> _Pair:
@@ -267,11 +278,15 @@ def study_gains(
         """Return kp and kd, shape (nu,), with a factor on the present damping of all joints."""
         return gains.scale_gains(stiffness, factor)
 
+    report_progress(_STAGE, 0, num_parts)
     least, largest = gains.find_stable_factors(with_stiffness, stiffness)
     least_kp = gains.make_bound(least, with_stiffness, below=True)
+    report_progress(_STAGE, 1, num_parts)
     largest_kp = gains.make_bound(largest, with_stiffness, below=False)
+    report_progress(_STAGE, 2, num_parts)
     _, end = gains.find_stable_factors(with_damping, damping)
     largest_kd = gains.make_bound(end, with_damping, below=False)
+    report_progress(_STAGE, _NUM_BOUNDS, num_parts)
     alone = failure = None
     if robot.floating:
         failure = find_sag_failure(held.robot, settled, kp=gains.kp)
@@ -280,21 +295,27 @@ def study_gains(
         except NoStiffnessError:
             alone = None
     recommended = gains.recommend_factors((least, largest), alone)
-    classes = tuple(
-        gains.describe_class(
-            robot,
-            members,
-            least_kp,
-            largest_kd,
-            (stiffness, damping),
-            recommended,
-            error,
-            encoder_bits,
+    classes = []
+    for count, members in enumerate(groups):
+        report_progress(_STAGE, _NUM_BOUNDS + count, num_parts)
+        classes.append(
+            gains.describe_class(
+                robot,
+                members,
+                least_kp,
+                largest_kd,
+                (stiffness, damping),
+                recommended,
+                error,
+                encoder_bits,
+            )
         )
-        for members in group_joints(robot, gains.kp, gains.kd)
-    )
     powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
     curve: Array = _CURVE_RATIO**powers
+    dampings = []
+    for count, factor in enumerate(curve.tolist()):
+        report_progress(_STAGE, _NUM_BOUNDS + len(groups) + count, num_parts)
+        dampings.append(gains.find_largest_damping(factor))
     return GainStudy(
         name=robot.name,
         stand=settled,
@@ -304,7 +325,7 @@ def study_gains(
         delay=loop.delay,
         error=error,
         encoder_bits=encoder_bits,
-        classes=classes,
+        classes=tuple(classes),
         least_kp=least_kp,
         largest_kp=largest_kp,
         largest_kd=largest_kd,
@@ -313,7 +334,7 @@ def study_gains(
         worst=loop.find_worst_mode(gains.kp, gains.kd),
         damping_ratio=loop.find_smallest_damping_ratio(gains.kp, gains.kd),
         curve_factors=curve,
-        curve_dampings=np.array([gains.find_largest_damping(factor) for factor in curve.tolist()]),
+        curve_dampings=np.array(dampings),
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
     )

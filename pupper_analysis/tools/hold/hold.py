@@ -21,6 +21,7 @@ from scipy import linalg
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortCode, EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
@@ -439,6 +440,10 @@ class Hold(Tabular):
         }
 
 
+_NUM_SIMULATIONS = 2
+"""Number of simulations without additional payload in `hold_posture`, for reports of progress."""
+
+
 @check_arguments
 def hold_posture(
     robot: Robot,
@@ -481,7 +486,9 @@ def hold_posture(
         sag = point.position(Configuration(robot, settled.qpos)) - point.position(config)
     except NoEquilibriumError as error:
         unsettled = error.diagnostic
+    report_progress("simulations", 0, _NUM_SIMULATIONS)
     fed = verify_stand(robot, held, kp=kp, kd=kd)
+    report_progress("simulations", 1, _NUM_SIMULATIONS)
     alone = verify_stand(robot, held, feedforward=False, kp=kp, kd=kd, settled=settled)
     end_qpos, simulated = alone.joint_positions, np.full(3, np.nan)
     if np.isfinite(end_qpos).all():

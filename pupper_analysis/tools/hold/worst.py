@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_ranges
@@ -377,7 +378,8 @@ def worst_postures(
         else []
     )
     sampled = np.array([search.compute_torques(qpos) for qpos in pool])
-    for joint in np.flatnonzero(searched).tolist():
+    for count, joint in enumerate(np.flatnonzero(searched).tolist()):
+        report_progress("worst postures", count, int(searched.sum()))
         first_starts = [posture.qpos, *starts]
         if near is not None:
             first_starts.insert(0, near.postures[joint])

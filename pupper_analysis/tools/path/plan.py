@@ -20,6 +20,7 @@ from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.base.files import write_atomically
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -297,6 +298,7 @@ def stance_path(
     duration = float(seconds) / len(geometry.segments)
     efforts = []
     for index, place in enumerate(geometry.places):
+        report_progress("path", index, len(geometry.places))
         _, rate, acceleration = minimum_jerk(place.progress)
         motion = rate / duration, acceleration / duration**2
         try:

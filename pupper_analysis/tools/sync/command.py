@@ -99,18 +99,19 @@ def command(
     names, folders = parse_name_map(pairs), shared.parse_packages(packages)
     tolerances = change_tolerances(Tolerances(), changes)
 
-    result = sync_models(
-        urdf,
-        mjcf,
-        take=take,
-        partial=partial,
-        dry_run=dry_run or not take,
-        backup=backup,
-        force=force,
-        names=names,
-        packages=folders,
-        tolerances=tolerances,
-    )
+    with shared.show_progress("comparing both files"):
+        result = sync_models(
+            urdf,
+            mjcf,
+            take=take,
+            partial=partial,
+            dry_run=dry_run or not take,
+            backup=backup,
+            force=force,
+            names=names,
+            packages=folders,
+            tolerances=tolerances,
+        )
     document = sync_document(result, chosen=bool(take), dry_run=dry_run)
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
     shared.finish_command(json_path, result, passed=result.agree)

@@ -21,6 +21,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, PupperAnalysisError
 from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import PLAN_KIND
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -476,6 +477,7 @@ class RandomStands:
         for num_tries in range(_TRIES_PER_STAND * count):
             if len(stands) == count or (num_tries == _MAX_FAILED_TRIES and not stands):
                 break
+            report_progress("stands", len(stands), count)
             stand = self._solve_task(self._draw_task())
             self._range_scale = min(
                 1.0, self._range_scale * (_SHRINK_FACTOR if stand is None else _GROW_FACTOR)
