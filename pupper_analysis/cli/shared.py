@@ -164,6 +164,13 @@ class Command(click.Command):
             if isinstance(error.param, click.Argument):
                 raise self.make_missing_error(ctx, str(error.param.name)) from error
             raise
+        except click.BadParameter as error:
+            if found := _INVALID_FLOAT.fullmatch(error.message):
+                number = _NUMBER_START.match(found[1])
+                point = "" if number is None else number[0].replace(",", ".")
+                values = {"part": found[1], "given": "", "point": point}
+                error.message = str(diagnose("part-is-no-number", **values))
+            raise
         except click.BadOptionUsage as error:
             error.ctx = error.ctx or ctx
             raise
@@ -527,6 +534,12 @@ def _find_assignment_form(option: str) -> str:
                 return form if example is None else f"{form}, e.g. {example[1]}"
     return "NAME=VALUE"
 
+
+_INVALID_FLOAT = re.compile(r"'(.*)' is not a valid float\.?")
+"""Message of click about an option value that is no number; the group is the value."""
+
+_NUMBER_START = re.compile(r"[+-]?\d+([.,]\d+)?")
+"""Number at the start of a text, with a decimal point or a decimal comma."""
 
 _ASSIGNMENT_EXAMPLE = re.compile(r"e\.g\. '?([^ ']*=[^ ']*?)'?[.;]?(?: |$)")
 """Example of a value with an equals sign in the help of an option, such as ``e.g. FR=30mm.``"""

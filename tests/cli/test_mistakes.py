@@ -142,6 +142,8 @@ def test_error_of_a_wrong_argument_says_which_is_expected(
         (("--kp", "5,5"), "kp: '5,5' is not a number; write 5.5"),
         (("--kp", "five"), "kp: 'five' is not a number"),
         (("--swing", "FL=2,5cm"), "write 2.5cm"),
+        (("--leg-scale", "1,2"), "'1,2' is not a number; write 1.2"),
+        (("--leg-scale", "twice"), "'twice' is not a number (see"),
         (("--swing", "FL"), "'FL' is not of the form FOOT=LENGTH, e.g. FR=30mm"),
     ],
     ids=str,

@@ -39,8 +39,13 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     # The largest motor load of the stance is a detail: the objective is the answer.
     load, *others = stand_document.findings
     coordinates, *more = stand_document.details
-    messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *others, coordinates)
+    step = _make_next_step(study)
+    messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *others)
     details: tuple[doc.Words, ...] = (load, *more)
+    if step.command == "path":  # its options state the coordinates
+        details = (coordinates, *details)
+    else:
+        messages = (*messages, coordinates)
     failures, verdict = stand_document.failures, stand_document.verdict
     if study.best.payload is not None:
         loaded = make_document(study.best.payload)
@@ -62,7 +67,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
         failures=failures,
         findings=messages,
         details=details,
-        next_step=_make_next_step(study),
+        next_step=step,
     )
 
 

@@ -172,7 +172,7 @@ def _tabulate_sources(contract: Contract) -> doc.Table:
         )
         for source in contract.sources
     )
-    return doc.Table(text("contract-sources"), columns, rows, detail=False)
+    return doc.Table(text("contract-sources"), columns, rows, detail=True)
 
 
 def _tabulate_facts(

@@ -152,4 +152,5 @@ def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
             doc.Column(text("change"), "%"),
         ),
         tuple(rows),
+        detail=True,
     )

@@ -182,15 +182,15 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
     if not headless:
         display.show_window(robot.mj_model, make_home_data(robot))
     result = simulate_drop(robot)
-    print(format_drop(result))
-    masses = describe_missing_masses(robot)
-    if masses is not None:
-        print(f"UNKNOWN: {masses}")
-    contradictions = list_contradictions(robot)
-    for message in contradictions:
-        print(f"but {message}")
+    masses, contradictions = describe_missing_masses(robot), list_contradictions(robot)
+    fails = not result.stable or bool(contradictions)
+    word = "FAILS" if fails else "STABLE" if masses is None else "UNKNOWN"
+    rest, contacts = format_drop(result)
+    print(f"{word} {robot.name}: {rest}")
+    for message in (*contradictions, *(() if masses is None else (masses,)), contacts):
+        print(f"  {message}")
     print_next_step(NextStep("stand"))
-    return result.stable and masses is None and not contradictions
+    return word == "STABLE"
 
 
 def list_contradictions(robot: Robot) -> tuple[str, ...]:
@@ -212,17 +212,16 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
     return messages if slippery is None else (*messages, str(slippery))
 
 
-def format_drop(result: Drop) -> str:
-    """Return the text about a dropped robot: base height, its deviation, tilt, ground contacts."""
+def format_drop(result: Drop) -> tuple[str, str]:
+    """Return two texts about a dropped robot: base height and its deviation; tilt and contacts."""
     still = result.height_deviation < STABLE_DEVIATION
     sign, end = "<" if still else ">=", result.end
     ending = " = stable" if result.stable else " = NOT stable" if not still else ""
-    words = [
-        f"final z={result.height[-1]:.3f} m",
-        f"last-1s std={1e3 * result.height_deviation:.2f} mm "
-        f"({sign} {1e3 * STABLE_DEVIATION:g} mm{ending})",
-        f"tilt {math.degrees(end.tilt):.1f} deg",
-    ]
+    rest = (
+        f"final z={result.height[-1]:.3f} m, last-1s std={1e3 * result.height_deviation:.2f} mm "
+        f"({sign} {1e3 * STABLE_DEVIATION:g} mm{ending})"
+    )
+    words = [f"tilt {math.degrees(end.tilt):.1f} deg"]
     if result.stable:
         words.append("only the feet touch the ground")
     elif end.touching:
@@ -230,4 +229,4 @@ def format_drop(result: Drop) -> str:
     if not result.stable and end.collapses:
         height, expected = 1e3 * end.height, 1e3 * end.expected_height
         words.append(f"CoM {height:.0f} mm high instead of {expected:.0f} mm")
-    return ", ".join(words) + ("" if result.stable or not still else ": NOT stable")
+    return rest, ", ".join(words) + ("" if result.stable or not still else ": NOT stable")

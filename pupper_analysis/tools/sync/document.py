@@ -45,9 +45,12 @@ def sync_document(
         "attributes-that-would-be-written" if is_hypothetical else "attributes-written-count",
         count=count,
     )
-    messages = [edit_count]
-    if sync.not_mended:
-        messages.append(text("differences-left-count", count=len(sync.not_mended)))
+    if chosen:
+        messages = [edit_count]
+        if sync.not_mended:
+            messages.append(text("differences-left-count", count=len(sync.not_mended)))
+    else:
+        messages = [*_describe_differences(sync)]
     return doc.Document(
         text("sync"),
         text("both-files"),
@@ -62,6 +65,16 @@ def sync_document(
         ),
         next_step=_select_next_step(sync, chosen=chosen, dry_run=dry_run),
     )
+
+
+def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
+    """Yield the number of differences, and the difference to repair first; or that none exists."""
+    if not sync.differences:
+        yield text("no-difference-to-sync")
+        return
+    yield text("differences-listed-count", count=len(sync.differences))
+    first = doc.diagnostic_text(sync.differences[0].diagnostic)
+    yield text("difference-first", difference=first)
 
 
 def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
