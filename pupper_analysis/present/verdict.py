@@ -352,7 +352,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
             collapses=fed is Ending.COLLAPSES,
             disagrees=fed is Ending.DISAGREES,
             fails=fed is Ending.FAILS,
-            failures=join_ground_touches(verdict.failures),
+            failures=_select_stated_failures(verdict),
         )
         yield Clause(False, message)
     else:
@@ -376,6 +376,20 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
         failures = join_ground_touches(verdict.failures_alone)
         yield Clause(False, diagnose("fails-alone", collapses=collapses, failures=failures))
 
+
+def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
+    """Return the failures of the simulation with feed-forward that the verdict states.
+
+    If the robot stands in MuJoCo, and URDF and MJCF describe different robots, this cause alone is
+    stated: the deviations of torques and forces follow from it.
+    """
+    failures = join_ground_touches(verdict.failures)
+    causes = tuple(failure for failure in failures if failure.code == _TWO_ROBOTS_CODE)
+    return causes if causes and verdict.with_feedforward is Ending.DISAGREES else failures
+
+
+_TWO_ROBOTS_CODE = "files-of-two-robots"
+"""Code of the failure that URDF and MJCF describe different robots."""
 
 _TOUCH_CODE = "body-touches-ground"
 """Code of the failure that a body other than a foot touches the ground."""

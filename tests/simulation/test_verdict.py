@@ -16,6 +16,7 @@ from pupper_analysis.present.verdict import (
     format_verdict,
     get_verdict_key,
     join_ground_touches,
+    verdict_clauses,
     verdict_word,
 )
 from pupper_analysis.robot.as_published import (
@@ -30,6 +31,8 @@ from pupper_analysis.robot.as_published import (
 from pupper_analysis.robot.fall import has_collapsed
 from pupper_analysis.simulation.verdict import (
     Ending,
+    Question,
+    Verdict,
     VerdictCode,
     judge_stance,
     predict_verdict,
@@ -287,3 +290,29 @@ def test_bodies_that_touch_the_ground_are_one_failure_with_the_first_time() -> N
     assert str(on_wall) == "arm touches the wall of hand"
     assert joined[1:] == (on_wall, fall)
     assert join_ground_touches((touches[0], fall)) == (touches[0], fall)
+
+
+def test_two_robots_are_the_only_stated_reason_of_a_disagreement() -> None:
+    """The deviating forces follow from the different masses; after a fall, each reason is stated.
+
+    Reference: messages of the failures.
+    """
+    mass = Quantity(1.0, "kg")
+    values = {"mjcf": mass, "urdf": mass, "residual": 9.0}
+    two = diagnose("files-of-two-robots", **values)
+    sags = diagnose("base-sags", height=Quantity(0.1, "m"))
+    verdict = Verdict(
+        code=VerdictCode.DISAGREES,
+        question=Question.STANDS,
+        passed=False,
+        seconds=12.0,
+        with_feedforward=Ending.DISAGREES,
+        failures=(sags, two),
+        overloaded_motors=(),
+        servos=FILE,
+        doubling_time=math.inf,
+    )
+    (stated,) = (str(clause) for clause in verdict_clauses(verdict))
+    assert stated == f"stands in MuJoCo, and not as predicted: {two}"
+    fallen = replace(verdict, code=VerdictCode.FAILS, with_feedforward=Ending.COLLAPSES)
+    assert str(verdict_clauses(fallen)[0]) == f"COLLAPSES in MuJoCo: {sags}; {two}"
