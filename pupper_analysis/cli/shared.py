@@ -8,6 +8,7 @@ the terminal, Markdown, JSON and HTML files, and the exit status.
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 import sys
@@ -150,8 +151,7 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the words of the command line into the parameters of the command.
 
-        The error about an unknown option, such as ``--kp-limit``, suggests the options whose names
-        contain all words of that name and more.
+        The error about an unknown option suggests similar options (`_find_similar_options`).
 
         Raises:
             click.UsageError: If a word is not valid, for example a unit apart from its number.
@@ -168,19 +168,21 @@ class Command(click.Command):
             if found := _INVALID_FLOAT.fullmatch(error.message):
                 number = _NUMBER_START.match(found[1])
                 point = "" if number is None else number[0].replace(",", ".")
-                values = {"part": found[1], "given": "", "point": point}
-                error.message = str(diagnose("part-is-no-number", **values))
+                problem = diagnose("part-is-no-number", part=found[1], given="", point=point)
+                raise click.BadParameter(
+                    str(problem), error.ctx, error.param, error.param_hint
+                ) from error
             raise
         except click.BadOptionUsage as error:
             error.ctx = error.ctx or ctx
             raise
         except click.NoSuchOption as error:
-            words = set(error.option_name.strip("-").split("-"))
-            known = (name for option in self.params for name in option.opts)
-            matching = [name for name in known if words < set(name.strip("-").split("-"))]
-            if matching and error.possibilities is not None:
-                error.possibilities[:] = matching
-            raise
+            similar = _find_similar_options(
+                error.option_name, [name for option in self.params for name in option.opts]
+            )
+            hint = f" Did you mean {' or '.join(map(repr, similar))}?" if similar else ""
+            message = f"No such option {error.option_name!r}.{hint}"
+            raise click.NoSuchOption(error.option_name, message, ctx=error.ctx) from error
 
     def make_missing_error(self, ctx: click.Context, name: str) -> click.UsageError:
         """Return the error about a missing argument: its meaning, and the form of the command.
@@ -235,6 +237,23 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
                 float(value)
                 message = diagnose("unit-apart", given=f"{value} {unit}", wanted=f"{value}{unit}")
                 raise click.UsageError(str(message), context)
+
+
+def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
+    """Return the options whose names contain all words of an unknown name and more.
+
+    Without such an option, the options with similar names are returned. Names are compared without
+    the leading hyphens, because these make all short names similar.
+
+    Args:
+        unknown: Unknown option, such as ``--limit``.
+        known: Options of the command.
+    """
+    names = {name.strip("-"): name for name in known if name.startswith("--")}
+    wanted = unknown.strip("-")
+    words = set(wanted.split("-"))
+    containing = [name for name in names if words < set(name.split("-"))]
+    return [names[name] for name in containing or difflib.get_close_matches(wanted, names)]
 
 
 FORCE_HELP: Final = (

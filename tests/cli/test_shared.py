@@ -33,3 +33,4 @@ def test_unknown_option_suggests_the_option_with_its_words(
     for typed, meant in (("--at", "'--payload-at'"), ("--clearance", "'--ground-clearance'")):
         assert meant in run_command(capfd, "stand", "v3", typed, "1")[2]
     assert "'--height'" in run_command(capfd, "stand", "v3", "--heigth", "1")[2]
+    assert "Did you mean" not in run_command(capfd, "convert", "a.urdf", "--kp", "1")[2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -155,9 +156,12 @@ def _analyze_all(
     from pupper_analysis.tools.analyze.analysis import analyze_variant
     from pupper_analysis.tools.analyze.document import analysis_document
 
-    robots = name_uniquely(meant, [load_selected_robot(robot) for robot in meant])
-    for robot in robots:  # a stance out of reach is found before anything is printed
-        solve_stand(robot, task)
+    has_files = any(isinstance(robot, RobotFiles) for robot in meant)
+    # Loading files shows its own progress.
+    with nullcontext() if has_files else shared.show_progress("loading the robots"):
+        robots = name_uniquely(meant, [load_selected_robot(robot) for robot in meant])
+        for robot in robots:  # a stance out of reach is found before anything is printed
+            solve_stand(robot, task)
     out = make_console()
     analyses = []
     for robot in robots:

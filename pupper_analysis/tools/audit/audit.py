@@ -7,6 +7,7 @@ Output is an ``Audit`` with a finding for each violation, its line and its possi
 
 from __future__ import annotations
 
+import difflib
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -69,7 +70,10 @@ def audit_model(
     unwanted = tuple(dict.fromkeys(disabled))
     unknown = [name for name in unwanted if name not in RULES]
     if unknown:
-        message = diagnose("rules-unknown", names=unknown, known=RULES)
+        alike = dict.fromkeys(
+            rule for name in unknown for rule in difflib.get_close_matches(name, RULES, cutoff=0.5)
+        )
+        message = diagnose("rules-unknown", names=unknown, alike=list(alike), known=RULES)
         raise ConfigurationError("disabled", message)
     reader = reader_of(path)
     with warnings.catch_warnings(), np.errstate(all="ignore"), silence_mujoco():

@@ -17,6 +17,10 @@ from tests.support.repository import ROOT
         ([str(ROOT)], "folder"),
         ([str(ROOT / "README.md")], "not well-formed"),
         ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--disable", "frob"], "no rule 'frob'"),
+        (
+            [str(ROOT / "urdf" / "pupper_v3.urdf"), "--disable", "armature"],
+            "no rule 'armature'; did you mean armature-zero? audit --list-rules lists all",
+        ),
         ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--package", "x"], "NAME=DIR"),
     ],
 )
