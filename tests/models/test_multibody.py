@@ -15,7 +15,16 @@ from pupper_analysis.robot.compare.differences import changes_between
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from tests.support.engines import to_pinocchio
-from tests.support.robots import match_files, mjcf_text, quadruped, urdf_text, write
+from tests.support.robots import (
+    change_part,
+    compare_files,
+    match_files,
+    mjcf_text,
+    quadruped,
+    turned_frames,
+    urdf_text,
+    write,
+)
 from tests.support.variants import load
 
 
@@ -49,3 +58,14 @@ def test_product_of_inertia_is_compared_with_the_largest_moment() -> None:
         bodies = {**first.bodies, name: replace(body, inertia=inertia)}
         found = list(changes_between(first, replace(first, bodies=bodies), tolerances))
         assert [change.kind for change in found] == ["inertia"] * count
+
+
+def test_com_difference_is_stated_in_the_urdf_frame_of_a_turned_body(tmp_path: Path) -> None:
+    """The frames of the MJCF are turned; both CoMs [m] are in the frame of the URDF's link."""
+    urdf = change_part(quadruped(), "shank1", com=(0.0, 0.0, -0.1))
+    files = write(tmp_path, urdf_text(urdf), mjcf_text(quadruped()))
+    files.mjcf.write_text(turned_frames(quadruped(), 5))
+    comparison = compare_files(files)
+    (difference,) = comparison.differences
+    np.testing.assert_allclose(difference.urdf, (0.0, 0.0, -0.1), atol=1e-12)
+    np.testing.assert_allclose(difference.mjcf, (0.004, 0.001, -0.12), atol=1e-12)

@@ -12,7 +12,16 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.urdf_file import MAX_DEPTH, read_urdf
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO
-from tests.support.robots import compare_files, mjcf_text, quadruped, urdf_text, write
+from tests.support.robots import (
+    Part,
+    change_part,
+    compare_files,
+    list_differences,
+    mjcf_text,
+    quadruped,
+    urdf_text,
+    write,
+)
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 POINTER = (
@@ -67,3 +76,38 @@ def test_chain_of_joints_is_limited_to_250_in_any_order_of_links(
         else:
             with pytest.raises(ModelError, match="more than 250 joints"):
                 read_urdf(path)
+
+
+def test_gravity_of_vertical_axes_is_no_deviation(tmp_path: Path) -> None:
+    """A table with two vertical axes: ratios of rounding errors are ignored."""
+    parts = {
+        "base": Part("base", mass=2.0),
+        "one": Part("one", "base", "j1", position=(0, 0, 0.3), axis=(0, 0, 1), com=(0.1, 0, 0)),
+        "two": Part("two", "one", "j2", position=(0.2, 0, 0), axis=(0, 0, 1), com=(0.1, 0, 0)),
+    }
+    mjcf = change_part(parts, "two", com=(0.1, 0.0, 0.00002), quaternion=(1.0, 1e-12, 0.0, 0.0))
+    comparison = compare_files(write(tmp_path, urdf_text(parts), mjcf_text(mjcf, free=False)))
+    assert comparison.deviations["gravity"] < 1e-3
+    assert all(q.relative < 1e-3 for q in comparison.check.quantities if q.name == "gravity")
+
+
+def test_gyro_and_accelerometer_of_one_site_are_the_imu(tmp_path: Path) -> None:
+    """Another site has both sensors, too, and is listed first."""
+    imu = '<link name="imu"/><joint name="to_imu" type="fixed"><origin xyz="0.1 0.02 0.03"/>'
+    urdf = URDF.replace(
+        "</robot>", imu + '<parent link="base"/><child link="imu"/></joint></robot>'
+    )
+    sites = '<site name="a" pos="-0.2 0 0"/><site name="imu" pos="0.1 0.02 0.03"/>'
+    order = [("a", "gyro"), ("imu", "accelerometer"), ("a", "accelerometer"), ("imu", "gyro")]
+    sensors = "".join(f'<{kind} site="{site}"/>' for site, kind in order)
+    mjcf = MJCF.replace("<freejoint/>", "<freejoint/>" + sites)
+    mjcf = mjcf.replace("</mujoco>", f"<sensor>{sensors}</sensor></mujoco>")
+    comparison = compare_files(write(tmp_path, urdf, mjcf))
+    assert comparison.agree
+    (check,) = [q for q in comparison.check.quantities if q.name == "accelerometer"]
+    assert check.relative < 1e-9
+
+
+def test_zero_damping_of_the_urdf_is_a_difference(tmp_path: Path) -> None:
+    comparison = compare_files(write(tmp_path, URDF.replace('damping="0.1"', 'damping="0"'), MJCF))
+    assert {kind for kind, _ in list_differences(comparison)} == {"damping"}

@@ -407,3 +407,45 @@ def test_servos_that_need_feed_forward_are_used_if_no_others_hold(
     robot = load(quadruped(tmp_path))
     assert any(n.code == "rests-with-feed-forward-alone" for n in robot.notes)
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
+
+
+@pytest.mark.slow
+def test_names_with_another_prefix_are_matched_with_a_note(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, prefix="rob_"))
+    assert "FL_roll = rob_FL_roll" in find_note(robot, "other names")
+    verify_held_stand(robot)
+
+
+@pytest.mark.slow
+def test_joint_of_the_mjcf_alone_is_fixed_at_zero_and_named(tmp_path: Path) -> None:
+    """The head of 0.3 kg is in the MJCF alone: the verdict states both masses."""
+    robot = load(quadruped(tmp_path, head=True))
+    assert "nod" in find_note(robot, "only the MJCF has, held at zero")
+    found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
+    assert found.failures[-1].code == "files-of-two-robots"
+    assert "8.700 kg" in str(found.failures[-1])
+    assert "8.400 kg" in str(found.failures[-1])
+
+
+@pytest.mark.slow
+def test_contact_margin_raises_the_feet_by_the_margin(tmp_path: Path) -> None:
+    """Reference: depth of the same feet without margin, less 4 mm."""
+    sphere = '<geom type="sphere" size="0.02" pos="0 0 -0.2" margin="0.004"/>'
+    robot = load(quadruped(tmp_path, foot=sphere))
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    bare = pa.stance.solve_stand_on_soft_ground(load(quadruped(tmp_path)))
+    for foot, depth in stand.depths.items():
+        assert depth == pytest.approx(bare.depths[foot] - 0.004, abs=1e-9)
+    verify_held_stand(robot)
+
+
+@pytest.mark.slow
+def test_overlapping_bodies_do_not_push_each_other(tmp_path: Path) -> None:
+    """The thigh overlaps the trunk in the start pose; the robot stands."""
+    pair = quadruped(tmp_path)
+    text = pair.mjcf.read_text()
+    fat = '<geom type="sphere" size="0.09" pos="0 0 -0.1"/>'
+    pair.mjcf.write_text(text.replace('<body name="FL_calf"', fat + '<body name="FL_calf"', 1))
+    robot = load(pair)
+    assert "FL_thigh and trunk" in find_note(robot, "overlap in the start pose")
+    verify_held_stand(robot)

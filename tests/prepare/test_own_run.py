@@ -245,7 +245,7 @@ def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path
     assert own.missing == ("gone.stl",)
     said = [str(clause.message) for clause in verdict_clauses(judge_nominal_stand(robot))]
     assert any("MuJoCo refuses the file" in line and "gone.stl" in line for line in said)
-    short, _ = split_verdict_lines(judged(robot))
+    short, _ = split_verdict_lines(judge_nominal_stand(robot))
     assert any("MuJoCo refuses the file" in str(line) for line in short)
     severities = {
         finding.severity

@@ -164,3 +164,14 @@ def test_v3_files_differ_by_freejoint_floor_and_keyframe_alone() -> None:
     assert one.keys() == two.keys()
     for name, value in one.items():
         np.testing.assert_array_equal(two[name], value, err_msg=name)
+
+
+def test_fixed_base_has_the_joint_rows_of_the_free_robot() -> None:
+    """Mass matrix and gravity of the free robot without the base rows."""
+    free, fixed = load("v3"), load("v3", fixed_base=True)
+    qpos = free.neutral()
+    qpos[2], qpos[7:] = 0.13, np.linspace(-0.4, 0.4, 12)
+    one, two = pa.Configuration(free, qpos), pa.Configuration(fixed, qpos[7:])
+    np.testing.assert_allclose(two.mass_matrix(), one.mass_matrix()[6:, 6:], atol=1e-15)
+    np.testing.assert_allclose(two.gravity(), one.gravity()[6:], atol=1e-15)
+    np.testing.assert_allclose(two.center_of_mass(), one.center_of_mass(), atol=1e-15)

@@ -230,3 +230,19 @@ def test_unknown_frame_and_foot_are_refused_with_the_valid_names() -> None:
     assert foot.value.known == ("FR", "FL", "RR", "RL")
     with pytest.raises(pa.UnknownNameError):
         config.imu(np.zeros(18), "tail")
+
+
+def test_configuration_copies_and_normalises_its_state() -> None:
+    """Results are copies, too: a changed result does not change the next one."""
+    robot = load("v3")
+    qpos = robot.neutral()
+    qpos[3:7] = 2.0
+    config = pa.Configuration(robot, qpos)
+    np.testing.assert_allclose(config.qpos[3:7], 0.5)
+    qpos[0] = 9.0
+    assert config.qpos[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        config.qpos[0] = 1.0
+    gravity = config.gravity()
+    gravity[:] = 0.0
+    assert config.gravity()[2] == pytest.approx(3.17 * GRAVITY)

@@ -156,10 +156,10 @@ def test_fixed_base_is_at_the_pose_in_the_mjcf_for_either_joint_order(
     tmp_path: Path, first: str
 ) -> None:
     """Reference: positions and bias forces of MuJoCo. Joint ``bend`` is not at the base."""
-    turned = replaced(TINY_MJCF, 'pos="0 0 0.5"', 'pos="0.1 0.2 0.5" euler="0.3 -0.2 0.4"')
+    turned = replace_text(TINY_MJCF, 'pos="0 0 0.5"', 'pos="0.1 0.2 0.5" euler="0.3 -0.2 0.4"')
     if first == "push":
         motors = '<motor joint="push"/><motor joint="bend"/>'
-        turned = replaced(turned, '<motor joint="bend"/><motor joint="push"/>', motors)
+        turned = replace_text(turned, '<motor joint="bend"/><motor joint="push"/>', motors)
     robot = load_files(write(tmp_path, mjcf=turned), fixed_base=True)
     assert robot.joint_names[0] == first
     joints = np.array([0.3, 0.1, -0.7])
@@ -170,3 +170,10 @@ def test_fixed_base_is_at_the_pose_in_the_mjcf_for_either_joint_order(
     np.testing.assert_allclose(config.frame_position("base"), [0.1, 0.2, 0.5], atol=1e-15)
     gravity = data.qfrc_bias[robot.mj_convention.qvel_index]
     np.testing.assert_allclose(config.gravity(), gravity, atol=1e-13)
+
+
+def test_lowest_foot_touches_the_ground_at_the_stand_height(tiny: pa.Robot) -> None:
+    qpos = tiny.neutral()
+    qpos[2] = tiny.stand_height
+    lowest = pa.Configuration(tiny, qpos).contact_points()["foot"]
+    assert lowest[2] == pytest.approx(0, abs=1e-12)

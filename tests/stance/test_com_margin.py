@@ -46,3 +46,12 @@ def test_refusal_of_a_com_margin_states_its_limit() -> None:
     with pytest.raises(pa.StanceUnreachableError):
         pa.solve_stand(robot, replace(task, offset=(1.02 * x, y)), explain=False)
     assert margin_of(robot, error.nearest) >= error.nearest.task.com_margin - 1e-9
+
+
+def test_com_without_required_margin_may_be_outside_of_the_feet() -> None:
+    """The stand is solved; its statics are infeasible."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(offset=(0.11, 0.0), height=0.12))
+    assert stand.com_margin < 0
+    with pytest.raises(pa.StaticsInfeasibleError):
+        pa.stance.stand_statics(robot, stand)

@@ -12,6 +12,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.structure import Kinematics
+from pupper_analysis.stance.clearance import ClearanceShapes
+from pupper_analysis.stance.judge import evaluate_stand
+from pupper_analysis.stance.problem import make_goal
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -57,3 +60,11 @@ def test_constraint_slack_is_the_smallest_of_all_margins() -> None:
     assert room(ground_clearance=ground, self_clearance=near) == pytest.approx(0.03 - 0.05)
     assert room(ground_clearance=near, self_clearance=ground) == pytest.approx(0.03 - 0.04)
     assert room(ground_clearance=None, self_clearance=None) == 0.0
+
+
+def test_configuration_with_a_nan_is_refused_by_its_element() -> None:
+    robot = load("v3")
+    spoilt = stand_of("v3").qpos.copy()
+    spoilt[9] = np.nan
+    with pytest.raises(pa.ConfigurationError, match="element 9 is nan"):
+        evaluate_stand(ClearanceShapes(robot), make_goal(robot, None, {}), spoilt, 0)

@@ -27,3 +27,14 @@ def test_foot_targets_touch_the_plane_and_the_steps(name: str) -> None:
     assert heights["FR"] == pytest.approx(0, abs=1e-12)  # the ground itself does not sink
     assert goal.height == pytest.approx(goal.contacts[:, 2].mean() + robot.stand_height)
     np.testing.assert_allclose(goal.place, goal.contacts[:, :2].mean(axis=0))
+
+
+def test_goal_place_is_that_of_the_com_or_of_the_base() -> None:
+    robot = load("v3")
+    centre = make_goal(robot, pa.StandTask(), {}).place
+    com = make_goal(robot, pa.StandTask(com=(0.01, 0.02)), {})
+    assert not com.by_base
+    np.testing.assert_array_equal(com.place, (0.01, 0.02))
+    base = make_goal(robot, pa.StandTask(offset=(0.01, 0.02)), {})
+    assert base.by_base
+    np.testing.assert_allclose(base.place - centre, (0.01, 0.02))

@@ -138,3 +138,17 @@ def test_stand_of_another_robot_is_refused(other: str) -> None:
     ):
         with pytest.raises(pa.ConfigurationError, match=f"a stand of v3.*solve it for {other}"):
             use(robot, stand)
+
+
+@pytest.mark.parametrize("height", [0.22, 0.25, 0.5, 1.0, 3.0])
+def test_height_beyond_the_legs_is_refused_by_the_missing_length(height: float) -> None:
+    """Reference: the skeleton's foot is at most 0.19 m from its hip, and its radius is 0.018 m."""
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(load("original"), pa.StandTask(height))
+    missing = height - 0.018 - 0.19
+    assert min(caught.value.shortfall.values()) >= missing - 1e-9
+    # The com is off the hips by 5 mm, so the legs are not quite upright.
+    assert max(caught.value.shortfall.values()) < missing + 0.0004
+    assert set(caught.value.shortfall) == {"FL", "FR", "RL", "RR"}
+    assert "mm" in str(caught.value)
+    assert f"height {1000 * height:.1f} mm" in str(caught.value)

@@ -241,3 +241,16 @@ def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Pa
     assert "cannot stand: no feet were found, and a mesh file is missing" in said
     assert (said.count(mesh), said.count("--package all=DIR")) == (1, 1)
     assert "fixed base" not in said
+
+
+@pytest.mark.slow
+def test_limbs_on_a_link_fixed_to_a_massless_root_are_legs(tmp_path: Path) -> None:
+    text = URDF.read_text()
+    root = '<link name="root"/><joint name="to_root" type="fixed"><parent link="root"/>'
+    root += '<child link="base_link"/></joint>'
+    at = text.index(">", text.index("<robot")) + 1
+    file = tmp_path / "rooted.urdf"
+    file.write_text(text[:at] + root + text[at:].replace("../mjcf", str(MJCF.parent)))
+    robot = pa.load_robot(file)
+    assert robot.floating
+    assert len(robot.feet) == 4

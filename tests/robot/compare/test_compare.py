@@ -129,3 +129,12 @@ def test_mass_difference_of_one_percent_is_listed_before_limits(mass: float, tie
     diagnostic = diagnose("no-mesh", problem="")
     for urdf, mjcf in ((1.0, mass), (mass, 1.0)):
         assert Difference("mass", "torso", urdf, mjcf, "kg", diagnostic, {}).tier == tier
+
+
+def test_position_limit_of_one_file_alone_is_an_infinite_deviation(tmp_path: Path) -> None:
+    parts = change_part(quadruped(), "thigh0", kind="continuous")
+    small = {name: part for name, part in quadruped().items() if part.link != "x"}
+    comparison = compare_files(write_parts(tmp_path, parts, small))
+    limits = {q.name: q for q in comparison.check.quantities}["lower joint limits"]
+    assert limits.relative == float("inf")
+    assert limits.location == "hip0"

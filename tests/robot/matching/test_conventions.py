@@ -259,3 +259,16 @@ def test_rotated_fixed_base_gives_one_note(tmp_path: Path, names: bool) -> None:
     (said,) = (str(note) for note in comparison.notes if "is placed" in str(note))
     assert "turned by 120 deg about (0.57735, 0.57735, 0.57735) in the world" in said
     assert set(comparison.joints) == {"turn", "lift", "push"}
+
+
+@pytest.mark.slow
+def test_link_frames_moved_along_their_axes_agree(tmp_path: Path) -> None:
+    """Frames of all links are turned and shifted at random."""
+    random = np.random.default_rng(3)
+    mjcf, feet = quadruped(), FEET
+    for link, part in quadruped().items():
+        if part.parent:
+            turn = Rotation.random(rng=random)
+            shift = random.normal() * 0.1 * np.array(mjcf[link].axis)
+            mjcf, feet = change_frame(mjcf, feet, link, turn, shift)
+    assert compare_files(pair(tmp_path, mjcf, feet)).agree

@@ -16,6 +16,7 @@ from tests.support.robots import (
     Part,
     Parts,
     arm,
+    change_part,
     compare_files,
     list_differences,
     mjcf_text,
@@ -363,13 +364,15 @@ def test_mjcf_base_in_the_frame_of_the_massless_root_link_agrees(tmp_path: Path)
     }
     text = with_root("fixed", '<origin xyz="0 0 0.1"/>')
     mjcf = mjcf_text(lifted).replace('<body name="base"', '<body name="world_"')
-    assert found(compare_texts(tmp_path, text, mjcf)) == []
+    assert list_differences(compare_texts(tmp_path, text, mjcf)) == []
 
 
 def test_two_unnamed_hinges_of_one_body_match_two_joints_of_the_urdf(tmp_path: Path) -> None:
     """A universal joint: two hinges in one body, and a massless link between them in the URDF."""
     fork = Part("fork", "base", "roll", position=(0.3, 0.0, 0.0), mass=0.0)
-    wheel = replace(light("wheel", "fork", axis=(0.0, 1.0, 0.0)), position=(0.0, 0.0, 0.0))
+    wheel = replace(
+        make_light_part("wheel", "fork", axis=(0.0, 1.0, 0.0)), position=(0.0, 0.0, 0.0)
+    )
     urdf = urdf_text(quadruped() | {"fork": fork, "wheel": wheel})
     body = (
         '<body pos="0.3 0 0"><joint axis="1 0 0" range="-1 1" damping="0.1" armature="0.01" '
@@ -378,4 +381,39 @@ def test_two_unnamed_hinges_of_one_body_match_two_joints_of_the_urdf(tmp_path: P
     )
     comparison = compare_texts(tmp_path, urdf, MJCF.replace("<freejoint/>", f"<freejoint/>{body}"))
     assert set(comparison.guessed) == {"roll", "to_wheel"}
-    assert {kind for kind, _ in found(comparison)} <= {"effort"}
+    assert {kind for kind, _ in list_differences(comparison)} <= {"effort"}
+
+
+def test_joints_match_that_are_mutually_nearest(tmp_path: Path) -> None:
+    """A joint of the URDF alone is 30 mm from a renamed joint, and stays unmatched."""
+    hip = quadruped()["thigh0"]
+    near = tuple(np.array(hip.position) + np.array([0.03, 0.0, 0.0]))
+    extra = make_light_part("aid", "base", quaternion=hip.quaternion, axis=hip.axis, position=near)
+    urdf = {
+        "base": quadruped()["base"],
+        "aid": replace(extra, joint="a_first"),
+        **{name: part for name, part in quadruped().items() if name != "base"},
+    }
+    mjcf = rename_joints(quadruped(), hip0="front_hip")
+    comparison = compare_files(write_parts(tmp_path, urdf, mjcf))
+    assert comparison.guessed == {"hip0": "front_hip"}
+    assert comparison.only_urdf == ("a_first",)
+
+
+def split_shank(parts: Parts) -> Parts:
+    """Return the parts with the shank of leg 0 as two bodies on a fixed joint, of the same mass."""
+    whole = parts["shank0"]
+    com, half = np.array(whole.com), 0.5 * np.array(whole.inertia)
+    shared = {"mass": whole.mass / 2, "inertia": tuple(half)}
+    below = Part("toe0", "shank0", "toe", "fixed", position=(0.0, 0.0, -0.2), **shared)
+    below = replace(below, com=tuple(com - (0.0, 0.0, -0.2)))
+    return {**change_part(parts, "shank0", **shared), "toe0": below}
+
+
+@pytest.mark.parametrize("where", ["urdf", "mjcf"])
+def test_fixed_children_merged_in_one_file_agree(tmp_path: Path, where: str) -> None:
+    urdf = split_shank(quadruped()) if where == "urdf" else quadruped()
+    mjcf = split_shank(quadruped()) if where == "mjcf" else quadruped()
+    comparison = compare_files(write_parts(tmp_path, urdf, mjcf))
+    assert list_differences(comparison) == []
+    assert comparison.agree

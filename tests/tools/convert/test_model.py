@@ -499,3 +499,17 @@ def test_converted_robot_does_not_jump_from_qpos0(quad: Path) -> None:
         mujoco.mj_step(model, data)
         highest = max(highest, float(data.qpos[2]))
     assert highest < model.qpos0[2] + 0.1
+
+
+@pytest.mark.slow
+def test_requested_armature_is_written_at_the_named_joints(tmp_path: Path) -> None:
+    """Reference: MuJoCo's ``dof_armature`` of the written file [kg m^2]."""
+    urdf = write_standing_urdf(tmp_path)
+    sizes = {"knee": 0.02, "roll": 0.01}
+    legs = ("FL", "FR", "RL", "RR")
+    given = {f"{leg}_{name}": size for leg in legs for name, size in sizes.items()}
+    mjcf, found = convert_file(urdf, "quad.xml", armature=given)
+    assert found.passed, found.failures
+    model = compile_file(mjcf)
+    armature = {model.joint(i).name: model.dof_armature[i + 5] for i in range(1, 13)}
+    assert armature == {**dict.fromkeys(armature, 0.0), **given}

@@ -391,3 +391,22 @@ def test_com_moves_by_the_same_distance_in_files_of_different_mass() -> None:
     base = heavier.mj_model.body(heavier.mj_base).id
     moved = after.mj_model.body_ipos[base] - heavier.mj_model.body_ipos[base]
     assert np.linalg.norm(moved) == pytest.approx(0.01)
+
+
+def test_com_offset_of_a_study_moves_the_base_back() -> None:
+    """The CoM stays over the feet: the base moves back by more than half of m / M of the offset."""
+    before = load("v3")
+    name = f"com_x:{before.base}"
+    maker = DesignBuilder(study({name: [0.0, 0.02]}).source, pa.StandTask(), (0.0, 0.0, 0.0))
+    still, moved = (maker.design({name: value}) for value in (0.0, 0.02))
+    share = float(before.pin_model.inertias[1].mass) / before.total_mass
+    back = moved.stand.qpos[0] - still.stand.qpos[0]
+    assert -0.03 < back < -0.5 * share * 0.02
+    assert moved.stand.com_margin == pytest.approx(still.stand.com_margin, abs=1e-9)
+    assert (
+        scale_robot(before, {name: 0.01, f"mass:{before.base}": 1.5}).total_mass > before.total_mass
+    )
+    with pytest.raises(pa.ConfigurationError, match="no parameter of a model"):
+        study({"com_w:base": [0.0]})
+    with pytest.raises(pa.ConfigurationError, match="offset of nan"):
+        scale_robot(before, {name: math.nan})
