@@ -608,6 +608,12 @@ def simulate_published(
     low, high = np.full(model.nv, np.inf), np.full(model.nv, -np.inf)
     outside = np.zeros(model.nv)
     addresses = model.jnt_qposadr[model.dof_jntid[dofs]] if len(dofs) else dofs
+    # Servos whose torque a motor of the file exerts; the others act on the joints directly.
+    by_motor = [index for index, dof in enumerate(dofs.tolist()) if dof in hold.motor_laws]
+    direct = np.setdiff1d(np.arange(len(dofs)), by_motor)
+    laws = [hold.motor_laws[dof] for dof in dofs[by_motor].tolist()]
+    controls, levers, offsets = np.array(laws, dtype=float).reshape(-1, 3).T
+    controls = controls.astype(np.intp)
     # Gravity compensation of actuators is no effect of their commands.
     has_gravcomp = model.jnt_actgravcomp[model.dof_jntid] != 0
     damping = model.dof_damping[dofs].copy()
@@ -621,13 +627,8 @@ def simulate_published(
         for step in range(num_unrecorded, num_steps):
             if len(dofs):
                 torque = feedforward + kp * (targets - data.qpos[addresses])
-                outside[:] = 0.0
-                for dof, joint_torque in zip(dofs.tolist(), torque.tolist(), strict=True):
-                    if dof in hold.motor_laws:
-                        control, lever, offset = hold.motor_laws[dof]
-                        data.ctrl[control] = (joint_torque - offset) / lever
-                    else:
-                        outside[dof] = joint_torque
+                data.ctrl[controls] = (torque[by_motor] - offsets) / levers
+                outside[dofs[direct]] = torque[direct]
                 data.qfrc_applied[:] = outside
             mujoco.mj_step(model, data)
             was_reset = was_reset_by_mujoco(data)

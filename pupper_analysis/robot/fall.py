@@ -84,11 +84,11 @@ _MIN_UPWARD_NORMAL = 0.1
 ground in the search below a robot. A wall has less. Chosen, not tuned."""
 
 
-_RESET_WARNINGS = (
+_RESET_WARNINGS = [
     mujoco.mjtWarning.mjWARN_BADQPOS.value,
     mujoco.mjtWarning.mjWARN_BADQVEL.value,
     mujoco.mjtWarning.mjWARN_BADQACC.value,
-)
+]
 """MuJoCo's warnings about numbers that are not finite or too large, after which MuJoCo resets the
 state."""
 
@@ -228,7 +228,7 @@ def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
 
     MuJoCo's warning counters are evaluated: the time alone does not show a reset in the first step.
     """
-    return any(data.warning[kind].number > 0 for kind in _RESET_WARNINGS)
+    return bool(data.warning.number[_RESET_WARNINGS].any())
 
 
 def _copy_with_kinematics(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
