@@ -8,6 +8,7 @@ chain of joints.
 
 from __future__ import annotations
 
+import copy
 import math
 import reprlib
 from collections.abc import Sequence
@@ -24,8 +25,9 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.description import ModelTree
+from pupper_analysis.models.mjcf import find_invalid_number
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.robot.build import rebuild_robot
+from pupper_analysis.robot.build import copy_metadata, rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
@@ -302,7 +304,8 @@ def with_payload(
     weight = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
     for tree, carrier, position in sides:
         tree.add_link(name, carrier, f"{name}_weld", position, weight)
-    built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
+    changes = {"urdf": to_text(urdf.root), "mjcf": mjcf.spec}
+    built = _build_loaded_robot(robot, (link, offset.tobytes(), name), mass, changes)
     # Keep changes of Pinocchio's model since the files were read, such as limits.
     model = robot.pin_model.copy()
     frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
@@ -310,3 +313,96 @@ def with_payload(
     model.inertias[frame.parentJoint] = model.inertias[frame.parentJoint] + welded
 
     return replace(built, pin_model=model, fingerprint=robot.fingerprint)
+
+
+@dataclass(eq=False)
+class _LoadedModel:
+    """Compiled model of a robot with a payload, which is reused for other masses at the same place.
+
+    Attributes:
+        place: Link, bytes of the offset, and name of the payload's body; None without a payload.
+        robot: Robot with the payload, without its published file; None without a payload.
+        is_exact: Whether a change of the mass in the compiled model has given the model that
+            MuJoCo compiles; None before the first comparison.
+    """
+
+    place: tuple[str, bytes, str] | None = None
+    robot: Robot | None = None
+    is_exact: bool | None = None
+
+
+def _make_cache(_: Robot) -> _LoadedModel:
+    """Return an empty cache for the place of the last payload."""
+    return _LoadedModel()
+
+
+def _build_loaded_robot(
+    robot: Robot, place: tuple[str, bytes, str], mass: float, changes: dict[str, Any]
+) -> Robot:
+    """Build a robot with a payload; from the second mass at a place on, without a compilation.
+
+    The second mass is compiled as well, and both models are compared byte by byte. If they differ,
+    for example because MuJoCo computes the damping of a servo from ``dampratio``, each mass is
+    compiled.
+
+    Args:
+        robot: Robot without payload.
+        place: Link, bytes of the offset, and name of the payload's body.
+        mass: Mass of the payload [kg].
+        changes: Fields of ``Description`` with the payload.
+    """
+    cache = robot.compute_once(_make_cache)
+    if cache.place != place:
+        cache.place, cache.robot, cache.is_exact = place, None, None
+    model = None
+    if cache.robot is not None and cache.is_exact is not False:
+        model = _change_payload_mass(cache.robot, place[-1], mass)
+        if cache.is_exact and model is not None:
+            description = replace(robot.description, **changes)
+            built = replace(cache.robot, mj_model=model, description=description)
+            return copy_metadata(built, robot)
+    built = rebuild_robot(robot, **changes)
+    if cache.robot is None:
+        cache.robot = replace(built, published=None)
+    elif cache.is_exact is None:
+        cache.is_exact = model is not None and np.array_equal(
+            _serialize_model(model), _serialize_model(built.mj_model)
+        )
+    return built
+
+
+def _change_payload_mass(loaded: Robot, name: str, mass: float) -> mujoco.MjModel | None:
+    """Return a copy of a robot's MuJoCo model with another mass [kg] of the payload's body.
+
+    Constants that depend on the mass are computed again, among these ``meaninertia`` and
+    ``meanmass``, which ``mj_setConst`` does not change. None if MuJoCo would not compile the mass
+    as given: with a lower bound of all masses, without such a body, or with a number that is
+    refused.
+    """
+    statistic = loaded.description.mjcf.stat
+    body = mujoco.mj_name2id(loaded.mj_model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if body < 0 or loaded.description.mjcf.compiler.boundmass > 0:
+        return None
+    model = copy.copy(loaded.mj_model)
+    model.body_mass[body] = mass
+    if find_invalid_number(model) is not None:
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_fwdPosition(model, data)
+    mass_matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass_matrix)
+    # Summed in the order of MuJoCo's compiler, so that the last digits are equal.
+    if math.isnan(statistic.meaninertia):
+        model.stat.meaninertia = sum(np.diag(mass_matrix).tolist()) / model.nv
+    if math.isnan(statistic.meanmass):
+        model.stat.meanmass = sum(model.body_mass[1:].tolist()) / (model.nbody - 1)
+    return model
+
+
+def _serialize_model(model: mujoco.MjModel) -> NDArray[np.uint8]:
+    """Return the bytes of a MuJoCo model, as ``mj_saveModel`` writes them to a file."""
+    content = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content

@@ -4,6 +4,9 @@ forms and MuJoCo.
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import evaluate_mujoco
+from tests.support.legged import quadruped
 from tests.support.states import random_state
 from tests.support.variants import load
 
@@ -80,3 +84,42 @@ def test_contact_softness_under_a_payload_equals_that_of_mujoco() -> None:
         mujoco.mj_contactForce(loaded.mj_model, data, number, wrench)
         total += data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
     assert total[2] > 0
+
+
+def test_third_payload_at_a_place_is_not_compiled_and_equals_the_compiled_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Reference: the model that MuJoCo compiles for the first payload of another robot."""
+    robot, compiled = (
+        pa.load_variant("v3"),
+        with_payload(pa.load_variant("v3"), 2.5, (0.01, 0.0, 0.08)),
+    )
+    for mass in (1.0, 4.0):
+        with_payload(robot, mass, (0.01, 0.0, 0.08))
+    monkeypatch.setattr("pupper_analysis.robot.tool.rebuild_robot", None)
+    changed = with_payload(robot, 2.5, (0.01, 0.0, 0.08))
+    assert _serialize(changed.mj_model) == _serialize(compiled.mj_model)
+    assert changed.description.urdf == compiled.description.urdf
+    assert changed.description.mjcf.to_xml() == compiled.description.mjcf.to_xml()
+    assert changed.pin_model == compiled.pin_model
+    assert changed.published is not None
+
+
+def test_payload_is_compiled_if_the_damping_of_a_servo_depends_on_the_mass(tmp_path: Path) -> None:
+    """MuJoCo's compiler computes kv of ``dampratio`` from the inertia of the loaded robot."""
+    pair = quadruped(tmp_path, actuators="position")
+    text = pair.mjcf.read_text()
+    assert 'kv="' in text
+    pair.mjcf.write_text(re.sub(r'kv="[^"]*"', 'dampratio="1"', text))
+    robot, reference = pa.load_robot(*pair), pa.load_robot(*pair)
+    compiled = with_payload(reference, 2.5)
+    for mass in (1.0, 4.0, 2.5):
+        loaded = with_payload(robot, mass)
+    assert _serialize(loaded.mj_model) == _serialize(compiled.mj_model)
+
+
+def _serialize(model: mujoco.MjModel) -> bytes:
+    """Return the bytes that MuJoCo writes to a file."""
+    content = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content.tobytes()
