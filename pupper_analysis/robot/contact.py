@@ -202,6 +202,30 @@ def ground_forces(
     return forces, other_bodies
 
 
+def find_ground_contacts(
+    model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
+) -> tuple[set[str], set[str]]:
+    """Return the names of feet, and of other bodies, that touch the world body.
+
+    Unlike `ground_forces`, no forces are computed. Contacts in the gap beyond the margin are
+    ignored.
+
+    Args:
+        model: MuJoCo model.
+        data: Data after ``mj_collision``.
+        foot_geoms: {geom id: foot}.
+    """
+    pairs = data.contact.geom[find_acting_contacts(data)]
+    is_fixed = model.geom_bodyid[pairs] == 0
+    # Geoms of moving bodies whose contact partner is fixed.
+    geoms = set(pairs[is_fixed[:, ::-1] & ~is_fixed].tolist())
+    bodies = (int(model.geom_bodyid[geom]) for geom in geoms.difference(foot_geoms))
+    return (
+        {foot_geoms[geom] for geom in geoms if geom in foot_geoms},
+        {model.body(body).name for body in bodies},
+    )
+
+
 def bodies_on_ground(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> set[str]:
@@ -214,11 +238,7 @@ def bodies_on_ground(
         data: Data after ``mj_collision``.
         foot_geoms: {geom: foot}.
     """
-    pairs = data.contact.geom[find_acting_contacts(data)]
-    is_fixed = model.geom_bodyid[pairs] == 0
-    # Geoms of moving bodies whose contact partner is fixed.
-    geoms = set(pairs[is_fixed[:, ::-1] & ~is_fixed].tolist())
-    return {model.body(int(model.geom_bodyid[geom])).name for geom in geoms.difference(foot_geoms)}
+    return find_ground_contacts(model, data, foot_geoms)[1]
 
 
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:

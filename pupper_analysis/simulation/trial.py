@@ -16,15 +16,22 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.base.arrays import project_perpendicular
 from pupper_analysis.base.results import Result
+from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import MAX_CREEP_SPEED, compute_creep_speeds
-from pupper_analysis.simulation.rollout import StandStart, check_stand, make_stand_start, roll_out
+from pupper_analysis.simulation.linear import LinearStep
+from pupper_analysis.simulation.rollout import (
+    STATE_SPEC,
+    StandStart,
+    check_stand,
+    make_stand_start,
+    roll_out,
+)
 from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -86,6 +93,9 @@ at rest, and the simulation ends. Chosen as a hundredth of ``MAX_JOINT_DEVIATION
 _SPEED_FACTOR = 1.5
 """Safety factor on the largest measured speed in the bound of the remaining motion, since an
 oscillation may be slower for a while. Chosen, not tuned."""
+
+_PREDICTION_FACTOR = 1.25
+"""Safety factor on the displacements that the linearised step predicts. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
 """Product of growth rate and remaining time of a mode above which its motion counts as unbounded:
@@ -320,12 +330,16 @@ class _FailureConditions:
         robot = held.robot
         self.held, self.stand, self.robot = held, stand, robot
         self.timestep = float(held.drive.model.opt.timestep)
-        self.sampler = monitor.ContactSampler(robot, held.drive.model)
-        self.creeps = compute_creep_speeds(robot, stand, held.prediction)
+        self.data = mujoco.MjData(held.drive.model)
+        creeps = compute_creep_speeds(robot, stand, held.prediction)
         self.efforts = robot.effort_ranges * (1 - 1e-9)
         self.names = np.array(robot.joint_names)
         self.lower, self.upper = _free_joint_limits(robot, stand)
         self.normals = stand.lift_directions(robot)
+        self.foot_normals = np.array([self.normals[foot] for foot in stand.stance_feet])
+        self.foot_normals = self.foot_normals.reshape(-1, 3)
+        self.foot_creeps = [min(creeps[foot], MAX_CREEP_SPEED) for foot in stand.stance_feet]
+        self.stance_feet = tuple(robot.foot_of(foot) for foot in stand.stance_feet)
         self.carrying = set(robot.feet_with(stand.stance_feet))
         forces = {
             foot: float(held.prediction.contact_forces[foot] @ self.normals[foot])
@@ -334,6 +348,8 @@ class _FailureConditions:
         min_force = monitor.LIGHT_FOOT_LOAD * sum(forces.values())
         self.light = {foot for foot, force in forces.items() if force < min_force}
         self.growth_rate = 0.0
+        self._linear: LinearStep | None = None
+        self._linear_time = math.nan
 
     def bound_motion(self, speed: float, remaining: float) -> float:
         """Return an upper bound of the motion of a coordinate [m, rad] in the ``remaining`` time T.
@@ -348,19 +364,74 @@ class _FailureConditions:
             _SPEED_FACTOR * speed * (math.expm1(growth) / self.growth_rate if growth else remaining)
         )
 
-    def sample(self, state: Array) -> tuple[monitor.ContactSample, Array, Array]:
-        """Return ground contacts, joint positions (nu,) [rad, m] and torques (nu,) at a state."""
-        sample = self.sampler.sample(state, self.held.ctrl)
-        data, convention = self.sampler.data, self.robot.mj_convention
-        return (
-            sample,
-            data.qpos[convention.qpos_index[7:]],
-            data.qfrc_actuator[convention.qvel_index[6:]],
-        )
+    def predict_motion(self, states: Array, remaining: float) -> tuple[Array, Array] | None:
+        """Return the motion after the last of ``states`` that the linearised step predicts.
 
-    def find_touching(self, sample: monitor.ContactSample) -> list[str]:
-        """Return the sorted names of swing feet and other bodies on the ground in a sample."""
-        return sorted(sample.bodies | (set(sample.forces) - self.carrying))
+        None if a mode grows, or if the linearised step does not reproduce ``states``, shape (n,
+        size), of successive steps. The step is linearised once per interval for all runs, at the
+        state of the first run that needs it.
+
+        Args:
+            states: States of the last interval.
+            remaining: Remaining time [s].
+
+        Returns:
+            Displacements, times ``_PREDICTION_FACTOR``, shape (n, nv) [m, rad]; and velocities,
+            shape (n, nv) [m/s, rad/s].
+        """
+        if self.growth_rate:
+            return None
+        model = self.held.drive.model
+        if self._linear_time != remaining:
+            self.sample(states[-1])
+            mujoco.mj_forward(model, self.data)
+            self._linear = LinearStep(model, self.data)
+            self._linear_time = remaining
+        assert self._linear is not None
+        if not self._linear.reproduces(states):
+            return None
+        predicted = self._linear.predict(states[-2], states[-1], remaining)
+        if not np.isfinite(predicted).all():
+            return None
+        velocity = states[-1, 1 + model.nq : 1 + model.nq + model.nv]
+        displacements, changes = predicted[:, : model.nv], predicted[:, model.nv : 2 * model.nv]
+        return _PREDICTION_FACTOR * displacements, velocity + changes
+
+    def displacement(self, state: Array) -> Array:
+        """Return the displacement of the positions from the unnudged start, (nv,) [m, rad]."""
+        model, displacement = self.held.drive.model, np.empty(self.held.drive.model.nv)
+        ends = slice(1, 1 + model.nq)
+        mujoco.mj_differentiatePos(model, displacement, 1.0, self.held.start[ends], state[ends])
+        return displacement
+
+    def sample(self, state: Array) -> tuple[set[str], set[str], Array]:
+        """Evaluate the ground contacts and motor torques at a state.
+
+        No contact forces are computed, which saves most of the time.
+
+        Returns:
+            Feet on the ground; swing feet and other bodies on the ground; torques, shape (nu,)
+            [N m, N].
+        """
+        model, data = self.held.drive.model, self.data
+        mujoco.mj_setState(model, data, state, STATE_SPEC)
+        data.ctrl[:] = self.held.ctrl
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        feet, bodies = contact.find_ground_contacts(model, data, self.robot.foot_geoms)
+        torques = data.qfrc_actuator[self.robot.mj_convention.qvel_index[6:]]
+        return feet, bodies | (feet - self.carrying), torques
+
+    def joint_positions(self, states: Array) -> Array:
+        """Return the joint positions in states (..., size): shape (..., nu) [rad, m]."""
+        positions: Array = states[..., 1 + self.robot.mj_convention.qpos_index[7:]]
+        return positions
+
+    def locate_feet(self) -> Array:
+        """Return the centres of the stance feet at the state sampled last, shape (n, 3) [m]."""
+        centres = monitor.foot_centres(self.robot, self.data)
+        return np.array([centres[foot] for foot in self.stand.stance_feet]).reshape(-1, 3)
 
 
 class _NudgedRun:
@@ -381,8 +452,10 @@ class _NudgedRun:
         self.saturated: _Event | None = None
         self._lifted: _Event | None = None
         self._is_saturated = False
-        self._initial_positions: dict[str, Array] = {}
+        self._initial_centres: Array | None = None
         self._slips: dict[str, float] = {}
+        displacement = conditions.displacement(start)
+        self._lowest, self._highest = displacement, displacement
 
     def advance(self, states: Array, stride: int, remaining: float) -> None:
         """Evaluate the next states of this simulation: set ``failure`` and ``is_decided``.
@@ -398,10 +471,10 @@ class _NudgedRun:
         if monitor.has_diverged(successive, conditions.timestep):
             self.failure = 0.0, Failure.BUCKLING, ()
         else:
-            for state in states[::stride]:
-                self.failure = self._find_failure(state)
-                if self.failure is not None:
-                    break
+            self.failure = self._find_failure(states[::stride])
+            displacements = [conditions.displacement(state) for state in states[::stride]]
+            self._lowest = np.minimum(self._lowest, np.min(displacements, axis=0))
+            self._highest = np.maximum(self._highest, np.max(displacements, axis=0))
         if self.failure is None and not remaining:
             self.failure = self.saturated if self._is_saturated else self._lifted
         self.is_decided = (
@@ -410,63 +483,71 @@ class _NudgedRun:
             or self.will_hold(states, len(states) * conditions.timestep, before, remaining)
         )
 
-    def _find_failure(self, state: Array) -> _Event | None:
-        """Return the failure at a state; None without a failure.
+    def _find_failure(self, samples: Array) -> _Event | None:
+        """Return the first failure in successive samples (n, size); None without a failure.
 
         Saturated motors and lifted feet with little load are no failure yet; `advance` reports them
         at the end of the simulation.
         """
         conditions = self._conditions
-        robot, stand, normals = conditions.robot, conditions.stand, conditions.normals
-        sample, angles, torques = conditions.sample(state)
-        saturated_joints = conditions.names[
-            (torques < conditions.efforts[:, 0]) | (torques > conditions.efforts[:, 1])
-        ].tolist()
-        self._is_saturated = bool(saturated_joints)
-        if saturated_joints and self.saturated is None:
-            self.saturated = sample.time, Failure.MOTOR, tuple(saturated_joints)
-        positions = monitor.foot_centres(robot, conditions.sampler.data)
-        initial = self._initial_positions = self._initial_positions or positions
-        self._slips = {
-            foot: float(
-                np.linalg.norm(
-                    project_perpendicular(positions[foot] - initial[foot], normals[foot])
-                )
-            )
-            - min(conditions.creeps[foot], MAX_CREEP_SPEED) * sample.time
-            for foot in stand.stance_feet
-        }
-        raised = [
-            foot
-            for foot in (() if robot.welds else stand.stance_feet)
-            if robot.foot_of(foot) not in sample.forces
-            and (positions[foot] - initial[foot]) @ normals[foot] > MAX_FOOT_LIFT
-        ]
-        self._lifted = (sample.time, Failure.TIPPING, tuple(raised)) if raised else None
-        deviations = np.abs(angles - stand.qpos[7:])
-        failures = {
-            Failure.GROUND: conditions.find_touching(sample),
-            Failure.JOINT: conditions.names[
-                (angles < conditions.lower) | (angles > conditions.upper)
-            ].tolist(),
-            Failure.TIPPING: [foot for foot in raised if foot not in conditions.light],
-            Failure.SLIDING: [foot for foot, slip in self._slips.items() if slip > MAX_FOOT_SLIP],
-            Failure.BUCKLING: conditions.names[deviations > MAX_JOINT_DEVIATION].tolist(),
-        }
-        for failure, where in failures.items():
-            if where:
-                return self.saturated or (sample.time, failure, tuple(where))
+        robot, feet = conditions.robot, tuple(conditions.stand.stance_feet)
+        feet_on_ground, touching, torques, centres = [], [], [], []
+        for sample in samples:
+            grounded, others, motor_torques = conditions.sample(sample)
+            feet_on_ground.append(grounded)
+            touching.append(sorted(others))
+            torques.append(motor_torques)
+            centres.append(conditions.locate_feet())
+        if self._initial_centres is None:
+            self._initial_centres = centres[0]
+        moved, normals = np.array(centres) - self._initial_centres, conditions.foot_normals
+        raised = np.einsum("nfi,fi->nf", moved, normals)
+        along = np.linalg.norm(moved - raised[..., None] * normals, axis=-1)
+        slips = along - np.outer(samples[:, 0], conditions.foot_creeps)
+        is_lifted = np.array(
+            [
+                [foot not in grounded for foot in conditions.stance_feet]
+                for grounded in feet_on_ground
+            ]
+        ).reshape(raised.shape) & (raised > MAX_FOOT_LIFT)
+        is_lifted &= not robot.welds
+        efforts, torques_of_samples = conditions.efforts, np.array(torques)
+        is_saturated = (torques_of_samples < efforts[:, 0]) | (torques_of_samples > efforts[:, 1])
+        angles = conditions.joint_positions(samples)
+        is_limited = (angles < conditions.lower) | (angles > conditions.upper)
+        is_buckled = np.abs(angles - conditions.stand.qpos[7:]) > MAX_JOINT_DEVIATION
+        is_sliding = slips > MAX_FOOT_SLIP
+        names = np.array(feet)
+        for index, time in enumerate(samples[:, 0].tolist()):
+            self._is_saturated = bool(is_saturated[index].any())
+            if self._is_saturated and self.saturated is None:
+                saturated_joints = conditions.names[is_saturated[index]].tolist()
+                self.saturated = time, Failure.MOTOR, tuple(saturated_joints)
+            raised_feet = names[is_lifted[index]].tolist()
+            self._lifted = (time, Failure.TIPPING, tuple(raised_feet)) if raised_feet else None
+            failures = {
+                Failure.GROUND: touching[index],
+                Failure.JOINT: conditions.names[is_limited[index]].tolist(),
+                Failure.TIPPING: [foot for foot in raised_feet if foot not in conditions.light],
+                Failure.SLIDING: names[is_sliding[index]].tolist(),
+                Failure.BUCKLING: conditions.names[is_buckled[index]].tolist(),
+            }
+            for failure, where in failures.items():
+                if where:
+                    return self.saturated or (time, failure, tuple(where))
+        self._slips = dict(zip(feet, slips[-1].tolist(), strict=True))
         return None
 
     def will_hold(
         self, states: Array, interval: float, slips: dict[str, float], remaining: float
     ) -> bool:
-        """Return True if the robot rests, so that no failure is expected in the remaining time.
+        """Return True if no failure is expected in the remaining time.
 
-        The remaining motion of each coordinate is estimated from the largest speed of the last
-        interval and the largest growth rate of the modes in the spectra so far
-        (`_FailureConditions.bound_motion`). The conditions of a failure are evaluated with this
-        motion.
+        The remaining motion of each coordinate is bounded by the largest speed of the last interval
+        and the largest growth rate of the modes in the spectra so far
+        (`_FailureConditions.bound_motion`). If this bound is too large, the motion is predicted by
+        the linearised step, and each coordinate must remain within the range that it has passed
+        since the nudge. The conditions of a failure are evaluated with the remaining motion.
 
         Args:
             states: States of the last interval, shape (n, size).
@@ -483,32 +564,71 @@ class _NudgedRun:
             speed = max(speed, float(np.abs(filtered[-1] - filtered[0]).max()) / interval)
         if self._is_saturated or self._lifted or not slips:
             return False
-        if conditions.bound_motion(speed, remaining) > _MAX_REMAINING_MOTION:
+        motion, speeds = self._bound_motion(states, speed, remaining)
+        if motion is None:
             return False
         spectrum = evaluate_spectrum(drive, self.state, conditions.held.ctrl, settle=0.0)
         rates = [math.log1p(mode.growth) / conditions.timestep for mode in spectrum.unstable]
         conditions.growth_rate = max(conditions.growth_rate, *rates, 0.0)
-        motion = conditions.bound_motion(speed, remaining)
-        if motion > _MAX_REMAINING_MOTION:
+        motion, speeds = self._bound_motion(states, speed, remaining)
+        if motion is None:
             return False
-        sample, angles, torques = conditions.sample(self.state)
-        if not conditions.carrying <= set(sample.forces) and not robot.welds:
+        feet, _, torques = conditions.sample(self.state)
+        if not conditions.carrying <= feet and not robot.welds:
             return False
-        torque_changes = drive.kp * motion + drive.kd * speed
+        angles = conditions.joint_positions(self.state)
+        dofs = robot.mj_convention.qvel_index[6:]
+        torque_changes = drive.kp * motion[dofs] + drive.kd * speeds[dofs]
+        joint_motion = motion[dofs]
         slip_rates = {
             foot: max(slip - slips[foot], 0.0) / interval for foot, slip in self._slips.items()
         }
         return not (
             ((torques - torque_changes < conditions.efforts[:, 0]).any())
             or ((torques + torque_changes > conditions.efforts[:, 1]).any())
-            or ((angles - motion < conditions.lower) | (angles + motion > conditions.upper)).any()
-            or (np.abs(angles - stand.qpos[7:]) + motion > MAX_JOINT_DEVIATION).any()
+            or (
+                (angles - joint_motion < conditions.lower)
+                | (angles + joint_motion > conditions.upper)
+            ).any()
+            or (np.abs(angles - stand.qpos[7:]) + joint_motion > MAX_JOINT_DEVIATION).any()
             or any(
                 slip + conditions.bound_motion(slip_rates[foot], remaining) > MAX_FOOT_SLIP
                 for foot, slip in self._slips.items()
             )
-            or self._reaches_ground(_CLEARANCE_FACTOR * motion)
+            or self._reaches_ground(_CLEARANCE_FACTOR * float(motion.max()))
         )
+
+    def _bound_motion(
+        self, states: Array, speed: float, remaining: float
+    ) -> tuple[Array | None, Array]:
+        """Return bounds of the remaining motion (nv,) [m, rad] and of the speeds (nv,).
+
+        The motion is None if it is too large for the end of the simulation.
+
+        Args:
+            states: States of the last interval, shape (n, size).
+            speed: Largest speed of a coordinate in the interval [m/s, rad/s].
+            remaining: Remaining time [s].
+        """
+        conditions, nv = self._conditions, self._conditions.held.drive.model.nv
+        motion, speeds = conditions.bound_motion(speed, remaining), np.full(nv, speed)
+        if motion <= _MAX_REMAINING_MOTION:
+            return np.full(nv, motion), speeds
+        if self.saturated is not None:
+            return None, speeds
+        predicted = conditions.predict_motion(states, remaining)
+        if predicted is None:
+            return None, speeds
+        displacements, velocities = predicted
+        positions = conditions.displacement(self.state) + displacements
+        exceeds = (positions > self._highest + _MAX_REMAINING_MOTION) | (
+            positions < self._lowest - _MAX_REMAINING_MOTION
+        )
+        elapsed = float(self.state[0] - conditions.held.start[0])
+        slip = max(self._slips.values(), default=0.0)
+        if exceeds.any() or slip * (1 + remaining / elapsed) > MAX_FOOT_SLIP:
+            return None, speeds
+        return np.abs(displacements).max(axis=0), np.abs(velocities).max(axis=0)
 
     def _reaches_ground(self, distance: float) -> bool:
         """Return True if a body or swing foot touches the ground once the base is lowered.
@@ -521,7 +641,7 @@ class _NudgedRun:
         for normal in np.unique(np.round(list(conditions.normals.values()), 6), axis=0):
             lowered = self.state.copy()
             lowered[columns] -= distance * normal
-            if conditions.find_touching(conditions.sample(lowered)[0]):
+            if conditions.sample(lowered)[1]:
                 return True
         return False
 

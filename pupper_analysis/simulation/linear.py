@@ -1,0 +1,93 @@
+"""Predict the motion of a robot near rest from the linearised MuJoCo step.
+
+Near rest the change d of the state in a step follows d[n+1] = A d[n], with the derivative A of the
+step at a constant command. The sum of these changes is the displacement (`LinearStep.predict`).
+`LinearStep.reproduces` compares the prediction with a simulated interval.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.robot.stability import step_derivative
+
+Array = NDArray[np.float64]
+
+_MAX_SAMPLE_TIME = 0.05
+"""Upper bound of the time between the evaluated displacements of a prediction [s]. The displacement
+of an oscillation at 2 Hz, sampled ten times per period, is at most 5 % larger in between."""
+
+_INTERVAL_RTOL, _INTERVAL_ATOL = 0.1, 1e-6
+"""Largest error of the displacement that is predicted for a simulated interval: relative to the
+largest simulated displacement of a coordinate, and absolute [m, rad]. Chosen, not tuned."""
+
+
+class LinearStep:
+    """Linearised step of a MuJoCo model at a state under a constant command.
+
+    Args:
+        model: MuJoCo model.
+        data: State, after ``mj_forward``, with ``ctrl``; not changed.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._derivative = model, step_derivative(model, data)
+        self._timestep = float(model.opt.timestep)
+        # Number of steps between two evaluated displacements, a power of two.
+        self._stride = 1
+        power, total = self._derivative, self._derivative
+        while 2 * self._stride * self._timestep <= _MAX_SAMPLE_TIME:
+            total = total + power @ total
+            power, self._stride = power @ power, 2 * self._stride
+        self._power, self._total = power, total
+
+    def predict(self, before: Array, state: Array, duration: float) -> Array:
+        """Return the displacements from a state at times up to a duration, shape (n, 2 nv + na).
+
+        Columns are positions [m, rad], velocities [m/s, rad/s] and activations, in the tangent
+        space. Values may be infinite or not a number if a mode grows without bound.
+
+        Args:
+            before: State one step earlier (mjSTATE_FULLPHYSICS).
+            state: The state.
+            duration: Time after the state [s].
+        """
+        return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
+
+    def reproduces(self, states: Array) -> bool:
+        """Return True if positions predicted from the first two states agree with later states.
+
+        Args:
+            states: Successive states after each step, shape (n, size), n > 2.
+        """
+        count, nv = (len(states) - 2) // self._stride, self._model.nv
+        if count < 1:
+            return False
+        predicted = self._predict(states[0], states[1], count)[:, :nv]
+        later = states[1 + self._stride :: self._stride][:count]
+        simulated = np.array([self.subtract(states[1], state)[:nv] for state in later])
+        most = float(np.abs(simulated).max(initial=0.0))
+        error = float(np.abs(predicted - simulated).max(initial=0.0))
+        return error <= _INTERVAL_RTOL * most + _INTERVAL_ATOL
+
+    def _predict(self, before: Array, state: Array, count: int) -> Array:
+        """Return displacements from ``state`` after 1 to ``count`` strides; see ``predict``."""
+        change = self.subtract(before, state)
+        displacements, displacement = np.empty((count, len(change))), np.zeros(len(change))
+        with np.errstate(over="ignore", invalid="ignore"):  # growth without bound
+            for index in range(count):
+                displacement = displacement + self._total @ change
+                displacements[index], change = displacement, self._power @ change
+        return displacements
+
+    def subtract(self, before: Array, state: Array) -> Array:
+        """Return the change between two states in the tangent space, shape (2 nv + na,)."""
+        model = self._model
+        ends = 1 + model.nq, 1 + model.nq + model.nv + model.na
+        positions = np.empty(model.nv)
+        mujoco.mj_differentiatePos(model, positions, 1.0, before[1 : ends[0]], state[1 : ends[0]])
+        return np.concatenate([positions, (state - before)[ends[0] : ends[1]]])
