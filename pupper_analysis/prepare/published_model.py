@@ -40,7 +40,7 @@ from pupper_analysis.models.transmission import (
     list_tendon_servos,
     read_actuator_law,
 )
-from pupper_analysis.robot.fall import was_reset_by_mujoco
+from pupper_analysis.robot.fall import count_resets, was_reset_by_mujoco
 from pupper_analysis.robot.floor import disable_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import (
@@ -611,6 +611,7 @@ def simulate_published(
     # Servos whose torque a motor of the file exerts; the others act on the joints directly.
     by_motor = [index for index, dof in enumerate(dofs.tolist()) if dof in hold.motor_laws]
     direct = np.setdiff1d(np.arange(len(dofs)), by_motor)
+    direct_dofs = dofs[direct]
     laws = [hold.motor_laws[dof] for dof in dofs[by_motor].tolist()]
     controls, levers, offsets = np.array(laws, dtype=float).reshape(-1, 3).T
     controls = controls.astype(np.intp)
@@ -619,6 +620,7 @@ def simulate_published(
     damping = model.dof_damping[dofs].copy()
     model.dof_damping[dofs] += kd  # integrated implicitly, like the damping of MuJoCo's servos
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
+    reset_counts = count_resets(data)
     with silence_mujoco():
         num_unrecorded = 0 if len(dofs) else num_steps - num_recorded  # no control between steps
         for begin in range(0, num_unrecorded, _STEPS_PER_CHECK):
@@ -627,11 +629,12 @@ def simulate_published(
         for step in range(num_unrecorded, num_steps):
             if len(dofs):
                 torque = feedforward + kp * (targets - data.qpos[addresses])
-                data.ctrl[controls] = (torque[by_motor] - offsets) / levers
-                outside[dofs[direct]] = torque[direct]
+                if by_motor:
+                    data.ctrl[controls] = (torque[by_motor] - offsets) / levers
+                outside[direct_dofs] = torque[direct]
                 data.qfrc_applied[:] = outside
             mujoco.mj_step(model, data)
-            was_reset = was_reset_by_mujoco(data)
+            was_reset = bool(reset_counts.any())
             if was_reset or step >= num_steps - num_recorded:
                 applied = data.qfrc_actuator + outside - has_gravcomp * data.qfrc_gravcomp
                 np.minimum(low, applied, out=low)

@@ -84,13 +84,11 @@ _MIN_UPWARD_NORMAL = 0.1
 ground in the search below a robot. A wall has less. Chosen, not tuned."""
 
 
-_RESET_WARNINGS = [
-    mujoco.mjtWarning.mjWARN_BADQPOS.value,
-    mujoco.mjtWarning.mjWARN_BADQVEL.value,
-    mujoco.mjtWarning.mjWARN_BADQACC.value,
-]
+_RESET_WARNINGS = slice(
+    mujoco.mjtWarning.mjWARN_BADQPOS.value, mujoco.mjtWarning.mjWARN_BADQACC.value + 1
+)
 """MuJoCo's warnings about numbers that are not finite or too large, after which MuJoCo resets the
-state."""
+state: BADQPOS, BADQVEL and BADQACC."""
 
 
 def nudge_velocity(model: mujoco.MjModel) -> Array:
@@ -228,7 +226,16 @@ def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
 
     MuJoCo's warning counters are evaluated: the time alone does not show a reset in the first step.
     """
-    return bool(data.warning.number[_RESET_WARNINGS].any())
+    return bool(count_resets(data).any())
+
+
+def count_resets(data: mujoco.MjData) -> NDArray[np.int32]:
+    """Return the counters of MuJoCo's warnings about a reset state, as a view into ``data``.
+
+    The values change while MuJoCo simulates. See `was_reset_by_mujoco`.
+    """
+    counters: NDArray[np.int32] = data.warning.number[_RESET_WARNINGS]
+    return counters
 
 
 def _copy_with_kinematics(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:

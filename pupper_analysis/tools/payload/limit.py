@@ -508,6 +508,11 @@ def _holds_in_simulation(verdict: Verdict) -> bool:
     return verdict.passed or verdict.code in UNKNOWN_CODES
 
 
+_ROUNDING = 1 + 1e-9
+"""Factor of the tolerance of a bisection [1]: a bracket that was made as wide as the tolerance is
+not bisected because of rounding. Chosen far above rounding errors."""
+
+
 def _bisect_mass(
     find_cause: Callable[[float], FailureCause],
     low: float,
@@ -528,7 +533,7 @@ def _bisect_mass(
     """
     assert cause is not None
     rounds = 0
-    while high - low > (resolution := max(tolerance, relative_tolerance * low)):
+    while high - low > _ROUNDING * (resolution := max(tolerance, relative_tolerance * low)):
         rounds_left = math.ceil(math.log2((high - low) / resolution))
         report_progress("payload", rounds, rounds + rounds_left)
         rounds += 1
