@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import pytest
 
+from pupper_analysis import cli
 from tests.support.commands import run_command
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
@@ -71,7 +72,22 @@ OPTIONS = {
     "hold": ("--joints", "shoulder=0.3"),
 }
 COMPARING = {"crosscheck", "convert", "sync", "diff"}
-SLOW = {"stand", "payload", "push", "best", "live", "path", "study", "walk"}
+SLOW = {"stand", "payload", "push", "best", "live", "path", "study", "walk", "gains"}
+
+FILE_COMMANDS = {"audit", "contract", "convert", "crosscheck", "diff", "sync"}
+"""Commands that compare or check files. Each has a row for each value of ``SPECIAL_VALUES``."""
+
+SPECIAL_VALUES = {
+    *(("effort", "0"), ("velocity", "0"), ("range", "0 to 0"), ("range", "0 0"), ("mass", "0")),
+    *(("friction of a geom", "0"), ("kp", "0"), ("ctrlrange of a servo", "0 0")),
+    *(("ctrlrange of a motor", "0 0"), ("forcerange", "0 0"), ("actuatorfrcrange", "0 0")),
+    ("armature", "absent"),
+}
+"""{(attribute, value)}: the values that were read as favourable ones in earlier versions."""
+
+COMMANDS_WITHOUT_ROWS = {"analyze", "check", "fit", "workspace"}
+"""``analyze`` reads variants of Pupper only, ``check`` runs the functions of ``audit``,
+``crosscheck`` and ``contract``, ``fit`` needs measurements, and ``workspace`` gives no verdict."""
 
 
 def rows() -> list[object]:
@@ -168,8 +184,11 @@ def test_command_output_equals_the_row_of_the_table(
     lines = [line for line in out.splitlines() if not line.startswith(("note: ", "… "))]
     answer_text = "\n".join(lines)
     word = row["verdict"].split(":")[0].split(";")[0]
-    if word in ("HOLDS", "FAILS", "FAILED", "UNKNOWN", "WALKS", "FALLS"):
+    if word in ("HOLDS", "FAILS", "FAILED", "UNKNOWN", "WALKS", "FALLS", "OUT OF BOUNDS"):
         assert answer_text.startswith(word), out
+    if command == "audit":
+        shown = {"error": "ERRORS", "warning": "WARNINGS"}.get(word, "OK")
+        assert answer_text.startswith(shown + " "), out
     if word in ("AGREE", "DISAGREE", "DIFFER", "SAME", "DIFFERENT", "TRACKED"):
         assert answer_text.startswith(word + " "), out
     if "no friction" in row["verdict"] and command not in ("contract", "study"):
@@ -200,6 +219,25 @@ def check_metrics(verdict: str, result: dict[str, Any]) -> None:
     else:
         at_limit = result["gaits"][0]["at_limit"]
         assert at_limit == [None] * 12 if "unknown" in verdict else None not in at_limit
+
+
+def test_each_special_value_has_rows_for_the_commands_that_read_files() -> None:
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        table = list(csv.DictReader(file))
+    commands = {
+        value: {row["command"] for row in table if (row["attribute"], row["value"]) == value}
+        for value in SPECIAL_VALUES
+    }
+    missing = {value: FILE_COMMANDS - found for value, found in commands.items()}
+    assert not {value: lacking for value, lacking in missing.items() if lacking}
+
+
+def test_each_command_has_rows() -> None:
+    """Reference: the commands that ``pupper-analysis --help`` lists."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        found = {row["command"] for row in csv.DictReader(file)}
+    assert found | COMMANDS_WITHOUT_ROWS == set(cli.COMMAND_NAMES)
+    assert not found & COMMANDS_WITHOUT_ROWS
 
 
 def test_an_arm_with_forces_clamped_to_zero_falls_in_mujoco() -> None:

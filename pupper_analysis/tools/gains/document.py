@@ -15,6 +15,11 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes, task_text
+from pupper_analysis.present.verdict import (
+    clause_text,
+    make_replaced_clauses,
+    make_servo_clause,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.gains.gains import GAIN_MARGIN, MAX_NOISE_RATIO, GainBound, GainStudy
 
@@ -37,7 +42,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
         passed=study.passed,
         verdict=text(_VERDICT_KEYS[study.worst.stable, study.passed]),
         failures=failures,
-        findings=(_describe_range(study), _describe_controller(study)),
+        findings=(_describe_range(study), *_describe_servos(study), _describe_controller(study)),
         details=(
             task_text(study.stand.task),
             text("gains-damping-ratio", ratio=f"{study.damping_ratio:.2f}"),
@@ -49,7 +54,8 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
 
 
 def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
-    """Yield texts: unstable mode, sag without feed-forward, joint classes that exceed a bound."""
+    """Yield texts: replaced servos, unstable mode, sag, joint classes that exceed a bound."""
+    yield from map(clause_text, make_replaced_clauses(study.servos.replacement_servos))
     if not study.worst.stable:
         joints = join_words([doc.Name(name) for name in study.worst.joints])
         time = f"{1e3 * math.log(2) / study.worst.growth_rate:.3g}"
@@ -73,6 +79,12 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
                 joints=doc.Name(one.name),
                 kd=f"{one.largest_kd_of_encoder:.3g}",
             )
+
+
+def _describe_servos(study: GainStudy) -> Iterable[doc.Words]:
+    """Yield the statement that the present gains are those of added servos."""
+    if study.servos.made:
+        yield clause_text(make_servo_clause(study.servos, good=study.passed)).with_mark("warn")
 
 
 def _describe_range(study: GainStudy) -> doc.Words:

@@ -22,7 +22,9 @@ from pupper_analysis.base.errors import ConfigurationError, NoStiffnessError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.alike import sibling_joints
+from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.stance.sag.steady_state import find_sag_failure, minimum_stiffness
@@ -144,6 +146,7 @@ class GainStudy(Result):
     Attributes:
         name: Name of the robot.
         stand: Stand, on MuJoCo's soft ground.
+        servos: Origin and range of the present gains.
         integrator: MuJoCo integrator of the model.
         timestep: Time step of the model (s).
         period: Control period (s).
@@ -170,6 +173,7 @@ class GainStudy(Result):
 
     name: str
     stand: Stand
+    servos: ServosUsed
     integrator: str
     timestep: float = field(metadata={"unit": "s"})
     period: float = field(metadata={"unit": "s"})
@@ -193,10 +197,13 @@ class GainStudy(Result):
     def passed(self) -> bool:
         """Whether the robot stands stably with the present gains.
 
-        The modes with feed-forward are stable, the robot stands without feed-forward, and no gain
-        exceeds the bound of a torque limit or encoder.
+        The modes with feed-forward are stable, the robot stands without feed-forward, no gain
+        exceeds the bound of a torque limit or encoder, and no gain of the file was invalid and
+        therefore replaced.
         """
-        return self.worst.stable and self.sag_failure is None and not self.exceeded
+        replaced = self.servos.replacement_servos
+        stable = self.worst.stable and self.sag_failure is None
+        return stable and not self.exceeded and not replaced
 
     @property
     def uniform(self) -> bool:
@@ -319,6 +326,7 @@ def study_gains(
     return GainStudy(
         name=robot.name,
         stand=settled,
+        servos=find_servos_used(robot, kp, kd),
         integrator=held.drive.integrator,
         timestep=float(held.drive.model.opt.timestep),
         period=loop.period,
