@@ -1,7 +1,8 @@
 """Simulate a stand with the base nudged in twelve directions, and report the first failure.
 
 A simulation ends at the first failure, or when no failure is expected for the remaining time: its
-motion is bounded from the speeds and the growing modes of a step (`_NudgedRun.will_hold`).
+motion is bounded from the speeds and the growing modes of a step, or predicted by the linearised
+step (`_NudgedRun.will_hold`).
 Failures are saturated motors, slipping or lifted feet, large joint deviations, joint limits, and
 other parts on the ground.
 """
@@ -87,8 +88,9 @@ _CHECK_INTERVAL = 0.5
 Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
-"""Predicted motion of a coordinate in the remaining time [m, rad] below which the robot counts as
-at rest, and the simulation ends. Chosen as a hundredth of ``MAX_JOINT_DEVIATION``."""
+"""Largest motion of a coordinate in the remaining time [m, rad] with which the robot counts as at
+rest, and the simulation ends. Also the largest predicted distance of a coordinate from its range
+since the nudge (`_NudgedRun._bound_motion`). Chosen as a hundredth of ``MAX_JOINT_DEVIATION``."""
 
 _SPEED_FACTOR = 1.5
 """Safety factor on the largest measured speed in the bound of the remaining motion, since an
@@ -170,9 +172,10 @@ def simulate_nudges(
     only dry friction holds is detected by the spectrum and a larger nudge
     (``growth.confirm_growth``).
 
-    Each simulation ends at its first failure, after ``duration``, or when the robot rests: with the
-    current speeds and the fastest growing mode, the remaining motion is below 1 mm or 1 mrad, and
-    this motion causes no failure.
+    Each simulation ends at its first failure, after ``duration``, or when the remaining motion
+    causes no failure and is known. This motion is below 1 mm or 1 mrad with the current speeds and
+    the fastest growing mode; or no mode grows, the linearised step reproduces the last 0.5 s, and
+    predicts that each coordinate leaves the range since the nudge by at most 1 mm or 1 mrad.
 
     A foot that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the weight may lift
     if the foot is back on the ground at the end.
