@@ -54,16 +54,14 @@ _MAX_ITERATIONS = 100
 needed if the feet are at the limit of reach. Chosen, not tuned."""
 
 _MIN_PROGRESS_RATIO = 0.9
-"""Upper bound of the ratio ``violation / smallest earlier violation`` with which an evaluation of a
-Jacobian counts as progress. Evaluations without progress end the solve (`_PATIENCE`). Chosen, not
-tuned."""
+"""Upper bound of the ratio ``violation / smallest earlier violation`` with which an SLSQP iteration
+counts as progress. Iterations without progress end the solve (`_PATIENCE`). Chosen, not tuned."""
 
-_PATIENCE = (4, 32)
-"""Largest number of successive Jacobian evaluations without progress in an SLSQP solve: (without
-slacks, with slacks). One more ends the solve. An iteration evaluates two Jacobians: of the
-equalities and of the inequalities. Measured without slacks: the bound was exceeded in 1 of 138
-solves that led to a stand, and in two thirds of 206 solves that led to none. With slacks: in 1 of
-350, and in one eighth of 633."""
+_PATIENCE = (1, 15)
+"""Largest number of successive iterations without progress in an SLSQP solve: (without slacks, with
+slacks). One more ends the solve. Measured without slacks: the bound was exceeded in 1 of 138 solves
+that led to a stand, and in two thirds of 206 solves that led to none. With slacks: in 1 of 350, and
+in one eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
 """Diagonal of the pivoted QR factor of the equalities' Jacobian, relative to the largest, below
@@ -116,16 +114,15 @@ class _Point:
 
 
 class _NoProgressError(Exception):
-    """Raised to end SLSQP if successive Jacobian evaluations see no progress (`_PATIENCE`)."""
+    """Raised to end SLSQP if successive iterations make no progress (`_PATIENCE`)."""
 
 
 class _Progress:
-    """Monitor of the violation along a solve, updated by each evaluation of a Jacobian.
+    """Monitor of the violation along a solve, updated by each iteration.
 
     Args:
         enough: Violation that counts as satisfied [m, rad].
-        patience: Largest number of successive evaluations without progress; one more ends the
-            solve.
+        patience: Largest number of successive iterations without progress; one more ends the solve.
 
     Attributes:
         x: Variables with the smallest violation so far.
@@ -136,21 +133,25 @@ class _Progress:
     def __init__(self, enough: float, patience: int) -> None:
         self._enough, self._patience = enough, patience
         self._smallest, self._steps_in_vain = math.inf, 0
+        self._last: Array | None = None
 
     def update(self, x: Array, violation: float) -> None:
         """Record the violation at variables ``x``, and store ``x`` with the smallest violation.
 
         There is progress if the violation is at most ``enough``, or at most `_MIN_PROGRESS_RATIO`
-        of the smallest earlier violation. Each call counts, also a second call with the same ``x``
-        (SLSQP evaluates the Jacobians of equalities and of inequalities separately).
+        of the smallest earlier violation. Successive calls with the same ``x`` count once: in an
+        iteration, SLSQP evaluates the Jacobians of equalities and of inequalities separately.
 
         Args:
             x: Variables of the program.
             violation: Largest violation of the constraints at ``x`` [m, rad].
 
         Raises:
-            _NoProgressError: If more than ``patience`` successive calls found no progress.
+            _NoProgressError: If more than ``patience`` successive iterations found no progress.
         """
+        if self._last is not None and np.array_equal(x, self._last):
+            return
+        self._last = x.copy()
         helps = violation <= max(self._enough, _MIN_PROGRESS_RATIO * self._smallest)
         self._steps_in_vain = 0 if helps else self._steps_in_vain + 1
         if violation < self._smallest:

@@ -18,6 +18,7 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.floor import find_floor
 from pupper_analysis.robot.terrain import build_on_ground
+from pupper_analysis.stance import programme
 from pupper_analysis.stance import search as search_module
 from pupper_analysis.stance.stand import stand_statics
 from tests.support import random_legged
@@ -230,10 +231,10 @@ def test_search_terminates_if_it_returns_to_its_start(
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     tried: list[object] = []
 
-    def met(search: search_module._Search, programme: object, qpos: object) -> object:
+    def met(search: search_module._Search, program: object, qpos: object) -> object:
         tried.append(qpos)
         assert len(tried) < 100
-        return original(search, programme, qpos)  # type: ignore[arg-type]
+        return original(search, program, qpos)  # type: ignore[arg-type]
 
     original = search_module._Search.solve_program
     monkeypatch.setattr(search_module._Search, "solve_program", met)
@@ -255,3 +256,15 @@ def test_foot_lifted_over_its_step_is_above_the_step_by_the_swing_height(slope: 
     assert above == pytest.approx(robot.contact_radius["FL"] + 0.015 * normal[2], abs=1e-9)
     failures = pa.verify_stand(robot, stand, duration=2.0, nudged=0).failures
     assert not any("touches" in str(failure) for failure in failures)
+
+
+def test_two_jacobians_of_an_iteration_count_as_one_step_without_progress() -> None:
+    """SLSQP evaluates the Jacobians of equalities and inequalities at the same variables."""
+    progress = programme._Progress(enough=0.1, patience=1)
+    points = [np.array([float(number)]) for number in range(3)]
+    for point in points[:2]:  # the second makes no progress
+        for _ in range(2):
+            progress.update(point, 1.0)
+    with pytest.raises(programme._NoProgressError):
+        progress.update(points[2], 1.0)
+    np.testing.assert_array_equal(progress.x, points[0])
