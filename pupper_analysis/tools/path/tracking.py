@@ -39,6 +39,8 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 
+Array = NDArray[np.float64]
+
 MAX_TIMESTEP = 2.5e-4
 """Upper bound of the default time step [s]. An implicit integrator adds kd x time step to the
 inertia of a joint, which the contacts ignore. Measured torque errors of `original` by this effect:
@@ -241,9 +243,6 @@ def _select_timestep(robot: Robot, first: Stand, drive: Servos) -> float:
     shortest_decay = float(np.min(inertia[damped] / drive.kd[damped], initial=math.inf))
     upper = min(float(drive.model.opt.timestep), MAX_TIMESTEP)
     return min(upper, max(MIN_TIMESTEP, _MAX_ADDED_INERTIA * shortest_decay))
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -468,7 +468,7 @@ class Observer:
     """
 
     def __init__(self, stage: Stage, commands: Array) -> None:
-        self._stage, self._compute_controls = stage, commands
+        self._stage, self._commands = stage, commands
         self._contract: Contract = stage.policy.contract
         self.last = np.zeros((len(commands), self._contract.num_joints))
         shape = (len(commands), self._contract.history, self._contract.frame_size)
@@ -523,7 +523,7 @@ class Observer:
             "linear-velocity": np.einsum("rji,rj->ri", base_rotations, qvel[:, :3]),
             "angular-velocity": qvel[:, 3:6],
             "gravity": -base_rotations[:, 2],
-            "command": self._compute_controls[active],
+            "command": self._commands[active],
             "up-command": np.tile(up, (num_runs, 1)),
             "joint-positions": contract.signs * qpos[:, 7 + joints] - contract.default,
             "joint-velocities": contract.signs * qvel[:, 6 + joints],
