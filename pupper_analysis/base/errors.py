@@ -194,7 +194,7 @@ class StanceUnreachableError(PupperAnalysisError):
 
     Attributes:
         shortfall: {foot or contact point: remaining distance [m] to the target}.
-        at_limit: {joint: limit [rad]} of the joints at a limit in the best configuration found.
+        at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found.
         possible: {requirement: diagnostic of its feasible value}, for each requirement whose
             relaxation alone makes the task feasible. If there is none, for small sets that must be
             relaxed together ("height and roll"). Some values may exceed those of the nominal stand.
@@ -217,6 +217,7 @@ class StanceUnreachableError(PupperAnalysisError):
         blocked: Iterable[Diagnostic] = (),
         limits: Mapping[str, Mapping[str, Any]] | None = None,
         lacks: Diagnostic | None = None,
+        units: Mapping[str, str] | None = None,
     ) -> None:
         self.lacks = lacks
         self.limits = dict(limits or {})
@@ -239,7 +240,11 @@ class StanceUnreachableError(PupperAnalysisError):
             if error >= min_shown_error
         ]
         joints = [
-            diagnose("joint-at-limit", subject=("joint", name), limit=Quantity(limit, "rad"))
+            diagnose(
+                "joint-at-limit",
+                subject=("joint", name),
+                limit=Quantity(limit, (units or {}).get(name, "rad")),
+            )
             for name, limit in self.at_limit.items()
         ]
         feet = [diagnose("feet-miss-targets", feet=foot_diagnostics)] if foot_diagnostics else []

@@ -14,7 +14,7 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.efforts import EffortCode, EffortLimit, EffortStatement
 from pupper_analysis.robot.alike import sibling_joints
-from pupper_analysis.robot.joints import free_joints, is_slide
+from pupper_analysis.robot.joints import force_unit, free_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import MIN_TORQUE_PER_MASS, GravityCompensation
 
@@ -46,7 +46,7 @@ def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -
     if not loaded:
         return None
     hardest = max(loaded, key=needed.__getitem__)
-    unit = "N" if is_slide(robot, hardest) else "N m"
+    unit = force_unit(robot, hardest)
     torque = Quantity(needed[hardest], unit)
     return diagnose("passive-joints-loaded", joints=loaded, hardest=hardest, torque=torque)
 
@@ -74,11 +74,13 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
         attribute=origin.attribute,
         value=f"{high:g}" if origin.attribute == "effort" else f"{low:g} {high:g}",
         negative=null[0].code is EffortCode.NEGATIVE,
-        **_proposed_limit_fields(twin or _sibling_limit(robot, null)),
+        **_proposed_limit_fields(robot, twin or _sibling_limit(robot, null)),
     )
 
 
-def _proposed_limit_fields(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
+def _proposed_limit_fields(
+    robot: Robot, found: tuple[str, EffortStatement] | None
+) -> dict[str, Any]:
     """Return the fields of a message that proposes an effort limit.
 
     ``found`` contains a joint and the statement of its limit, from the other file or a similar
@@ -88,7 +90,7 @@ def _proposed_limit_fields(found: tuple[str, EffortStatement] | None) -> dict[st
         return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}
     joint, statement = found
     return {
-        "other": Quantity(statement.symmetric_torque, "N m"),
+        "other": Quantity(statement.symmetric_torque, force_unit(robot, joint)),
         "other_file": statement.file,
         "other_name": joint,
         "other_attribute": statement.attribute,
@@ -143,6 +145,6 @@ def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagn
         "torque-limits-unknown",
         joints=unknown,
         count=len(unknown),
-        torque=Quantity(float(needed[hardest]), "N m"),
+        torque=Quantity(float(needed[hardest]), force_unit(robot, hardest)),
         hardest=hardest,
     )

@@ -31,6 +31,7 @@ from pupper_analysis.prepare.feet import report_sideways_limbs
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import find_acting_contacts
 from pupper_analysis.robot.fall import simulate_keyframe
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
@@ -655,8 +656,9 @@ def _list_objections(
     if not beyond.size:
         return (diagnose("keyframe-feet-uneven", subject=subject),)
     names = [robot.joint_names[joint] for joint in beyond]
-    angle = Quantity(float(excess.max()), "rad")
-    return (diagnose("keyframe-beyond-limits", subject=subject, joints=names, excess=angle),)
+    worst = int(np.argmax(excess))
+    most = Quantity(float(excess[worst]), joint_unit(robot, robot.joint_names[worst]))
+    return (diagnose("keyframe-beyond-limits", subject=subject, joints=names, excess=most),)
 
 
 def find_start_pose(

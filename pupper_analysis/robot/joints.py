@@ -308,3 +308,8 @@ def check_in_range(
 def joint_unit(robot: Robot, joint: str) -> str:
     """Return the unit of the position of a joint: m for slides, rad for hinges."""
     return "m" if is_slide(robot, joint) else "rad"
+
+
+def force_unit(robot: Robot, joint: str) -> str:
+    """Return the unit of the motor force of a joint: N for slides, N m for hinges."""
+    return "N" if is_slide(robot, joint) else "N m"

@@ -21,7 +21,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Pictured, Tabular
 from pupper_analysis.robot.contact import contact_offset
-from pupper_analysis.robot.joints import is_slide
+from pupper_analysis.robot.joints import force_unit, joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, command_ranges, compute_command_lead
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
@@ -616,13 +616,25 @@ def _compare_with_equilibrium(
     friction, deadband = friction_and_deadband(robot, result.kp)
     scale, joints = torque_scale(robot, settled.joint_torques), settled.qpos[-robot.nu :]
     torques = float(np.abs(result.joint_torques - settled.joint_torques).max()) / scale
-    moved = float(np.abs(result.joint_positions - joints).max())
-    messages = describe_deviations(moved, torques, float(deadband.max()), friction.max() / scale)
+    moved = np.abs(result.joint_positions - joints)
+    messages = describe_deviations(
+        float(moved.max()),
+        torques,
+        float(deadband.max()),
+        friction.max() / scale,
+        unit=_worst_unit(robot, moved),
+    )
     return (
         [*messages, *describe_drive_limits(robot, result, settled.joint_torques, joints)]
         if messages
         else []
     )
+
+
+def _worst_unit(robot: Robot, deviations: Array) -> str:
+    """Return the unit of the largest of the joint deviations, shape (nu,): rad or m."""
+    worst = int(np.argmax(np.nan_to_num(deviations, nan=np.inf)))
+    return joint_unit(robot, robot.joint_names[worst])
 
 
 def describe_deviations(
@@ -631,19 +643,21 @@ def describe_deviations(
     deadband: float = 0.0,
     friction_share: float = 0.0,
     details: Mapping[str, Any] = MappingProxyType({}),
+    unit: str = "rad",
 ) -> list[Diagnostic]:
     """Report joint and torque deviations from the prediction that exceed the tolerances.
 
     Args:
-        joint: Largest joint deviation [rad].
+        joint: Largest joint deviation, in ``unit``.
         torque: Largest torque deviation, relative to ``torque_scale``.
-        deadband: Joint deviation that dry friction can hold [rad].
+        deadband: Joint deviation that dry friction can hold [rad, m].
         friction_share: Torque deviation that dry friction can hold, relative to ``torque_scale``.
         details: Joint with the largest torque deviation; predicted and simulated torque.
+        unit: Unit of ``joint``, rad or m.
     """
     messages = []
     if not joint < JOINT_TOLERANCE + deadband:
-        messages.append(diagnose("joint-off", error=Quantity(joint, "rad")))
+        messages.append(diagnose("joint-off", error=Quantity(joint, unit)))
     if not torque < FORCE_TOLERANCE + friction_share:
         numbers: dict[str, Any] = dict.fromkeys(("joint", "predicted", "simulated"))
         numbers |= details
@@ -709,13 +723,16 @@ def _find_deviations(
     errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors)))
     name = robot.joint_names[worst]
-    unit = "N" if is_slide(robot, name) else "N m"
+    unit = force_unit(robot, name)
     details = {
         "joint": name,
         "predicted": Quantity(float(result.predicted_torques[worst]), unit),
         "simulated": Quantity(float(result.joint_torques[worst]), unit),
     }
-    messages = describe_deviations(result.joint_error, result.torque_error, details=details)
+    moved = np.abs(result.joint_positions - stand.joint_positions(robot))
+    messages = describe_deviations(
+        result.joint_error, result.torque_error, details=details, unit=_worst_unit(robot, moved)
+    )
     if result.force_error is not None and not result.force_error < FORCE_TOLERANCE:
         messages.append(diagnose("foot-force-off", error=result.force_error))
     weight = robot.usual_weight

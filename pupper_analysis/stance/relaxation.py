@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.demands import (
@@ -115,6 +116,7 @@ def explain_refusal(
             for name, relaxation in named.items()
         },
         describe_mechanism_limit(robot, goal),
+        {name: joint_unit(robot, name) for name in at_limit},
     )
 
 

@@ -13,6 +13,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
+from pupper_analysis.prepare.limits import describe_unknown_limits
 from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
@@ -195,3 +196,17 @@ def test_a_stand_that_needs_feedforward_is_nudged_from_all_sides(tmp_path: Path)
     verdict = pa.judge_stand(loaded, stand)
     assert not verdict.passed
     assert [failure.code for failure in verdict.failures] == ["upset-by-nudge"]
+
+
+def test_unknown_limit_of_a_lift_is_given_as_a_force() -> None:
+    """A vertical slide carries 2 kg: 19.62 N, not N m."""
+    robot = pa.load_robot(
+        """<mujoco><worldbody><body name="base"><geom size=".1" mass="1"/><body name="carriage">
+        <joint name="lift" type="slide" axis="0 0 1" range="0 1"/><geom size=".1" mass="2"/></body>
+        </body></worldbody><actuator><position joint="lift" kp="5000" kv="200"/></actuator>
+        </mujoco>"""
+    )
+    statics = pa.gravity_compensation(pa.Configuration(robot, [0.5]), contacts=[])
+    message = describe_unknown_limits(robot, statics)
+    assert message is not None
+    assert "up to 19.6 N (lift)" in str(message)

@@ -14,6 +14,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATOR_TYPES, model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
+from pupper_analysis.simulation.verify import describe_deviations
 from tests.support.engines import change_model
 from tests.support.legged import edited_by
 from tests.support.slips import standing
@@ -403,3 +404,9 @@ def test_stand_fails_if_soft_ground_takes_a_tenth_of_the_height(tmp_path: Path) 
     assert result.height_loss == pytest.approx(lost, abs=1e-4)
     assert [failure.code for failure in result.failures] == ["height-lost"]
     assert result.stays
+
+
+@pytest.mark.parametrize(("unit", "text"), [("m", "50 mm"), ("rad", "2.9 deg")])
+def test_joint_deviation_is_given_in_the_unit_of_the_joint(unit: str, text: str) -> None:
+    [message] = describe_deviations(0.05, 0.0, unit=unit)
+    assert str(message).endswith(text)

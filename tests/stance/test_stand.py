@@ -3,6 +3,8 @@ search as well.
 """
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from tests.support.engines import evaluate_mujoco
+from tests.support.legged import quadruped
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -152,3 +155,15 @@ def test_height_beyond_the_legs_is_refused_by_the_missing_length(height: float) 
     assert set(caught.value.shortfall) == {"FL", "FR", "RL", "RR"}
     assert "mm" in str(caught.value)
     assert f"height {1000 * height:.1f} mm" in str(caught.value)
+
+
+@pytest.mark.slow
+def test_limit_of_a_telescopic_leg_in_a_refusal_is_in_metres(tmp_path: Path) -> None:
+    """The knees are slides, which extend the legs of 0.4 m by at most 0.02 m."""
+    slide = r'\1 type="slide" axis="0 0 1" range="-0.02 0.1"'
+    text = quadruped(tmp_path, floor=True, actuators="position", keyframe="").mjcf.read_text()
+    text = re.sub(r'(name="\w+_knee") axis="0 1 0" range="-2.6 -0.4"', slide, text)
+    robot = pa.load_robot(text)
+    with pytest.raises(pa.StanceUnreachableError, match=r"FL_knee \(-20\.0 mm\)") as caught:
+        pa.solve_stand(robot, pa.StandTask(height=0.6))
+    assert caught.value.at_limit["FL_knee"] == -0.02
