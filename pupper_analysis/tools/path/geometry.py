@@ -25,7 +25,7 @@ from pupper_analysis.base.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import resolve_posture
+from pupper_analysis.robot.joints import joint_unit, resolve_posture
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.problem import feet_centre, ground_normals
@@ -379,10 +379,11 @@ def path_geometry(
             stand.qpos[3:7] *= -1  # the same rotation, without a jump
         jumps = np.abs(stand.joint_positions(robot) - ik_seed)
         if jumps.max() > MAX_JUMP:
+            name = robot.joint_names[int(jumps.argmax())]
             message = diagnose(
                 "joint-jumps",
-                subject=("joint", robot.joint_names[int(jumps.argmax())]),
-                jump=Quantity(jumps.max(), "rad"),
+                subject=("joint", name),
+                jump=Quantity(jumps.max(), joint_unit(robot, name)),
                 where=where,
             )
             raise ConfigurationError("stances", message)

@@ -24,6 +24,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import build_on_ground
@@ -463,7 +464,9 @@ def track_path(
     if not torque_error <= TORQUE_TOLERANCE:
         failures.append(diagnose("motor-torque-off-path", error=torque_error))
     if not joint_error < JOINT_TOLERANCE:
-        failures.append(diagnose("joint-off-path", error=Quantity(joint_error, "rad")))
+        worst = int(np.nan_to_num(np.abs(deviation), nan=np.inf).max(axis=0).argmax())
+        unit = joint_unit(robot, robot.joint_names[worst])
+        failures.append(diagnose("joint-off-path", error=Quantity(joint_error, unit)))
     return PathTracking(
         passed=not failures,
         failures=tuple(failures),
