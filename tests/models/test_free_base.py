@@ -34,6 +34,7 @@ def replace_free_joint(pair: Pair, turning: str, place: str) -> Pair:
     return pair
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turning", "place"), [(HINGES, "0 0.35 0 0 0 0"), (BALL, "0 0.35 0 1 0 0 0")]
 )

@@ -21,6 +21,7 @@ from tests.support.legged import quadruped, rewrite_file
 from tests.support.random_legged import draw_robot, write_robot
 
 
+@pytest.mark.slow
 def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> None:
     """Reference: simulation of the published file, whose motors the servo law commands.
 

@@ -349,6 +349,7 @@ def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
     verify_held_stand(robot)
 
 
+@pytest.mark.slow
 def test_feet_behind_a_prismatic_joint_are_at_their_true_position(tmp_path: Path) -> None:
     """The origin of a slide is arbitrary along and beside its axis, so the foot position must not
     depend on it."""

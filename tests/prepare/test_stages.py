@@ -61,6 +61,7 @@ def test_servos_are_not_made_for_pinocchio_model_and_joints(
     assert len(runs) == count
 
 
+@pytest.mark.slow
 def test_deferred_stages_keep_the_fields_that_were_read_before(tmp_path: Path) -> None:
     """Reference: the robot of which all passes are applied at once."""
     pair = quadruped(tmp_path)

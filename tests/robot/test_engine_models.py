@@ -98,6 +98,7 @@ def check_close(actual: np.ndarray, expected: np.ndarray) -> None:
     np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-12 * scale)
 
 
+@pytest.mark.slow
 def test_state_returns_after_conversion_to_pinocchio_and_back(robot: pa.Robot) -> None:
     for qpos, qvel in states(robot):
         q, v = robot.to_pinocchio(qpos, qvel)

@@ -139,6 +139,7 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
         assert used == pytest.approx(math.tan(0.34) / 0.37, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_smaller_friction_of_an_anisotropic_pair_is_used(tmp_path: Path) -> None:
     """A stand within the smaller friction holds with both, in any direction."""
     pairs = "".join(

@@ -44,6 +44,7 @@ def assert_equal_quantities(one: dict[str, np.ndarray], other: dict[str, np.ndar
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
+@pytest.mark.slow
 def test_results_are_not_views_of_a_workspace(any_robot: pa.Robot) -> None:
     """Results are equal to the last bit after another configuration is evaluated; changing a result
     changes no other result.

@@ -54,6 +54,7 @@ def test_payload_on_a_link_adds_the_torque_of_virtual_work_in_both_models(frame:
 POINT = (0.05, -0.02, 0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_payload_is_equal_in_both_models(name: str) -> None:
     """Reference: `cross_check`, and MuJoCo's bias forces [N, N m]; the total mass grows by 2.5

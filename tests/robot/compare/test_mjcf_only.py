@@ -334,6 +334,7 @@ def test_files_do_not_agree_if_mujoco_accelerates_differently(
         assert not differs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", PASSIVE)
 def test_passive_force_is_the_first_difference_and_engines_agree(kind: str, tmp_path: Path) -> None:
     """Both engines agree on each file within 1e-12, so the file is the cause."""

@@ -387,6 +387,7 @@ def test_limits_of_ten_turns_are_an_error_unless_they_are_symmetric(
     assert finding.severity is severity
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command_range", "is_found"),
     [

@@ -199,6 +199,7 @@ def test_rollout_derivatives_equal_finite_differences_across_limbs() -> None:
         assert whole[:, :, place] == pytest.approx(wanted, abs=1e-6 * (1 + np.abs(wanted).max()))
 
 
+@pytest.mark.slow
 def test_common_factor_of_all_forces_is_not_determined() -> None:
     """A common factor on masses, gains and friction leaves a motion with servos unchanged."""
     robot = load("v3", fixed_base=True)
