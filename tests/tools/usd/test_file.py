@@ -82,6 +82,18 @@ def test_nested_references_are_refused_before_usd_composes_the_prims(
         read_usd(file)
 
 
+def test_nested_external_layers_are_refused_before_usd_composes_the_prims(tmp_path: Path) -> None:
+    """Ten layers, each with ten references to the next layer: 10^10 prims."""
+    for level in range(10):
+        reference = f"( references = @./{level + 1}.usda@ )"
+        prims = "".join(f'def "p{number}" {reference}\n{{\n}}\n' for number in range(10))
+        text = f'#usda 1.0\n( defaultPrim = "r" )\ndef "r"\n{{\n{prims}}}\n'
+        (tmp_path / f"{level}.usda").write_text(text)
+    (tmp_path / "10.usda").write_text('#usda 1.0\n( defaultPrim = "b" )\n' + BODY)
+    with pytest.raises(ModelError, match="more than 100000 prims"):
+        read_usd(tmp_path / "0.usda")
+
+
 def test_prims_of_references_payloads_variants_and_sublayers_are_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
