@@ -406,7 +406,7 @@ def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) 
     A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. The
     motion does not grow if its speed in the last third of the time is at most the speed after the
     nudge, and if all joints stay within ``MAX_JOINT_DISPLACEMENT``. The motion must also be slower
-    than the nudge.
+    than ``MAX_RESTING_SPEED``.
 
     Args:
         model: MuJoCo model.
@@ -415,7 +415,7 @@ def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) 
         nudge: Response in the nudged simulation.
     """
     known = max(nudge.motion, nudge.left)
-    if not known < nudge.speed:
+    if not known < MAX_RESTING_SPEED:
         return False
     steps = round(BOUNCING_TIME / float(model.opt.timestep))
     states = simulate_commands(model, end, np.tile(ctrl, (steps, 1)))

@@ -17,6 +17,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Severity
+from pupper_analysis.prepare import own_run as own_run_module
 from pupper_analysis.prepare import published_model
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import _is_ctrl_angles, own_run, settles_in_place
@@ -24,6 +25,7 @@ from pupper_analysis.prepare.published_model import HoldCommands
 from pupper_analysis.prepare.self_check import name_remaining_cause
 from pupper_analysis.present.verdict import split_verdict_lines, verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
+from pupper_analysis.robot.fall import BodyMotion
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.audit.audit import audit_model
 from tests.prepare.test_planted import stands
@@ -60,12 +62,23 @@ def codes(verdict: Verdict) -> list[str]:
 
 
 @pytest.mark.slow
-def test_a_file_settles_in_place_only_if_the_motion_after_a_nudge_ends(tmp_path: Path) -> None:
+def test_a_file_settles_in_place_only_if_the_motion_after_a_nudge_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Reference: m dv/dt = c v, without gravity and contacts, grows by exp(c t / m), 100 in 2 s.
 
-    Such a robot stays at rest for ever if it is not nudged.
+    Such a robot stays at rest for ever if it is not nudged. A robot without motor torques lies at
+    rest on the ground after 6 s, 40 mm high, and has not settled in place.
     """
     robot = pa.load_robot(*standing(tmp_path))
+    limp = copy(robot.mj_model)
+    limp.actuator_gainprm[:] = limp.actuator_biasprm[:] = 0.0
+    limp.opt.gravity[2], limp.dof_damping[6:] = -98.1, 2.0
+    with monkeypatch.context() as longer:
+        longer.setattr(own_run_module, "_SETTLING_TIME", 6.0)
+        assert not settles_in_place(limp, robot, robot.home)
+        longer.setattr(BodyMotion, "collapses", False)  # the speed alone does not show the fall
+        assert settles_in_place(limp, robot, robot.home)
     model = copy(robot.mj_model)
     assert settles_in_place(model, robot, robot.home)
     model.opt.gravity[:] = 0.0
