@@ -87,3 +87,37 @@ def test_a_soft_foot_stays_the_contact_point_if_it_carries_more_than_its_shank(
         mujoco.mj_contactForce(data.model, data, number, force)
         forces[mujoco.mjtGeom(data.model.geom_type[max(contact.geom)])] += force[0]
     assert 0 < forces[mujoco.mjtGeom.mjGEOM_CAPSULE] < forces[mujoco.mjtGeom.mjGEOM_SPHERE]
+
+
+@pytest.mark.slow
+def test_of_two_equal_shanks_beside_a_soft_foot_the_chosen_one_carries_the_load(
+    tmp_path: Path,
+) -> None:
+    """Reference: contact forces of bare MuJoCo at rest, in which all shapes may touch.
+
+    The stand is solved for one of two equal shanks, 60 mm apart, so the leg leans until this shank
+    is the lowest. A split of the load would be a deviation of the published file.
+    """
+    foot = '<geom type="sphere" size="0.013" pos="0 0 -0.2" solimp="0.015 1 0.036"/>'
+    shank = '<geom type="capsule" size="0.01" fromto="0 {0} -0.1 0 {0} -0.2" solref="0.004 1"/>'
+    shanks = shank.format(-0.03) + shank.format(0.03)
+    pair = quadruped(tmp_path, foot=foot + shanks, floor=True)
+    rewritten(pair.mjcf, ("<worldbody>", '<option cone="elliptic"/><worldbody>'), count=1)
+    robot = pa.load_robot(pair.mjcf)
+    assert "hulls-carry-instead-of-feet" in {note.code for note in robot.notes}
+    stand = pa.solve_stand(robot)
+    data = _state_at_rest(robot, pa.solve_stand_as_simulated(robot, stand), 4000.0, 200.0)
+    loads, force = dict.fromkeys(robot.contact_points, 0.0), np.zeros(6)
+    chosen = {foot: robot.contact_places[foot][1][1] for foot in robot.contact_points}
+    for number, contact in enumerate(data.contact):
+        geom = data.model.geom(max(contact.geom))
+        mujoco.mj_contactForce(data.model, data, number, force)
+        if geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE.value:
+            body = data.model.body(geom.bodyid[0]).name
+            assert geom.pos[1] == pytest.approx(chosen[body])
+            loads[body] += force[0]
+    assert min(loads.values()) > 0.9 * robot.weight / 4
+    verdict = judge_stand(robot, stand)
+    assert verdict.passed
+    assert verdict.published is not None
+    assert not verdict.published.differs
