@@ -102,7 +102,7 @@ def test_of_two_equal_shanks_beside_a_soft_foot_the_chosen_one_carries_the_load(
     shank = '<geom type="capsule" size="0.01" fromto="0 {0} -0.1 0 {0} -0.2" solref="0.004 1"/>'
     shanks = shank.format(-0.03) + shank.format(0.03)
     pair = quadruped(tmp_path, foot=foot + shanks, floor=True)
-    rewritten(pair.mjcf, ("<worldbody>", '<option cone="elliptic"/><worldbody>'), count=1)
+    rewrite_file(pair.mjcf, ("<worldbody>", '<option cone="elliptic"/><worldbody>'), count=1)
     robot = pa.load_robot(pair.mjcf)
     assert "hulls-carry-instead-of-feet" in {note.code for note in robot.notes}
     stand = pa.solve_stand(robot)

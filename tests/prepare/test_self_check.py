@@ -295,9 +295,9 @@ def test_a_deviation_that_the_prepared_robot_shares_is_no_difference_of_the_file
 def write_random_robot(seed: int, folder: Path, options: str = "") -> pa.Robot:
     """Write and load a random robot with position servos, a keyframe and a floor."""
     drawn = replace(
-        random_legged.drawn(seed), motors="position", base="free", keyframe=True, floor=True
+        random_legged.draw_robot(seed), motors="position", base="free", keyframe=True, floor=True
     )
-    pair = random_legged.written(drawn, folder)
+    pair = random_legged.write_robot(drawn, folder)
     text = pair.mjcf.read_text().replace("<option ", f"<option {options} ")
     pair.mjcf.write_text(text)
     return pa.load_robot(pair.urdf, pair.mjcf)

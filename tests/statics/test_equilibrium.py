@@ -750,9 +750,9 @@ def test_passive_joints_have_no_torque_if_other_forces_balance(tmp_path: Path) -
     do.
     """
     drawn = replace(
-        random_legged.drawn(720007), motors="position", base="free", keyframe=True, floor=True
+        random_legged.draw_robot(720007), motors="position", base="free", keyframe=True, floor=True
     )
-    pair = random_legged.written(drawn, tmp_path)
+    pair = random_legged.write_robot(drawn, tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
     passive = [robot.joint_names.index(name) for name in robot.description.passive_joints]
     assert len(passive) == 2
