@@ -76,7 +76,7 @@ class Page:
             found.setdefault(read_text(figure.find("figcaption")), rows)
         return found
 
-    def read_text(self) -> str:
+    def shown(self) -> str:
         """Return the displayed English text, without scripts."""
         return read_text(self.root.find("body"))
 
