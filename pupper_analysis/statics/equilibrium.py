@@ -434,14 +434,11 @@ def differentiate_torques(
     twists = config.foot_twist_jacobians(carrying.feet)
     wrenches = np.hstack([forces, np.cross(carrying.offsets, forces)])
     load_rates = config.loaded_points_derivative(twists, wrenches) @ motions  # dl - dJ^T f
-    # A^T m are the velocities of the contact points if the base moves with the twist m.
-    rotation = config.base_rotation()
-    spin = rotation @ multipliers[3:]  # constant in base axes
-    spin_rates = -cross_matrices(spin) @ rotation @ motions[3:6]
-    levers = carrying.points(config) - config.qpos[:3]
-    lever_rates = twists[:, :3] @ motions - motions[:3]
-    velocity_rates = cross_matrices(spin) @ lever_rates - cross_matrices(levers) @ spin_rates
-    flat_rates = velocity_rates.reshape(forces.size, -1)  # dA^T m
+    # A^T m are the velocities of the contact points if the base moves with the twist m. Motions of
+    # the base change dA^T m by other twists of the base only, which dm compensates.
+    spin = config.base_rotation() @ multipliers[3:]
+    velocity_rates = cross_matrices(spin) @ (twists[:, :3] @ motions)
+    flat_rates = velocity_rates.reshape(forces.size, -1)  # dA^T m, up to twists of the base
     multiplier_rates = inverse @ (load_rates[:free] - weighted.T @ flat_rates)
     force_rates = metric.apply_inverse(metric.apply_inverse(flat_rates))
     force_rates += weighted @ multiplier_rates

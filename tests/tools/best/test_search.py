@@ -33,6 +33,7 @@ def test_violated_constraints_worsen_a_stance_in_proportion_to_their_sum() -> No
     ("objective", "task", "scale"),
     [
         ("utilisation", pa.StandTask(), 0.0),
+        ("utilisation", pa.StandTask(), 0.1),
         ("utilisation", pa.StandTask(swing={"FR": 0.02}, com="inside", joint_margin=0.05), 0.1),
         ("margin", pa.StandTask(ground=pa.Ground(slope=0.1, uphill=0.4)), 0.1),
     ],
