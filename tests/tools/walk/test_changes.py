@@ -78,6 +78,29 @@ def test_mass_change_scales_the_inertia_of_the_base(still: Policy) -> None:
     np.testing.assert_allclose(heavy.body_ipos[base], stage.model.body_ipos[base])
 
 
+def test_scaled_legs_are_similar_about_their_first_body(still: Policy) -> None:
+    """Reference: at equal joint angles, a scaling about the first body of a leg moves every CoM,
+    geom and site beyond this body; the first body stays as it is."""
+    stage = prepare_stage(load("v3"), still)
+    positions = {}
+    for factor in (1.0, 1.5):
+        model = make_changed_case(stage, "legs", factor, np.zeros(3), 0).model
+        data = mujoco.MjData(model)
+        stage.robot.mj_convention.set_state(data, stage.default)
+        mujoco.mj_kinematics(model, data)
+        first = model.body("leg_front_r_1").id
+        beyond = [first + 1, first + 2]
+        points = [
+            data.xipos[beyond],
+            data.geom_xpos[np.isin(model.geom_bodyid, beyond)],
+            data.site_xpos[np.isin(model.site_bodyid, beyond)],
+        ]
+        assert all(map(len, points))
+        positions[factor] = np.concatenate(points) - data.xpos[first]
+        np.testing.assert_array_equal(model.body_ipos[first], stage.model.body_ipos[first])
+    np.testing.assert_allclose(positions[1.5], 1.5 * positions[1.0], atol=1e-12)
+
+
 def contact_friction(model: mujoco.MjModel) -> np.ndarray:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
