@@ -105,7 +105,7 @@ def other_tools() -> Mapping[str, Tool]:
 
 
 def find_tool_modules(module: str) -> Mapping[str, str]:
-    """Return {tool: package} of the tools with a module of a name, first those of this package."""
+    """Return {tool: package} of tools with a file ``module.py``, those of this package first."""
     tools = {**own_tools(), **other_tools()}
     return {
         name: tool.package

@@ -257,7 +257,7 @@ def group() -> None:
 
 
 def find_command(name: str) -> click.Command:
-    """Return a command of a known name."""
+    """Return the command of pupper-analysis with a name that is known to exist."""
     command = group.get_command(None, name)
     assert command is not None
     return command

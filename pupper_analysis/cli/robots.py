@@ -319,7 +319,7 @@ def pass_robot_options(command: Command) -> Command:
 
     @wraps(command)
     def wrapped(**values: Any) -> None:
-        """Call the command with the options of the robot as first argument."""
+        """Call the command; the options of the robot are its first argument, a `RobotOptions`."""
         command(RobotOptions.pop_from(values), **values)
 
     return wrapped

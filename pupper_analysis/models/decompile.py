@@ -98,7 +98,7 @@ _IMU_SENSORS: Final = (
     mujoco.mjtSensor.mjSENS_GYRO.value,
     mujoco.mjtSensor.mjSENS_ACCELEROMETER.value,
 )
-"""Sensors that are copied with their sites."""
+"""MuJoCo types of the sensors that are copied from the model to the spec: those of an IMU."""
 
 _COMPARED_PREFIXES: Final = (
     *("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat"),

@@ -241,7 +241,7 @@ class _WarningSuppressor:
         self._lock, self._num_users, self._restore = Lock(), 0, ExitStack()
 
     def begin(self) -> None:
-        """Register a user of the suppression; the first one replaces MuJoCo's warning handler."""
+        """Register a user of the warning suppression; the first one replaces MuJoCo's handler."""
         with self._lock:
             self._num_users += 1
             if self._num_users == 1:

@@ -78,7 +78,7 @@ def innermost_element(element: T, path: str | None, child: Callable[[T, str], T 
 
 
 def quote_short(value: str) -> str:
-    """Quote a value; of a value with more than 40 characters, only the first 37."""
+    """Quote a text for a message; a text of more than 40 characters ends with ... after 37."""
     return repr(value if len(value) <= 40 else value[:37] + "...")
 
 

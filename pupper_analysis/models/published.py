@@ -99,7 +99,8 @@ class _NotCachedError(Exception):
 
 
 _BARE_DESCRIPTION: Final = re.compile(r"[a-z0-9_]+_description")
-"""Pattern of a description that is accepted without the prefix."""
+"""Pattern of the name of a description that is accepted without `DESCRIPTION_PREFIX`, as in
+``go2_mj_description``."""
 
 PACKAGE_PREFIX: Final = "package://"
 """Prefix of a file of a ROS package, as in ``package://go2_description/urdf/go2.urdf``."""

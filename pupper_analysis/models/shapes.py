@@ -214,7 +214,7 @@ class Shape:
                 return None
 
         def along(axis: int, half_length: float) -> Direction:
-            """Return a vector along an axis of the shape, in the frame of the body [m]."""
+            """Return a vector along axis 0, 1 or 2 of the shape, in the frame of the body [m]."""
             x, y, z = (half_length * rotation[:, axis]).tolist()
             return x, y, z
 

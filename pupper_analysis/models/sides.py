@@ -36,7 +36,8 @@ ASYMMETRIC_PART_NAME = re.compile("gripper|finger|camera|imu|sensor", re.IGNOREC
 
 
 LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
-"""Names of leg joints. Names of arm and hand joints, whose base is bolted, rarely match."""
+"""Pattern of the names of leg joints, to recognise robots whose base should be free. The joints
+of arms and hands, whose base is bolted down, rarely have such names."""
 
 _MOTOR_PARAMETER_RTOL = 0.02
 """Relative tolerance for equal motor parameters. In published models, motors of the same type have

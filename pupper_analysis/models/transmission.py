@@ -171,7 +171,7 @@ class Drive(StrEnum):
 
     @property
     def has_invalid_stiffness(self) -> bool:
-        """Whether the actuator is a servo whose parameters cannot hold the joint."""
+        """Whether the actuator is a servo whose stiffness is zero or has the wrong sign."""
         return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
     @property

@@ -177,7 +177,8 @@ def _make_parser() -> etree.XMLParser:
 Array = NDArray[np.float64]
 
 _ROUNDING_RTOL = 1e-13
-"""Relative size of rounding errors that products of rotation matrices add to a zero."""
+"""Absolute value, relative to the largest number, up to which `write_numbers` writes a number as 0:
+the rounding errors of products of rotation matrices."""
 
 NUM_DIGITS: Final = 12
 """Number of significant digits in new files: 1000 times finer than the resolution of `crosscheck

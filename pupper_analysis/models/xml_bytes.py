@@ -22,7 +22,7 @@ _ATTRIBUTE_PATTERN: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|
 """Attribute with the value in double or single quotes."""
 
 _START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*>""")
-"""Start tag."""
+"""Pattern of the start tag of an XML element, with its attributes."""
 
 
 @dataclass(eq=False)

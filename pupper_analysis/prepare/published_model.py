@@ -53,7 +53,8 @@ from pupper_analysis.simulation.rollout import settled_activations
 Array = NDArray[np.float64]
 
 _BASE_POSE_ATOL = 1e-10
-"""Tolerance [m, rad] of the base pose in `place_at_state`. Chosen, not tuned."""
+"""Largest position and orientation error [m, rad] with which `place_at_state` accepts the pose of
+the base. Chosen, not tuned."""
 
 _MAX_NEWTON_STEPS = 20
 """Upper bound of the Newton steps in `place_at_state`; a free joint needs two. Chosen, not

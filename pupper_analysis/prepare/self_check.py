@@ -77,8 +77,8 @@ NUDGED_TIME = 4.0
 """Simulated time after the nudge [s], after which the torques are compared. Chosen, not tuned."""
 
 _MAX_NUDGED_TIME = 40.0
-"""Upper bound of the simulated time after the nudge [s], if the torques approach the prediction.
-Chosen, not tuned."""
+"""Upper bound of the simulated time after the nudge (a small velocity) [s]. The simulation lasts
+longer than `NUDGED_TIME` only while the torques approach the prediction. Chosen, not tuned."""
 
 _APPROACH_INTERVAL = 2.0
 """Simulated time between two torque deviations that are compared [s]. Chosen as a divisor of
@@ -91,8 +91,9 @@ elliptic cones and an ``impratio`` of 100 the tangential forces of six feet rela
 constant of 6.8 s, a ratio of 0.75."""
 
 TORQUE_RTOL = 0.01
-"""Upper bound of the torque deviation, relative to ``torque_scale``, with which the file agrees
-with the prediction. Chosen as for a verified stand (``FORCE_TOLERANCE``)."""
+"""Largest deviation of the torques in a simulation of the published file from the prediction,
+relative to ``torque_scale``, with which both agree. Chosen as for a verified stand
+(``FORCE_TOLERANCE``)."""
 
 MAX_REMAINING_SINKAGE = 1e-3
 """Largest height error of the CoM [m] with which a changed model counts as repaired, if its torques

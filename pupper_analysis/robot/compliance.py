@@ -115,7 +115,7 @@ class GroundLaw:
         return solimp_impedance(self.solimp, depth + self.margin)
 
     def force(self, depth: float) -> float:
-        """Return the normal force [N] at a penetration [m] at rest."""
+        """Return the normal force [N] on a contact point at rest at a penetration ``depth`` [m]."""
         d, _ = self._impedance_and_slope(depth)
         return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)
 

@@ -698,7 +698,7 @@ class Robot(EngineModels):
         return next(foot for foot, points in self.feet.items() if point in points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
-        """Return the feet with any of some contact points."""
+        """Return the feet that have at least one of the contact points ``points``."""
         requested = set(points)
         return tuple(
             foot for foot, foot_points in self.feet.items() if not requested.isdisjoint(foot_points)

@@ -132,10 +132,10 @@ _MAX_SETTLING_TIME = 600.0
 longer."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance of a joint position from a limit [rad, m] up to which finite differences are computed
-with a moved limit; the moved limit has this distance from the joint position, on either side
-(`_evaluate_at_limits`). Centred differences across a limit mix two regimes: ANYmal at a knee limit
-seemed to oscillate at 9 Hz, but came to rest in simulations."""
+"""Distance of a joint position from a joint limit [rad, m] up to which the finite differences are
+computed twice, with the limit moved to this distance on either side (`_evaluate_at_limits`).
+Centred differences across a limit mix two regimes: ANYmal at a knee limit seemed to oscillate at 9
+Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Upper bound of |eigenvalue - 1| / (time step) of a mode that counts as neither growing nor

@@ -396,8 +396,9 @@ def measure_response(
 
 
 BOUNCING_TIME = 28.0
-"""Simulated time [s] in which the motion of a stand with a bouncing light foot must not grow.
-Chosen with the 12 s of a verified stand: 40 s in total."""
+"""Additional simulated time [s] in which the remaining motion after a nudge must not grow, for
+example that of a foot that bounces with almost no load. Chosen: 40 s together with the 12 s of a
+verified stand."""
 
 
 def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) -> bool:

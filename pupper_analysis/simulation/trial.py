@@ -73,8 +73,8 @@ displacements."""
 
 _MIN_LOAD_RATIO = 0.02
 """Load of a foot, relative to the mean foot load, below which ``is_near_limit`` assumes that a
-nudge may lift the foot. Minimum tangential forces may leave two of four feet on unequal slopes with
-1/10,000 of the weight. Chosen, not tuned."""
+nudge may lift the foot. On unequal slopes, the contact forces with the smallest tangential forces
+may load two of four feet with only 1/10,000 of the weight. Chosen, not tuned."""
 
 _LIMIT_ATOL = 1e-6
 """Largest distance [rad, m] between a joint and its limit with which the joint counts as resting on
@@ -97,7 +97,8 @@ _SPEED_FACTOR = 1.5
 oscillation may be slower for a while. Chosen, not tuned."""
 
 _PREDICTION_FACTOR = 1.25
-"""Safety factor on the displacements that the linearised step predicts. Chosen, not tuned."""
+"""Safety factor on the displacements that the linearised MuJoCo step predicts for the remaining
+time of a nudged simulation. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
 """Product of growth rate and remaining time of a mode above which its motion counts as unbounded:
@@ -172,10 +173,12 @@ def simulate_nudges(
     only dry friction holds is detected by the spectrum and a larger nudge
     (``growth.confirm_growth``).
 
-    Each simulation ends at its first failure, after ``duration``, or when the remaining motion
-    causes no failure and is known. This motion is below 1 mm or 1 mrad with the current speeds and
-    the fastest growing mode; or no mode grows, the linearised step reproduces the last 0.5 s, and
-    predicts that each coordinate leaves the range since the nudge by at most 1 mm or 1 mrad.
+    Each simulation ends at its first failure, after ``duration``, or if the remaining motion is
+    known and causes no failure. The remaining motion counts as known in two cases:
+
+    - The bound from the current speeds and the fastest growing mode is below 1 mm or 1 mrad.
+    - No mode grows, and the linearised step reproduces the last 0.5 s. It predicts that each
+      coordinate leaves the range passed since the nudge by at most 1 mm or 1 mrad.
 
     A foot that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the weight may lift
     if the foot is back on the ground at the end.

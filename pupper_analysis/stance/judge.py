@@ -191,12 +191,12 @@ class Stand(Pictured, Tabular):
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the foot spheres' centres from which steps and planes are located.
+        """Targets of the contact points without penetration, to place the ground under the feet.
 
-        {contact point: shape (3,) [m], in the world frame}. If feet have separate planes, the
-        targets are moved out of the ground by the penetration (`remove_penetration`). Otherwise
-        these are the ``foot_targets``: the position of a level step does not depend on the
-        penetration.
+        {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. If feet
+        have separate planes, the ``foot_targets`` are moved out of the ground by the penetration
+        (`remove_penetration`). Otherwise these are the ``foot_targets``: the position of a level
+        step does not depend on the penetration.
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 

@@ -524,12 +524,12 @@ Measured with 16: the combination was missed with which a Mini Cheetah stands on
 62 deg."""
 
 _GUESSES_PER_BASE_POSITION = 4
-"""Upper bound of the number of initial guesses per displaced base position, those with the smallest
-violation. Chosen, not tuned."""
+"""Upper bound of the number of initial guesses per displaced base position. The guesses with the
+smallest constraint violation are kept. Chosen, not tuned."""
 
 _MAX_REACH_ERROR = 5e-3
-"""Foot error [m] below which an IK branch counts as in reach at a displaced base. Chosen, not
-tuned."""
+"""Upper bound of the foot error [m] of an IK branch that is used for an initial guess at a
+displaced base position. Chosen, not tuned."""
 
 _SHIFT_SAFETY_FACTOR = 1.5
 """Safety factor of `bound_com_shift` on the estimated displacement of the base if legs change the

@@ -132,8 +132,8 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
     """Solve a stand task as simulations use it: on soft ground if possible, else on rigid ground.
 
     The result is the stand of `solve_stand_on_soft_ground`. If this stance is out of reach, or the
-    depths of a robot with soft closed loops do not converge, the result is the stand on rigid
-    ground, with ``depths`` of 0. A posture of a robot with a fixed base (`held_stand`) has no
+    penetration depths of a robot with soft closed loops do not converge, the result is the stand on
+    rigid ground, with ``depths`` of 0. A posture of a robot with a fixed base (`held_stand`) has no
     ground: its joint couplings are deflected as under the static load in MuJoCo.
 
     Args:
@@ -148,7 +148,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         StanceUnreachableError: If the stance is unreachable on rigid ground. The error does not
             contain the reason (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the depths of a robot without loops do not converge.
+        NotSettlingError: If the penetration depths of a robot without loops do not converge.
     """
     stand = task if isinstance(task, Stand) else solve_stand(robot, task, explain=False)
     if not stand.check(robot).floating:  # a posture
@@ -211,7 +211,7 @@ def solve_loaded_stand(
 
 
 def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
-    """Compute how far MuJoCo's soft loop and coupling constraints yield under the load of a stand.
+    """Compute the static deflections of MuJoCo's soft loop and coupling constraints in a stand.
 
     Args:
         robot: Robot with closed loops or joint couplings (``closure``).
@@ -219,7 +219,7 @@ def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) 
         held: Static contact forces and torques of the stand.
 
     Returns:
-        Opening in each equation of the loops and couplings, shape (m,) [m, rad].
+        Deflection in each equation of the loops and couplings, shape (m,) [m, rad].
     """
     assert robot.closure is not None
     config = Configuration(robot, stand.qpos)

@@ -269,9 +269,10 @@ class _TemplateFormatter(Formatter):
         return value, name
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
-        """Apply the conversion of a template field; ``!r`` quotes names.
+        """Apply the conversion of a template field; the conversion ``!r`` quotes names.
 
-        In a tuple each item is quoted, in a subject (such as a link) the name after the kind.
+        Of a tuple, each item is quoted. Of a subject (kind and name, such as a link), the name is
+        quoted.
         """
         if conversion == "r" and isinstance(value, tuple):
             return tuple(repr(item) for item in value)

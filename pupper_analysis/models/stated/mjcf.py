@@ -48,7 +48,7 @@ JOINT_KINDS: dict[int, str] = {
     JointKind.SLIDE: SLIDE_JOINT,
     JointKind.HINGE: HINGE_JOINT,
 }
-"""{type of MuJoCo: kind of `stated.model`}."""
+"""{joint type of MuJoCo: joint kind of `stated.model`}."""
 
 
 def read_mjcf_model(file: MjcfFile) -> MjcfModel:

@@ -44,7 +44,7 @@ _JOINT_KINDS = {
     "prismatic": SLIDE_JOINT,
     "fixed": FIXED_JOINT,
 }
-"""{type of a joint in a URDF: kind of `stated.model`}."""
+"""{joint type of a URDF: joint kind of `stated.model`}."""
 
 
 def read_urdf_model(file: UrdfFile) -> UrdfModel:

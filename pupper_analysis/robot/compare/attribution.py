@@ -48,8 +48,9 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 MAX_RESIDUAL = 1e-9
-"""Maximum residual of a complete explanation, relative to the scale of a quantity. Two engines in
-double precision agree to about 1e-13; for accelerations see `_compute_residual`."""
+"""Largest deviation between the models that remains after all found differences are removed,
+relative to the scale of the quantity, with which the differences explain the whole deviation. Two
+engines in double precision agree to about 1e-13; for accelerations see `_compute_residual`."""
 
 _NUM_STATES = 10
 """Number of random states at which the effect of each difference between two files is evaluated.

@@ -156,7 +156,7 @@ class Stated:
 
     @property
     def message(self) -> str:
-        """Message in English."""
+        """Message that describes this difference, in English."""
         return str(self.diagnostic)
 
     def to_difference(self, effects: dict[str, Effect]) -> Difference:
@@ -253,7 +253,7 @@ class PatternCause(Result):
 
     @property
     def message(self) -> str:
-        """Message in English."""
+        """Message that describes this mistake, in English."""
         return str(self.diagnostic)
 
     @property

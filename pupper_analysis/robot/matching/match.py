@@ -708,7 +708,7 @@ def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:
-    """Return {base or joint of the robot: name of the MJCF body that is the base or is moved}."""
+    """Return {joint or base of the robot: name of the MJCF body that moves with it}."""
     model = robot.mj_model
     bodies = {robot.base: robot.mj_base}
     for name in robot.joint_names:

@@ -163,8 +163,8 @@ def strip_roots(
 ) -> tuple[etree._Element, list[Diagnostic]]:
     """Remove massless root links with a single fixed or floating joint.
 
-    For a floating base, that number of links is removed with which the joints of both files are
-    nearest: the sum of the distances between joints with equal names is minimised.
+    For a fixed base, all such links are removed. For a floating base, the number of removed links
+    minimises the sum of the distances [m] between joints with equal names in both files.
 
     Args:
         root: Root element of the URDF; not modified.

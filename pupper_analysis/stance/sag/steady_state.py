@@ -197,8 +197,9 @@ CREEP_STEPS = 20
 that falls after 15 s is predicted to fall after 14 s."""
 
 _MIN_EULER_STEP = 1 / 4096
-"""Smallest fraction of a creep step that is tried before the creep fails. Of a step of 0.6 s (12 s
-in 20 steps) this is 0.15 ms. Chosen, not tuned."""
+"""Smallest backward Euler step that integrates the creep (slow slip) of feet, as a fraction of the
+duration of `HomotopyPath.creep_step`. Without an equilibrium at this step, the creep fails. Of 0.6
+s (12 s in 20 steps) this is 0.15 ms. Chosen, not tuned."""
 
 
 class HomotopyPath:

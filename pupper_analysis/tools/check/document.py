@@ -224,8 +224,8 @@ def make_check_annotations(
 
     Args:
         check: Check.
-        in_a_change: Whether the annotations are for the page of a change, which shows changed lines
-            only: each difference is then annotated in both files.
+        in_a_change: Whether the annotations are for the page of a pull request, which shows changed
+            lines only: each difference is then annotated in both files.
     """
     found = []
     for group in group_findings(check.remarks):

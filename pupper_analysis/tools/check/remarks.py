@@ -304,7 +304,7 @@ _HEADER_TEXT: Final = """\
 """Comment at the top of a baseline."""
 
 _HEADER_LINES: Final = _HEADER_TEXT.splitlines()
-"""Lines of the header."""
+"""Lines of the comment at the top of a baseline."""
 
 _VALUE_RTOL: Final = 1e-6
 """Tolerance of equal numbers, relative to the largest number of a list.
@@ -477,10 +477,12 @@ def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry
 def mark_known_remarks(
     remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
 ) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
-    """Mark the remarks that the baseline contains; each entry matches at most one remark.
+    """Mark the remarks of a check that the baseline (list of accepted remarks) contains.
+
+    Each entry of the baseline matches at most one remark.
 
     Returns:
-        Remarks, and stale entries without remark.
+        All remarks with ``known`` set, and the stale entries, which match no remark.
     """
     waiting: dict[tuple[str, ...], list[BaselineEntry]] = {}
     for entry in entries:

@@ -416,7 +416,10 @@ class RandomStates:
 
     @cached_property
     def qvel(self) -> Array:
-        """Random velocities with a fixed seed, shape (n, nv) [m/s, rad/s], standard deviation 1."""
+        """Random velocities of the compared states, shape (n, nv) [m/s, rad/s].
+
+        They are normal with a standard deviation of 1; the seed is fixed.
+        """
         size = len(self.values.joints) + 6 * self.values.floating
         return np.random.default_rng(1).normal(size=(_NUM_STATES, size))
 

@@ -44,9 +44,9 @@ little. The cost has curved valleys: inertia is quadratic in large CoM displacem
 weight, masses and kp are determined only by their ratio. Chosen, not tuned."""
 
 _MAX_UNREALISED_DECREASE = 1.0
-"""Largest predicted decrease of the cost with which a fit ends without error although its steps no
-longer reach this decrease; the last step then widens the covariance. 1 corresponds to one standard
-deviation. Chosen, not tuned."""
+"""Largest predicted decrease of the cost (chi2 plus prior) with which a stalled fit still ends
+without error. A fit has stalled if its steps do not achieve the predicted decrease; the last step
+then widens the covariance. 1 corresponds to one standard deviation. Chosen, not tuned."""
 
 _MIN_DAMPING = 1e-3
 """Smallest nonzero damping of a step, relative to the diagonal of the information matrix. Chosen,

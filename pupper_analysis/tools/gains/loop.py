@@ -87,8 +87,9 @@ _MAX_SHIFT_RATIO = 1.1
 the middle, above which (plus `_MIN_SHIFT`) the robot leaves the stand. Chosen, not tuned."""
 
 _MIN_SHIFT = 1e-3
-"""Growth of a joint displacement [rad, m] in the second half of a simulation that counts as creep
-of MuJoCo's friction. Measured on v3: 0.01 mrad in 12 s."""
+"""Growth of the largest joint displacement [rad, m] in the second half of a simulation, in addition
+to the factor `_MAX_SHIFT_RATIO`, up to which it counts as creep of MuJoCo's friction. Measured: v3
+creeps by 0.01 mrad in 12 s."""
 
 _MAX_SHIFT = 0.1
 """Displacement of a joint from the stand [rad, m] above which a simulation of the controller has

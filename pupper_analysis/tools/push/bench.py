@@ -89,8 +89,9 @@ bound for a robot at rest (`_MAX_REMAINING_RATIO`). The measured speed of an osc
 small for a while. Chosen, not tuned."""
 
 _STILL_RATIO = 0.01
-"""Ratio of the predicted motion of the base to its bound (`_MAX_REMAINING_RATIO`), up to which the
-motion counts as rounding or creep. Chosen, not tuned."""
+"""Largest predicted motion of the base after the end of the longest simulation, relative to its
+bound (`_MAX_REMAINING_RATIO`), which counts as rounding or creep, even if the speed does not
+decrease. Chosen, not tuned."""
 
 _MAX_BATCH_VALUES = 2**25
 """Largest number of 8-byte values (states and controls) of one batch of pushes, unless one push has

@@ -493,8 +493,9 @@ def measure_design(
 ) -> Row:
     """Build a design, evaluate all metrics, and return the row of the table with the results.
 
-    A metric that fails does not stop the others; the row records the first failure. If the error is
-    in `STAND_FAILURES`, a metric with a ``fallen`` value gets that value.
+    After a failure the other metrics are still evaluated; the row records the first failure. A
+    metric may define a value for robots that do not stand (``fallen``), which it gets if the error
+    is in `STAND_FAILURES`.
     """
     row: Row = dict.fromkeys(FAILURE_COLUMNS)
     try:

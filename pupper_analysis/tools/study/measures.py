@@ -92,7 +92,7 @@ class Design:
 
     @property
     def equilibrium(self) -> SteadyState:
-        """Predicted equilibrium of the stand on its servos without feed-forward, stable or not.
+        """Predicted equilibrium of the servo-driven robot without feed-forward, stable or not.
 
         Raises:
             PupperAnalysisError: As `steady_state`.
@@ -103,7 +103,7 @@ class Design:
 
     @property
     def standing_equilibrium(self) -> SteadyState:
-        """Predicted equilibrium of this design's stand on the servos without feed-forward.
+        """Predicted equilibrium of the servo-driven robot without feed-forward, if it stays up.
 
         Raises:
             NotStandingError: If the robot does not stay up (``failures`` of the equilibrium).

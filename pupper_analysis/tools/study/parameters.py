@@ -36,11 +36,11 @@ Array = NDArray[np.float64]
 # Names of factors and offsets, and the joints and bodies that match.
 
 JOINT_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
-"""Kinds that are fields of the stance with a value per joint."""
+"""Kinds of variables ``KIND:PATTERN`` that are fields of the stand task with a value per joint."""
 
 LINK_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "link")
-"""Kinds that are fields of the stance with a value per link, for contacts that the stance of the
-study defines."""
+"""Kinds of variables ``KIND:PATTERN`` that are fields of the stand task with a value per link, for
+contacts that the stance of the study defines."""
 
 PATTERN_KINDS = {
     "mass": "mass and inertia of bodies",

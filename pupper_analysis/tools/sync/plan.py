@@ -335,7 +335,7 @@ class FileLayout:
 
     @cached_property
     def copy_paths(self) -> Mapping[Path, Path]:
-        """``{file of the model: path of its copy in the output folder}``, with the main file."""
+        """``{file of the model: path of its copy in the output folder}``, also of the main file."""
         return {
             file: self.aside / _normalise_path(file).relative_to(self.top) for file in self.files
         }

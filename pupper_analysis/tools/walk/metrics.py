@@ -70,4 +70,4 @@ METRICS: dict[str, dict[str, Any]] = {
         "unit": "N m",
     },
 }
-"""Arguments of each metric; see `study`."""
+"""{metric of this tool for studies: arguments of `Metric`}; see `study`."""

@@ -167,10 +167,10 @@ def _compute_reach(robot: RobotModel, name: str) -> float:
 def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find a robot that is too heavy for its motors.
 
-    A finding is a weight [N] times the longest distance between successive hinges [m] above the sum
-    of the efforts of all hinges [N m]. ERROR instead of WARNING above `IMPOSSIBLE_FACTOR` times the
-    sum. Skipped are robots with fewer than two hinges, or with an effort that is unknown, infinite
-    or not positive.
+    The torque of the weight (weight [N] times the longest distance between successive hinges [m])
+    must not exceed the sum of the efforts of all hinges [N m]. The severity is WARNING, and ERROR
+    above `IMPOSSIBLE_FACTOR` times the sum. Robots with fewer than two hinges, or with an effort
+    that is unknown, infinite or not positive, are skipped.
     """
     hinges = [
         joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT and joint.parent

@@ -207,12 +207,13 @@ def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
 def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
-    The sphere is the nearest collision sphere on the link of the frame and the links fixed below
-    it; for a foot link without frame, and if these links have no sphere, on all links that move
-    with it.
-    Spheres with "foot" in their name or the name of their link have precedence. If the sphere is
-    farther away than five radii, there is no finding. The severity is NOTE if the frame is inside
-    the sphere, which some models use for a flat sole.
+    The foot's sphere is the collision sphere nearest to the frame. It is searched on the link of
+    the frame and on the links fixed below it. If these have no sphere, or if the frame is that of
+    the foot link itself, it is searched on all links that move with this link. Spheres with "foot"
+    in their name or in the name of their link have precedence.
+
+    There is no finding if the sphere is farther away than five radii. The severity is NOTE if the
+    frame is inside the sphere, which some models use for a flat sole.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)

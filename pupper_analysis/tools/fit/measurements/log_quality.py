@@ -288,8 +288,9 @@ difference is within `_MULTIPLE_TOLERANCE` of a multiple with probability 0.1, s
 smallest difference with probability 1e-6 for each candidate step."""
 
 _MAX_PARTS = 400
-"""Upper bound of the ratio between the smallest difference of readings and the encoder step. Chosen
-larger than 260, the number of steps of a 14-bit encoder within 0.1 rad."""
+"""Upper bound of the ratio between the smallest difference of readings and the encoder step that
+`find_column_step` searches. Chosen larger than 260, the number of steps of a 14-bit encoder within
+0.1 rad."""
 
 _MULTIPLE_TOLERANCE = 0.05
 """Distance of a difference of readings from a whole number of encoder steps, in steps, up to which

@@ -66,8 +66,8 @@ exist. Chosen, not tuned."""
 
 _SIGN_BAND_RATIO = 0.7
 """Sign band (servo error over which the sign of friction changes smoothly), as a fraction of the
-dead band (servo error at which the servo torque equals the dry friction). Joints of Go1 and MEVIUS
-whose load is below the dry friction are held by any fraction of the friction."""
+dead band (servo error at which the servo torque equals the dry friction). The change is gradual,
+since dry friction holds a joint with any torque up to its limit, as at joints of Go1 and MEVIUS."""
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of

@@ -289,8 +289,8 @@ message names the foot. The foot with the largest deviation is named in any case
 tuned."""
 
 _MAX_FLATNESS_RATIO = 5.0
-"""Upper bound of the ratio of estimated to expected unevenness of the ground. Larger noise would
-hide an error. Chosen, not tuned."""
+"""Upper bound of the ratio of estimated to expected unevenness of the ground. With a larger ratio
+the fit fails, since noise of this size would hide an error of the model. Chosen, not tuned."""
 
 _MAX_FRICTION_RATIO = 4.0
 """Upper bound of the ratio of estimated to expected dry friction: the sum of a random part and a
@@ -318,9 +318,13 @@ def check_residuals(
 ) -> Iterator[Diagnostic]:
     """Yield a failure for each kind of evidence that the model does not explain the measurements.
 
-    The tests, in order: chi2 of all residuals; unevenness of the ground and dry friction (random
-    plus one-sided), each divided by the expected value; change of each parameter of the robot from
-    the stated value, or a mass or kp of nearly 0; surroundings (`check_surroundings`).
+    The tests, in order:
+
+    1. chi2 of all residuals;
+    2. estimated unevenness of the ground, divided by the expected unevenness;
+    3. estimated dry friction (random plus one-sided), divided by the expected friction;
+    4. change of each parameter of the robot from the stated value, or a mass or kp of nearly 0;
+    5. surroundings (`check_surroundings`).
 
     Args:
         posterior: Distribution of the parameters.
@@ -1019,10 +1023,10 @@ def _make_scale_residual(
 
 
 _MAX_DEPTH_STDS = 1.0
-"""Largest computed depth below the ground, in standard deviations of the height, of a foot that a
-row of the measured stands states to be in the air. With a larger depth, the row contradicts the
-measured positions. The computed depth may be positive if the foot of v3 sags to within a millimetre
-of the ground. Chosen, not tuned."""
+"""Largest depth below the ground, computed from the measured joint positions, of a foot that the
+measurements list as in the air, in standard deviations of its height. A larger depth is an error:
+the list contradicts the positions. The bound is not 0, since a foot of v3 in the air may sag to
+within a millimetre of the ground. Chosen, not tuned."""
 
 
 def _check_feet(
