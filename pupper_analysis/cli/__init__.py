@@ -230,7 +230,7 @@ def main() -> None:
 
 
 COMMAND_NAMES = tuple(own_tools())
-"""Names of the commands of our tools."""
+"""Names of the commands, one for each tool of this package (without plug-ins)."""
 
 
 @click.group("pupper-analysis", cls=LazyGroup, context_settings=CONTEXT_SETTINGS)

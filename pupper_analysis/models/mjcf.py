@@ -61,7 +61,8 @@ GEOM_CONTACT_WORDS: Final = (
     *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
     *("margin", "gap", "group"),
 )
-"""Attributes of a geom that determine contacts, and the visualisation group."""
+"""Attributes that are copied from one geom to another: all that determine contacts, and ``group``,
+which controls the visibility."""
 
 
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:

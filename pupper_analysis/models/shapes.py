@@ -84,11 +84,11 @@ class Mesh:
     faces: Integers
 
     def select(self, numbers: Array | Integers, faces: Array | Integers) -> Mesh:
-        """Return the mesh with some of the vertices and triangles.
+        """Return a part of this mesh: the mesh of some of its vertices and triangles.
 
         Args:
-            numbers: Numbers of the vertices, shape (k,).
-            faces: Triangles (m, 3), in the vertex numbers of this mesh.
+            numbers: Indices of the vertices, shape (k,).
+            faces: Triangles, shape (m, 3), as vertex indices of this mesh.
         """
         new_numbers = np.full(len(self.vertices), -1, dtype=np.int64)
         new_numbers[numbers] = np.arange(len(numbers))

@@ -26,7 +26,8 @@ _HARMLESS_TAGS: Final = ("material", "transmission", "gazebo", "ros2_control")
 """Children of an included file's root that change neither links nor joints."""
 
 _HARMLESS_NAMES: Final = re.compile(r"materials?|colou?rs?|transmissions?|gazebo|ros2_control")
-"""Names of included files that state no links, for includes whose file does not exist here."""
+"""Pattern of the names of included files that are assumed to contain no links or joints, if the
+file does not exist here."""
 
 _EXPRESSION: Final = re.compile(r"\$[{(]")
 """Start of a xacro expression, ``${...}`` or ``$(...)``."""

@@ -23,8 +23,8 @@ from pupper_analysis.base.errors import ConfigurationError
 Array = NDArray[np.float64]
 
 _ROTATION_TOLERANCE = 1e-6
-"""Largest element of R^T R - 1 of a rotation matrix. Chosen: more than the rounding of matrices
-with seven digits."""
+"""Largest absolute element of R^T R - 1 with which a matrix R is accepted as a rotation matrix.
+Chosen: more than the rounding of matrices with seven digits."""
 
 
 _CLEARANCE_WEIGHT = 1e2

@@ -225,5 +225,5 @@ _RUN_QUANTITIES: tuple[
     ("torque-off-prediction-of-the-largest", "%", lambda run: run.torque_error, ".3f", 100.0),
     ("vertical-foot-force-off-prediction", "%", lambda run: run.force_error, ".3f", 100.0),
 )
-"""Quantities of a run: catalogue key, displayed unit, value in SI units, format and scale
-factor."""
+"""Rows of the table of a simulated stand: catalogue key of the quantity, displayed unit, value,
+format of numbers, and factor from the value to the displayed number."""

@@ -343,7 +343,7 @@ class Node:
         return texts if all(isinstance(item, str) and item for item in texts) else ()
 
     def make_statement(self, quantity: str, joint: str = "", **where: Any) -> Statement:
-        """Create a statement of a quantity from the value of this node, taken to be in SI units.
+        """Create the `Statement` that a quantity has the value of this node, taken as SI units.
 
         A value that is no number is kept as the text of an expression.
 

@@ -531,7 +531,8 @@ def _format_setting(name: str, value: Any) -> str:
 
 
 _TREE_ELEMENTS: Final = ("joint", "actuator", "tendon", "equality")
-"""Elements whose addition or removal is reported by the comparison of trees."""
+"""Tags of MJCF elements whose addition or removal the comparison of the multibody trees reports, so
+that the comparison of elements does not."""
 
 
 def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:

@@ -54,7 +54,8 @@ _OPTIONS_OF_MODE = {
     },
     "the page": {*_ROBOT_OPTIONS, "stance", "language", "host", "port", "no_browser"},
 }
-"""Options that each mode uses."""
+"""{option that selects a mode of `live`: names of the parameters that the mode uses}. Other options
+are refused in this mode."""
 
 
 @shared.command("live")

@@ -140,7 +140,7 @@ def _unknown_text(limit: PayloadLimit) -> doc.Text:
 
 
 def payload_table(limit: PayloadLimit) -> doc.Table:
-    """Create the table of the bounds of a payload [kg], smallest first, with the failures above.
+    """Create the table of payload bounds [kg], smallest first, with the failure beyond each.
 
     The bound of the simulation is listed only if finite.
     """

@@ -509,8 +509,8 @@ def _holds_in_simulation(verdict: Verdict) -> bool:
 
 
 _ROUNDING = 1 + 1e-9
-"""Factor of the tolerance of a bisection [1]: a bracket that was made as wide as the tolerance is
-not bisected because of rounding. Chosen far above rounding errors."""
+"""Factor on the tolerance of a bisection [1], so that a bracket whose width equals the tolerance up
+to rounding is not bisected again. Chosen far above rounding errors."""
 
 
 def _bisect_mass(

@@ -70,8 +70,9 @@ _SAMPLE_TIME = 0.004
 tuned."""
 
 _NUM_SAMPLES_NEAR_GROUND = 25
-"""Number of successive samples whose contacts are searched after a sample in which a part may touch
-the ground, before the distance of the parts from the ground is bounded again. Chosen, not tuned."""
+"""Number of successive samples whose contacts are searched without a check whether the search is
+necessary. The check is a lower bound of the distance of the parts from the ground. Chosen, not
+tuned."""
 
 MAX_DURATION_RATIO = 10.0
 """Largest simulated time of a push whose outcome is not decided at the end of the requested time,

@@ -133,7 +133,7 @@ class Plan:
     notes: dict[Key, Diagnostic] = field(default_factory=dict)
 
     def find_cause(self, key: Key) -> UnwrittenCause:
-        """Return the kind of reason why a difference (kind, element) remains in the files."""
+        """Return the kind of reason why the plan leaves a difference (kind, element) unchanged."""
         return self.causes.get(key, UnwrittenCause.NOT_MENDED)
 
     def documents(self) -> Iterator[XmlDocument]:

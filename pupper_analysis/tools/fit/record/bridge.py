@@ -24,8 +24,9 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand
 Array = NDArray[np.float64]
 
 ENTRY_POINT_GROUP = "pupper_analysis.bridges"
-"""Entry points by which other packages add bridges: functions of the robot and of the text after
-the colon, which return a `Bridge` and an `Operator`."""
+"""Group of entry points by which other packages add bridges (connections to robots). An entry point
+is a function of the robot and of the text after the colon in ``NAME:ARGUMENTS``; it returns a
+`Bridge` and an `Operator`."""
 
 
 class Operator(Protocol):

@@ -279,9 +279,9 @@ to that of three standard deviations. Chosen, not tuned."""
 
 _MIN_VARIANCE_REDUCTION = 0.02
 """Smallest reduction of the variance by the measurements, as a fraction of the prior variance, with
-which a combination of parameters is compared with its prior. With less, the measurements determine
-the combination too little. In the test of single parameters, smaller reductions are replaced by
-this value. Chosen, not tuned."""
+which the estimate of a combination of parameters is tested against its prior: with less, the
+measurements hardly determine the combination. In the test of single parameters, smaller reductions
+are replaced by this value. Chosen, not tuned."""
 
 _MIN_NAMED_STDS = 2.0
 """Deviation of a foot's parameter from its prior, in standard deviations, from which the error
@@ -1185,8 +1185,9 @@ show them. Measured: feet of v3 in MuJoCo keep 2e-5 to 1e-3 after 12 s."""
 
 _MIN_FRICTION_LEVEL = 0.5
 """Lower bound of the estimated random dry friction, divided by the expected friction. The fit
-explains friction that is equal in all stands by parameters, so that the estimate is too small: a
-fifth on MEVIUS, with which only 88 % of the intervals contained the truth."""
+attributes friction that is equal in all stands to parameters, which makes the estimate too small.
+Measured on MEVIUS without the bound: the ratio was a fifth, and only 88 % of the intervals
+contained the truth."""
 
 _UNKNOWN_STEPS = 4
 """Number of iterations of each stand's own unknowns (`StandEquations`) before the noise is
