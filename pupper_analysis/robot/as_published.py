@@ -54,9 +54,10 @@ class ServosUsed:
 
 
 MIN_UNHELD_DISPLACEMENT = 0.05
-"""Displacement of a joint [rad, m] between start and end of a simulation from a keyframe, above
-which a joint without servo counts as not held, and a joint with servo may count as commanded away.
-A joint without servo has no stiffness, and usually moves to a stop."""
+"""Lower bound of the displacement of a joint [rad, m] in a simulation of a published file from its
+keyframe, for two messages. With a larger displacement, a joint without servo counts as not held,
+and a joint with servo may count as moved away by its command. A joint without servo has no
+stiffness, and usually moves to a stop."""
 
 
 MAX_TORQUE_DEVIATION = 0.05
@@ -147,9 +148,9 @@ reports the deviation, but is not FAILS.
 
 
 MAX_OWN_TILT = math.radians(10.0)
-"""Tilt of the base [rad], relative to its initial orientation, at the end of a simulation of a
-published file from its own keyframe, above which the robot does not stand in the pose of the
-keyframe. Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
+"""Largest tilt of the base [rad] with which a robot stands in the pose of its keyframe, at the end
+of a simulation of the published file from this keyframe. The tilt is relative to the initial
+orientation. Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
 """
 
 

@@ -616,11 +616,12 @@ def drop_other_objects(
 ) -> list[Diagnostic]:
     """Delete the objects of a scene that do not belong to the robot, the largest tree of joints.
 
-    Deleted are bodies of the world with joints, other than the robot, and static bodies:
+    These child bodies of the world are deleted:
 
-    * beside a robot with a fixed base (table, wall), unless the body or a descendant has the name
-      of a link of the URDF, because static bodies count as part of the base;
-    * beside a robot with a free base, unless the body or a descendant has a plane.
+    * other bodies with joints;
+    * if the base is fixed: static bodies such as tables, which would count as part of the base. A
+      body is kept if it or a descendant has the name of a link of the URDF;
+    * if the base is free: static bodies without a plane in the body or a descendant.
 
     Limbs directly on the world belong to the robot: MuJoCo merges a fixed base with the world. They
     are identified by the joint names of the URDF. The mass of mocap bodies is set to zero.

@@ -71,7 +71,9 @@ def audit_model(
     unknown = [name for name in unwanted if name not in RULES]
     if unknown:
         alike = dict.fromkeys(
-            rule for name in unknown for rule in difflib.get_close_matches(str(name), RULES, cutoff=0.5)
+            rule
+            for name in unknown
+            for rule in difflib.get_close_matches(str(name), RULES, cutoff=0.5)
         )
         message = diagnose("rules-unknown", names=unknown, alike=list(alike), known=RULES)
         raise ConfigurationError("disabled", message)

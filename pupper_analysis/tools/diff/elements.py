@@ -257,9 +257,9 @@ _NUM_SAMPLES = 200
 Chosen, not tuned."""
 
 _MIN_FALL_HEIGHT = 1.0
-"""Lower bound of the height [m] of the old version's CoM above the new version's CoM at the end of
-the simulations, with which the new robot is reported as falling through or off the floor. Chosen,
-not tuned."""
+"""Height [m] of the old version's CoM above the new version's CoM, beyond which the new robot is
+reported as falling through or off the floor. The heights are those at the end of the simulations.
+Chosen, not tuned."""
 
 NUMBER_RTOL = 1e-9
 """Relative difference up to which two numbers of elements count as equal: rounding by programs that
