@@ -221,7 +221,9 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     ``leg_scale`` along the direction to the next joint (or the foot). This direction is projected
     into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. Mass is
     proportional to the scale. A shape along the link becomes longer; other primitive shapes keep
-    their size. Mass and inertia of the base body are multiplied by ``torso_mass_scale``; above 1, a dark block
+    their size.
+
+    Mass and inertia of the base body are multiplied by ``torso_mass_scale``; above 1, a dark block
     without mass is drawn on the base. The ground clearance of keyframes is unchanged.
 
     Args:
