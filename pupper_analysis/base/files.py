@@ -451,7 +451,7 @@ class _StagedFile:
     stuck: bool = False
 
     def stage(self) -> None:
-        """Check the target, and write the new content to a temporary file."""
+        """Check the output path, and write the new content to a temporary file in its folder."""
         try:
             self.target, self.existing = resolve_target(self.writing.path)
             if self.existing is not None:

@@ -176,10 +176,10 @@ class Drive(StrEnum):
 
     @property
     def has_other_law(self) -> bool:
-        """Whether the actuator follows another control law than a servo or motor.
+        """Whether this type is ``FORCE`` or ``OTHER``, neither a servo nor a torque motor.
 
-        ``FORCE`` is an actuator whose force does not depend on the joint position, such as a DC
-        motor without a position gain; ``OTHER`` is any other control law, such as ``pid``.
+        The force of a ``FORCE`` actuator does not depend on the joint position (for example a DC
+        motor without a position gain); ``OTHER`` is any other control law, such as ``pid``.
         """
         return self in (Drive.FORCE, Drive.OTHER)
 

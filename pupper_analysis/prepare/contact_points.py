@@ -215,7 +215,8 @@ _CIRCLE_POINTS = np.column_stack([np.cos(_CIRCLE_ANGLES), np.sin(_CIRCLE_ANGLES)
 """Points of a unit circle, shape (24, 2), with which rims of cylinders are sampled."""
 
 _LATITUDE_ANGLES = np.linspace(-math.pi / 2, math.pi / 2, 12)
-"""Latitudes at which spheres are sampled [rad]. Chosen, not tuned."""
+"""Latitudes of the points of a unit sphere (`_SPHERE_POINTS`) with which round shapes are sampled
+[rad]. Chosen, not tuned."""
 
 _SPHERE_POINTS = np.array(
     [(*math.cos(up) * point, math.sin(up)) for up in _LATITUDE_ANGLES for point in _CIRCLE_POINTS]

@@ -18,8 +18,8 @@ from pupper_analysis.robot.impedance import clip_solimp, solimp_impedance
 from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200
-"""Maximum number of bracketed iterations of `GroundLaw.depth`. Usually 5 are sufficient; bisection
-needs more. Chosen, not tuned."""
+"""Maximum number of iterations in which `GroundLaw.depth` narrows a lower and an upper bound of the
+penetration. Usually 5 Newton steps are sufficient; bisection needs more. Chosen, not tuned."""
 
 _NUM_UNBOUNDED_STEPS = 4
 """Maximum number of Newton steps of `GroundLaw.depth` from a given initial guess. Usually two are

@@ -37,8 +37,8 @@ _MAX_ITERATIONS = 1000
 its stiffness falls with the violation. Chosen, not tuned."""
 
 _VIOLATION_RTOL = 1e-14
-"""Relative change of the violation per iteration at which the fixed-point iteration ends: rounding
-level. Chosen, not tuned."""
+"""Relative change per iteration at which the fixed-point iteration for the violation of a soft
+constraint under a force ends: rounding level. Chosen, not tuned."""
 
 
 def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:

@@ -196,9 +196,14 @@ def named_positions(
 
 
 def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
-    """Return a posture in which each position has the unit of the matching joints.
+    """Return a posture in which each position is a `Position` with the unit rad or m.
 
-    A position stays without unit if the pattern matches both hinges and slides.
+    The unit is that of the joints that match the pattern; a position whose pattern matches both
+    hinges and slides stays a number without unit.
+
+    Args:
+        robot: Robot.
+        posture: {name or pattern of joints: position}.
     """
     result = dict(posture)
     for pattern, value in posture.items():

@@ -389,9 +389,10 @@ class Robot(EngineModels):
 
     @cached_property
     def welds(self) -> Mapping[str, str | None]:
-        """Contact point of each part that a task fixes to the world, None for the base.
+        """First contact point of each part that a task welds to the world or lets grip.
 
-        First the welded parts, then the gripping parts (``grips``).
+        The keys are the names of the parts, first the welded, then the gripping parts (``grips``).
+        The value is None for a part without contact point, such as the base.
         """
         welded = (
             name

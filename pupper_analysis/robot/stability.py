@@ -157,10 +157,10 @@ settling time. If a state is faster, a growing mode may have moved the robot out
 state, which is then evaluated as well."""
 
 _MIN_THROWING_DOUBLINGS = 6
-"""Number of doublings within the settling time from which a growing mode explains why a robot has
-left its initial state: 6 doublings turn 1 mm into 64 mm. With fewer, the initial state was no
-equilibrium, and its spectrum has no meaning (Pupper v3 while it sinks on soft servos: doubling
-times from 1.5 to 25 s for the same rest position)."""
+"""Number of doublings of a mode within the settling time from which the mode explains why a robot
+has left its initial state: 6 doublings turn 1 mm into 64 mm. A robot that has left it without such
+a mode was not in equilibrium there, so that the modes of that state have no meaning (Pupper v3
+while it sinks on soft servos: doubling times from 1.5 to 25 s for the same rest position)."""
 
 _MIN_NAMED_SHARE = 0.5
 """Amplitude of a joint in a mode, relative to the largest amplitude, from which a message about the

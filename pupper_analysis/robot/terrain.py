@@ -36,14 +36,16 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
     The floor is tilted, and a box is added for each step (a cylinder for a bar), with the contact
     parameters of the floor; the parameters of a plane with own friction come from `Robot.contacts`.
-    A foot on a step does not collide with the floor: a step down is below the floor, and a foot
-    that sinks into a low step would reach the floor. A flat foot collides with a plane on top
-    of the box, which no other geom touches, because MuJoCo places the contacts of a sole with a box
-    at other points than the contacts with a plane. Only the contact sphere of a hand collides with
-    the plane of the hand, because the shapes of the hand surround the sphere.
+    The following collisions are disabled:
 
-    A welded part collides with none of these geoms; the weld to the world is initially inactive
-    (see ``close_welds``).
+    - between a foot on a step and the floor, which is above a step down and may be reached through
+      a low step;
+    - between a sole and the box: the sole collides with a plane on top of the box, reserved for
+      this foot, because MuJoCo places its contacts with a box at other points;
+    - between the shapes of a hand and its plane, except the contact sphere, which they surround;
+    - between a welded part and all of these geoms.
+
+    Welds to the world are initially inactive (see ``close_welds``).
 
     Args:
         robot: Robot whose MJCF has a floor.

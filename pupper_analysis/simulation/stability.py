@@ -37,9 +37,9 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 CONTACT_SETTLING_TIME = 0.05
-"""Time for which a predicted equilibrium is simulated before its modes are computed [s]: contact
-forces then converge, since the prediction is accurate to first order in the creep. Chosen, not
-tuned."""
+"""Time for which a predicted equilibrium is simulated before its modes are computed [s]. It is
+sufficient for the contact forces to converge, since the prediction is accurate to first order in
+the creep (slow slip of loaded contacts). Chosen, not tuned."""
 
 
 @check_arguments

@@ -347,7 +347,8 @@ def verify_stand(
 
 
 CREEP_TIME = 10.0
-"""Time at the end of a simulation over which creep is measured [s]. Chosen, not tuned."""
+"""Time at the end of a simulation over which the creep (slow motion) of a stand is measured [s].
+Chosen, not tuned."""
 
 
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:

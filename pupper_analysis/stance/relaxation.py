@@ -49,9 +49,9 @@ _MIN_FOOT_ERROR = 1e-6
 dead point: the error is then due to the tolerance of the search. Chosen, not tuned."""
 
 _EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
-"""Increases of a relaxation, as fractions of the relaxation, that are tried in this order until the
-task with rounded values has a stand. A search that does not start near the stand may fail at the
-limit of reach. Chosen, not tuned."""
+"""Fractions by which the relaxation of an unreachable task is increased, in this order, until the
+relaxed task with rounded values has a stand. Without an increase, a search that does not start near
+the stand may fail at the limit of reach. Chosen, not tuned."""
 
 _NONZERO_DEMANDS = ("swing", "com_margin")
 """Relaxable requirements whose value must not become close to zero: a foot that is not lifted

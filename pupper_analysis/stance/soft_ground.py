@@ -291,7 +291,10 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
         return np.asarray(basis.T @ compute_forces(basis @ coefficients) - wanted)
 
     def derivative(coefficients: Array) -> Array:
-        """Return the derivative of ``residual`` by its ``coefficients``, shape (k, k) [N/m]."""
+        """Return the Jacobian of ``residual`` (contact minus required forces), (k, k) [N/m].
+
+        It is the derivative by the ``coefficients`` [m], which determine the penetrations.
+        """
         depths = (basis @ coefficients).tolist()
         stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])
         return np.asarray(basis.T @ (stiff[:, None] * basis))

@@ -308,7 +308,11 @@ class Balance:
         return particular, right[rank:].T
 
     def normal_forces(self, forces: Array) -> Array:
-        """Return the normal components, shape (n,) [N], of forces of shape (size,)."""
+        """Return the normal components of the contact forces, shape (n,) [N].
+
+        Args:
+            forces: Forces on contacts, welds and grips, shape (size,), in the order of `solve`.
+        """
         parts: Array = (self._contact_part(forces) * self.normals).sum(axis=1)
         return parts
 

@@ -319,7 +319,11 @@ def balance_load(
     friction = None if held else carrying.friction
 
     def distribute(problem: Balance) -> Array | None:
-        """Return the forces that ``criterion`` selects; None if no forces are feasible."""
+        """Return the forces of the requested distribution; None if no forces are feasible.
+
+        Feasible forces satisfy the equations of balance ``problem`` and, unless ``held``, the
+        friction cones.
+        """
         if criterion is ForceDistribution.MIN_MAX_TORQUE:
             return problem.min_max_torque(friction, robot.effort_limits)
         if criterion is ForceDistribution.MIN_TORQUE:

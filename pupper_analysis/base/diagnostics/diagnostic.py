@@ -115,7 +115,10 @@ class Diagnostic:
 
     @property
     def group(self) -> Group:
-        """Group by required action, one of wrong (repair), assumed (check) and found (none)."""
+        """Group of this diagnostic, which states the required action of the user.
+
+        It is wrong (repair), assumed (check) or found (no action).
+        """
         return Group(entry(self.code).group)
 
     def text(self, language: str = "en") -> str:

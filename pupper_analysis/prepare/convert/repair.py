@@ -48,8 +48,8 @@ of a ball of 16 mm: with a smaller radius, a small torque moves the link faster 
 2 ms can follow."""
 
 _TRIANGLE_MARGIN: Final = 1e-6
-"""Relative margin of repaired moments in A + B >= C. Chosen larger than the rounding to the written
-digits."""
+"""Relative margin with which repaired principal moments satisfy the triangle inequality A + B >= C.
+Chosen larger than the rounding to the written digits."""
 
 
 @dataclass(frozen=True)

@@ -254,7 +254,11 @@ def is_large(robot: Robot) -> bool:
 
 
 def affordable_states(robot: Robot, count: int) -> int:
-    """Return the number of states for a comparison: ``count``, or fewer for large robots."""
+    """Return the number of random states for a comparison: ``count``, or fewer for large robots.
+
+    The mass matrices of a large robot (`is_large`) may take `_MAX_STATE_BYTES` for all states; at
+    least `_MIN_STATES` are used.
+    """
     if not is_large(robot):
         return count
     return min(count, max(_MIN_STATES, int(_MAX_STATE_BYTES / (8 * robot.nv**2))))

@@ -494,7 +494,7 @@ class Change(Stated):
     felt: bool = True
 
     def apply(self, first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
-        """Return a copy of the first tree with the second tree's value of the changed property."""
+        """Return a copy of the first tree, with the differing value taken from the second tree."""
         return copy_value(first, second, self.kind, self.element)
 
 

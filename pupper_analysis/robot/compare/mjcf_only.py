@@ -97,9 +97,9 @@ def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
 
 
 def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
-    """Return a copy of a model without contacts, limits, friction, commands and some effects.
+    """Return a passive copy of a model in which given effects are disabled.
 
-    The copy is that of `make_passive_model`, in which the given effects are also disabled.
+    `make_passive_model` disables contacts, limits, dry friction and commands of the copy.
     """
     result = make_passive_model(model)
     for effect in effects:
@@ -252,7 +252,7 @@ def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the tendons with stiffness, damping, armature, dry friction or a limit."""
+    """Yield the effects of tendons that have stiffness, damping, armature, friction or a limit."""
     model = scene.model
     words = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "frictionloss")
     for tendon in range(model.ntendon):

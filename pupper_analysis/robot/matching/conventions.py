@@ -76,7 +76,7 @@ class Conventions:
 def find_conventions(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> Conventions:
-    """Return the differences between the conventions of two trees.
+    """Find by which base frame and which joint zeros a URDF and an MJCF of a robot differ.
 
     Args:
         first: Tree of the URDF, in the base frame.

@@ -179,8 +179,8 @@ the equilibrium is not checked. A longer step may end at another, unstable equil
 tuned."""
 
 _SHARE_TOLERANCE = 1e-7
-"""Accuracy of the removed fraction of the feed-forward (0 to 1) at which a contact opens or closes.
-Chosen: it corresponds to nanometres of motion."""
+"""Tolerance of the bisection for the removed fraction of the feed-forward (0 to 1) at which a
+contact opens or closes. Chosen: it corresponds to nanometres of motion."""
 
 _MAX_EVENTS = 24
 """Upper bound of the number of contact changes along a path, after which the solve fails: contacts

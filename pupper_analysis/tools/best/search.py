@@ -49,15 +49,13 @@ _RANKING_ITERATIONS = 8
 Chosen."""
 
 _FINALIST_COUNT = 6
-"""Number of best first descents that are continued. Measured: v3-heavy's payload
-requires 3; with 4, the utilisation of v3-long-leg on three feet is 3e-4 (relative) larger.
+"""Number of best first descents that are continued. Measured: with 1, four of 24 random robots were
+1.4 to 7.6 % worse than the best of thirty additional random descents; v3-heavy's payload requires
+3; with 4, the utilisation of v3-long-leg on three feet is 3e-4 (relative) larger.
 
-Each descent is restarted while the restart gains, because a single descent can stall at a kink:
-with one descent per initial guess, v3's smallest utilisation was 5.569 or 5.588 %, depending on the
-number of processors that the linear algebra used; with restarts the result is 5.569 % with 1 and
-with 2 processors. A descent with independent feet follows each descent. If only the very best
-descent was followed, 4 of 24 random robots were 1.4 to 7.6 % worse than the best of thirty
-additional random descents."""
+A continued descent is restarted while the restart gains, because a single descent can stall at a
+kink: v3's smallest utilisation was 5.569 or 5.588 %, depending on the number of processors that the
+linear algebra used. With restarts it is 5.569 % with 1 and with 2 processors."""
 
 _DESCENT_ITERATIONS = 25
 """SLSQP iterations of a continued descent. Chosen."""
@@ -85,10 +83,9 @@ except for the penetration, so that descents end at stances without violations d
 tolerance. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
-"""Penalty for coordinates without a stand, or with violated constraints. Without a stand, each
-constraint value is that of the initial guess minus this number. With negative slacks,
-`StanceSearch.merit` is the level plus this number times the sum of the violations. Chosen, not
-tuned."""
+"""Weight of the sum of constraint violations in `StanceSearch.merit`, which adds it to the level
+(scaled objective). If a descent evaluates coordinates without a stand, each constraint value is
+that at the start of the descent minus this number. Chosen, not tuned."""
 
 
 class Objective(StrEnum):
@@ -301,7 +298,9 @@ class StanceSearch:
         return float(signed.max()), np.column_stack([-signed, np.ones(len(signed))])
 
     def differentiate_rows(self, stance: EvaluatedStance) -> Array | None:
-        """Compute the derivatives of the constraints a + b level of a stance by its coordinates.
+        """Compute the derivatives of a stance's constraints by its coordinates.
+
+        The constraints have the form a + b level >= 0, where the level is the scaled objective.
 
         Returns:
             Derivatives of a, shape (k, n); b is constant. None if these are not known in closed

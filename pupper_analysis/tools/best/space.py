@@ -48,7 +48,8 @@ MAX_INWARD_STEP = 0.5
 foot from the centre along that axis. Chosen."""
 
 MAX_BASE_ROTATION = 0.3
-"""Largest difference of roll, pitch and yaw from the initial task [rad]. Chosen."""
+"""Bound of the search: largest difference of the base's roll, pitch and yaw from the initial task
+[rad]. Chosen, not tuned."""
 
 MIN_SINGULAR_VALUE_RATIO = 0.5
 """Lower bound of the smallest singular value of a leg's Jacobian, relative to the initial stand.
@@ -104,7 +105,8 @@ class StanceSlack:
         Lengths [m] are multiplied by 10, to have the magnitude of the other slacks.
 
         Args:
-            reduction: Subtracted from all entries but the last. The last is the slack of
+            reduction: Small number that is subtracted from the entries, so that the program ends
+                at stances without violations. Not subtracted from the last entry, the slack of
                 penetrations, which is zero for every allowed stance.
         """
         slacks = [

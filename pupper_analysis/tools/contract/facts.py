@@ -333,7 +333,7 @@ class Node:
 
     @property
     def items(self) -> list[Node]:
-        """Items of this value of a file, or the value itself if not a list; empty if None."""
+        """Items of this node if it is a list, else the node alone; empty if its value is None."""
         return self.value if isinstance(self.value, list) else [self] * self.is_present
 
     @property

@@ -24,10 +24,10 @@ _MAX_STEPS = 60
 tuned."""
 
 _MIN_PREDICTED_DECREASE = 1e-4
-"""Predicted decrease of the cost chi2 + z^T P z below which the iteration has converged. An
-accepted step may also fall short of the required decrease by this amount. With this cost, a
-decrease d corresponds to a step of sqrt(d) standard deviations: 1e-4 is a hundredth of a standard
-deviation. Chosen, not tuned."""
+"""Predicted decrease of the cost chi2 + z^T P z below which the iteration has converged, with z the
+deviation from the stated values (in prior widths) and P the prior precision. An accepted step may
+also fall short of the required decrease by this amount. A decrease d corresponds to a step of
+sqrt(d) standard deviations: 1e-4 is a hundredth of a standard deviation. Chosen, not tuned."""
 
 _STALL_RTOL = 0.01
 """Predicted decrease, relative to the cost, from which a failed step is an error, if the decrease

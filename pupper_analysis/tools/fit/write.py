@@ -151,14 +151,13 @@ def draw_samples(
 ) -> tuple[tuple[str, ...], Array]:
     """Draw random robots from the posterior distribution, all parameters of a robot jointly.
 
-    Measurements determine sums and ratios, for example the total mass, but hardly how the links
-    share the mass. Parameters drawn independently would give robots that the measurements exclude.
+    Parameters drawn independently would give robots that the measurements exclude: measurements
+    determine, for example, the total mass, but hardly how the links share the mass.
 
     Robots with a mass or kp below 10 % of the written value are drawn again; other factors are
-    clipped at 0. (Log-normal masses would be always positive, but their sum is biased: the total
-    mass of v3 was 2.957 ± 0.094 kg instead of 2.787 ± 0.006 kg.) Gravity is linear in masses m and
-    first moments m c, so these are drawn: the deviation of a CoM is scaled by m0 / m, with the
-    written mass m0.
+    clipped at 0. (Log-normal masses would bias the total mass: 2.957 ± 0.094 kg instead of 2.787 ±
+    0.006 kg for v3.) The deviation of a CoM is scaled by m0 / m, written over drawn mass, because
+    gravity is linear in the first moment m c.
 
     Args:
         posterior: Distribution of the parameters.

@@ -46,8 +46,9 @@ MAX_GROWTH_RATE = math.log(2) / HOLD_DURATION
 stand must hold. Slower modes are creep of MuJoCo's friction."""
 
 _MAX_STEPS_PER_PERIOD = 64
-"""Upper bound of the number of time steps per control period, if the model's time step does not
-require more. A delay that would need more is rounded to a time step. Chosen, not tuned."""
+"""Upper bound of the number of time steps into which a control period is divided so that the delay
+is a whole number of steps. If no number up to this bound fits, the delay is rounded. The period has
+more steps only if the model's own time step requires it. Chosen, not tuned."""
 
 _DELAY_TOLERANCE = 1e-6
 """Deviation of a delay from a multiple of the time step, relative to the larger of the time step

@@ -179,8 +179,8 @@ def tool_payload(
     In a single posture, torques are linear in the mass, and the limit is in closed form. Over all
     postures, a mass M is reduced iteratively: the worst postures with payload M are searched, and M
     becomes the smallest limit of these postures. The iteration stops if this changes M by at most
-    `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches. It is left out if a motor that may
-    bear the mass has an unknown limit or a limit of zero.
+    `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches. Nothing is searched if a motor that
+    may bear the mass has an unknown limit or a limit of zero.
 
     Args:
         robot: Robot with a fixed base.

@@ -35,8 +35,9 @@ _TESTED_RANGE_FRACTIONS = (0.29, 0.71, 1.0)
 motion. Chosen, not tuned."""
 
 _NUM_LINEAR_SAMPLES = 24
-"""Number of samples along a proportional motion. Used if the torque along the motion is not a
-single sinusoid in closed form. Chosen, not tuned."""
+"""Number of samples of the torque along the motion of an independent joint, if all dependent joints
+move in proportion. Used if the torque is not a single sinusoid, whose maximum has a closed form.
+Chosen, not tuned."""
 
 _NUM_LOOP_SAMPLES = 25
 """Number of samples along the only independent joint of a loop: 3 degrees apart for a gripper.
@@ -140,10 +141,13 @@ class JointMotions:
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
     def count_samples(self, motion: int) -> int:
-        """Return the number of samples along the motion with an index.
+        """Return the number of samples along the motion of an independent joint.
 
-        Samples of a nonlinear motion are equally spaced over its range, so that the closed
-        positions of the loop are computed once, and then cached.
+        Samples of a nonlinear motion are equally spaced over the range of the joint, so that each
+        closed position of the loop is computed once, and then cached.
+
+        Args:
+            motion: Index of the motion, in ``free``.
         """
         if not self.nonlinear[motion]:
             return _NUM_LINEAR_SAMPLES

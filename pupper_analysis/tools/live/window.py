@@ -194,10 +194,11 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
 
 
 def list_contradictions(robot: Robot) -> tuple[str, ...]:
-    """Return reasons for which the robot's own file may fall although the drop is stable.
+    """Return reasons why the unmodified MJCF may fall although the simulated drop ends stable.
 
-    The dropped robot is the prepared one: for example, bad servos are replaced. The reasons are
-    replaced servos, a failure of the unmodified MJCF from its keyframe, and feet without friction.
+    The simulated drop uses the prepared robot, in which, for example, bad servos are replaced. The
+    reasons are replaced servos, a failure of the unmodified MJCF from its keyframe, and feet
+    without friction.
     """
     replaced: tuple[MadeServo, ...] = ()
     with contextlib.suppress(ModelError):  # torque motors have no servo

@@ -251,7 +251,9 @@ class _MergedValues:
         return vector
 
     def number(self, key: str, fallback: float | None, low: float, high: float) -> float:
-        """Return the number of a contract key, from `low` to `high`.
+        """Return the value of a key of the policy's contract as a number from `low` to `high`.
+
+        `fallback` replaces a missing key.
 
         Raises:
             ModelError: If the key is missing and `fallback` is None, or the value is not valid.

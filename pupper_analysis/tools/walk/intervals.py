@@ -41,9 +41,10 @@ DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
 """Duration of a run [s], and of the warm-up [s]. Chosen: most falls occur within the first 3 s."""
 
 NUM_HALVINGS = 5
-"""Number of bisections between a tracked and an untracked value of a varied quantity. Derived: they
-determine the end of the interval to 1/32 of the distance between the nominal value and the bound of
-the range (of logarithms, if the quantity is a factor)."""
+"""Number of bisections between a value of a varied quantity at which the policy tracks the command
+and a value at which it does not. Derived: five bisections locate the end of the interval to 1/32 of
+the distance from the nominal value to the bound of the range (of logarithms, if the quantity is a
+factor)."""
 
 Change = Callable[[Stage, mujoco.MjModel, float], None]
 """Function that applies a value of a quantity to a copy of the model."""

@@ -491,9 +491,9 @@ def _compute_link_volume(body: Link) -> float | None:
 
 
 _MIN_REPEATED_LINKS = 2
-"""Smallest number of moving links with the same ball-shaped inertia (a power of ten times the
-identity) that are reported: a single link may have the value by chance. A mass that is a power of
-ten is reported from one link more, if all links have it."""
+"""Smallest number of moving links that are reported if they have the same inertia, a power of ten
+times the identity: a single link may have the value by chance. A mass that is a power of ten is
+reported only if all moving links have it, and there are more of them than this number."""
 
 
 def _is_round(value: float) -> bool:

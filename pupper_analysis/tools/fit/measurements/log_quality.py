@@ -284,8 +284,8 @@ _MIN_ENCODER_STEP = 1e-5
 
 _MIN_STEPS = 7
 """Smallest number of differences between readings that determine an encoder step. Derived: a random
-difference is within `_MULTIPLE_TOLERANCE` of a multiple with probability 0.1, six besides the
-smallest difference with probability 1e-6 for each candidate step."""
+difference is within `_MULTIPLE_TOLERANCE` of a multiple of a candidate step with probability 0.1.
+The smallest difference is a multiple by construction; the six others are with probability 1e-6."""
 
 _MAX_PARTS = 400
 """Upper bound of the ratio between the smallest difference of readings and the encoder step that

@@ -670,12 +670,10 @@ def differentiate_motion(
     The parameters are in first-moment coordinates: a CoM c of a body with an estimated mass m is
     replaced by c0 + (m / m0) (c - c0), with stated values c0, m0 (`MomentCoordinates`).
 
-    A common factor on kp, friction and masses changes nothing, but each alone changes much. With
-    differences along single parameters, the errors of large derivatives would add up to a false
-    effect of the common factor, and intervals would be a quarter too narrow. Therefore the steps
-    are along the principal directions of the information, scaled by the uncertainties.
-
-    Groups of joints without mutual effect are changed in the same simulation.
+    Finite-difference steps are along the principal directions of the information, scaled by the
+    uncertainties. Steps along single parameters would make intervals a quarter too narrow: a common
+    factor on kp, friction and masses has no effect, but errors of the large derivatives by each add
+    up to a false effect. Groups of joints without mutual effect are changed in one simulation.
 
     Args:
         simulator: Simulator.

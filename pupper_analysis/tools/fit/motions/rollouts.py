@@ -601,11 +601,12 @@ class MomentCoordinates:
         return moments
 
     def differentiate_parameters(self, moments: Array) -> Array:
-        """Return the derivative of the parameters by first-moment coordinates, shape (n, n).
+        """Return the derivative of the physical parameters by first-moment coordinates, (n, n).
+
+        It is the derivative of `to_parameters`.
 
         Args:
-            moments: Coordinates, shape (n,), with first moments in place of CoM positions, at which
-                the derivative is evaluated.
+            moments: First-moment coordinates at which the derivative is evaluated, shape (n,).
         """
         derivative, mass_ratio = np.eye(len(moments)), self._compute_mass_ratio(moments)
         deviation = moments[self._coms] - self._stated_com

@@ -137,11 +137,10 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 
 _MIN_FORCE_SIGNAL = 1.0
-"""Lower bound of the product of singular value and robot weight, with which a combination of a
-stand's own unknowns (contact forces, base tilt, base height) is eliminated. Singular values are
-those of the whitened equations of the stand: at the bound, a force equal to the weight changes the
-residuals by one standard deviation. Smaller values belong to distributions of the force within a
-sole. Chosen, not tuned."""
+"""Singular value times robot weight, above which a combination of a stand's own unknowns (contact
+forces, base tilt, base height) is eliminated from the whitened equations of the stand: at the
+bound, a force equal to the weight changes the residuals by one standard deviation. Smaller singular
+values belong to distributions of the force within a sole. Chosen, not tuned."""
 
 _MIN_READING_INFORMATION = 1e-4
 """Lower bound of the information that all other readings provide about a joint reading, relative to
@@ -785,11 +784,11 @@ class StandEquations:
         return total
 
     def set_noise_point(self, x: Array) -> None:
-        """Set servo stiffness, mass and dead band that scale the noise from a parameter vector.
+        """Take from a parameter vector the values that scale the noise.
 
-        Until the first call, the stated stiffness and mass and a dead band of zero are used. The
-        values are constant during a fit, since the fit would otherwise prefer parameters with large
-        noise.
+        These are servo stiffness, mass and dead band; until the first call, the stated stiffness
+        and mass, and a dead band of zero. The values are constant during a fit, since the fit would
+        otherwise prefer parameters with large noise.
 
         Args:
             x: Parameters, shape (n,).

@@ -429,7 +429,8 @@ nominal stand, if that is less than `_MIN_CLEARANCE`: thighs may be close to the
 tuned."""
 
 _COM_MARGIN_RATIO = 0.05
-"""Lower bound of the CoM margin, as a fraction of the nominal height. Chosen, not tuned."""
+"""Lower bound of the CoM margin that planned stands require, as a fraction of the base height in
+the nominal stand. Chosen, not tuned."""
 
 
 class RandomStands:
