@@ -24,6 +24,7 @@ Problem: TypeAlias = Diagnostic | str
 """Description of a problem: a diagnostic, or the message of another program."""
 
 _E = TypeVar("_E", bound="PupperAnalysisError")
+"""Type of an exception of this package."""
 
 
 class PupperAnalysisError(Exception):

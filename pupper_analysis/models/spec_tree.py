@@ -286,7 +286,10 @@ class SpecTree:
         return equality
 
     def stiffen_couplings(self) -> None:
-        """Make all joint couplings as stiff as ``add_coupling``, since mimic joints are exact."""
+        """Make all joint couplings as stiff as those that ``add_coupling`` creates.
+
+        MuJoCo's couplings are soft, whereas a mimic joint of a URDF follows exactly.
+        """
         for equality in self.spec.equalities:
             if equality.type == mujoco.mjtEq.mjEQ_JOINT:
                 self._set_stiffness(equality)

@@ -231,7 +231,7 @@ class EngineModels:
         return self.velocity_map(qpos).T @ (acceleration - offset)
 
     def jacobian_to_pinocchio(self, qpos: ArrayLike, jacobian: ArrayLike) -> Array:
-        """Convert the columns of a Jacobian (n, nv) to Pinocchio's: J_pin = J T^T.
+        """Convert the columns of a Jacobian to Pinocchio's: J T^T, with T of `velocity_map`.
 
         Args:
             qpos: Configuration (nq,).

@@ -386,8 +386,8 @@ def find_servos_used(
 
     Args:
         robot: Robot.
-        kp: As for `model_with_servos`.
-        kd: As for `model_with_servos`.
+        kp: Stiffness at the joints [N m/rad], scalar or shape (nu,). Default: the model's.
+        kd: Damping at the joints [N m s/rad], scalar or shape (nu,). Default: the model's.
 
     Raises:
         ConfigurationError: As for `model_with_servos`.

@@ -43,7 +43,7 @@ _TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE = "terms.toml", "texts.toml", "meanings
 """Catalogue files of terms, of texts of documents, and of descriptions of the fields of results."""
 
 LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
-"""Files with a line per entry."""
+"""Catalogue files in which each entry is a single line."""
 
 _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 """Folder of the catalogue files."""

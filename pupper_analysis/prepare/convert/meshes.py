@@ -264,7 +264,7 @@ class MeshFiles:
 
 
 _PLACEHOLDER_FILE = "deferred_visual_mesh.obj"
-"""Name of the file that represents deferred meshes."""
+"""Name of the file that stands for visual meshes whose conversion is deferred."""
 
 _PLACEHOLDER = b"""v 0 0 0
 v 0.01 0 0

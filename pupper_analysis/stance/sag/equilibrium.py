@@ -753,9 +753,9 @@ class SagEquilibrium:
     def violation_of(self, foot: str, solution: Solution) -> float:
         """Return the pull of a touching contact [N], or the penetration of another point [m].
 
-        The penetration includes the contact margin, and is reduced by `CONTACT_DEPTH_TOLERANCE`.
-        Positive values are violations. Zero for touching points of a sole, whose equation between
-        depth and force permits no pull.
+        A positive value contradicts the solution. The penetration includes the contact margin, and
+        is reduced by `CONTACT_DEPTH_TOLERANCE`. The pull of a touching point of a sole is zero: its
+        equation between depth and force permits none.
         """
         if foot in self.anchors:
             # The depth equation of a sole point has no pull.

@@ -348,12 +348,12 @@ def worst_postures(
 ) -> WorstPostures:
     """Search for the posture with the largest static torque of each motor of a fixed-base robot.
 
-    As a function of the angle q of a joint, with all other joints at rest, the torque of gravity
-    and joint springs is a + b cos q + c sin q + k q (a + b q for a slide). Three evaluations give
-    the maximum over q in closed form. A search maximises joint by joint until a sweep gains
-    nothing. Searches start from random postures until several end at the same torque. The result is
-    not proven: another posture may require a larger torque. Of 20,000 random postures of each of
-    seven arms and hands, none did.
+    A search maximises the torque over one joint after another, until a sweep over all joints gains
+    nothing. The maximum over the angle q of a joint that moves no other joint has a closed form,
+    since the torque of gravity and joint springs is a + b cos q + c sin q + k q; otherwise, the
+    torque is sampled. Searches start from random postures until several end at the same torque. The
+    result is not proven, but none of 20,000 random postures of each of seven arms and hands
+    required a larger torque.
 
     Args:
         robot: Robot with a fixed base.

@@ -290,7 +290,7 @@ FILE_SIDES: Final = ("urdf", "mjcf")
 """Names of the two files in a choice."""
 
 _BODY_KINDS: Final = ("mass", "com", "inertia")
-"""Kinds of differences of a link."""
+"""Kinds of differences that are attributed to a link, not to a joint or frame."""
 
 _JOINT_KINDS: Final = (
     "position",

@@ -337,11 +337,11 @@ def _find_wrong_numbers(
 
 
 BODY_KINDS = ("mass", "com", "inertia")
-"""Kinds of numbers of a link."""
+"""Kinds of numbers of a link that `write_numbers` accepts."""
 JOINT_KINDS = ("damping", "friction", "armature")
-"""Kinds of numbers of a joint."""
+"""Kinds of numbers of a joint that `write_numbers` accepts."""
 SERVO_KINDS = ("kp", "kd")
-"""Kinds of numbers of a servo."""
+"""Kinds of numbers of a position servo that `write_numbers` accepts."""
 
 _SAME_ROBOT_RTOL = 1e-6
 """Tolerance between the robot and its files: relative for masses, in m for the CoM; 1e3 times as

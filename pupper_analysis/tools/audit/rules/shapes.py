@@ -274,7 +274,7 @@ has 1.2, the lightest foam 10, the lightest published link 8.8."""
 
 MIN_MASS_FRACTION = 0.01
 """Mass of a link, relative to the robot's mass, below which the density is not checked: the shapes
-of light links may be symbolic. Chosen, not tuned."""
+of light links may be markers instead of the real geometry. Chosen, not tuned."""
 
 MIN_SHAPE_FRACTION = 0.5
 """Extent of a link's shapes, relative to the extent of its joints and frames, below which its

@@ -52,9 +52,9 @@ times height. The value is small, because a robot at rest obeys statics. It is n
 weighted least squares divide by it. Chosen, not tuned."""
 
 _TORQUE_RTOL = 1e-4
-"""Standard deviation of a servo's torque from kp times the servo error, as a fraction of weight
-times height. A leg joint carries about a tenth of that product, so this is a thousandth of the
-joint torque."""
+"""Standard deviation of the difference between a servo's torque and kp times the servo error, as a
+fraction of weight times height. A leg joint carries about a tenth of that product, so this is a
+thousandth of the joint torque."""
 
 _UNKNOWN_TORQUE_RATIO = 1e3
 """Standard deviation of the torque of a joint without a usable command, as a fraction of weight
