@@ -205,7 +205,8 @@ PASSIVE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if
 COMPILED_ATTRIBUTES: Final = tuple(
     attribute for attribute in JOINT_ATTRIBUTES if attribute.mujoco or attribute.of_joints
 )
-"""Parameters with an array in ``mujoco`` or ``of_joints``; limits and efforts have none there."""
+"""Joint parameters with an array in MuJoCo's model, shape (nv,) or (njnt,): damping, dry friction,
+armature and spring stiffness."""
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ _MAX_POSITION: Final = 1e6
 largest double."""
 
 _IDENTITY_ATOL: Final = 1e-12
-"""Tolerance of the placement of a frame that is the frame of its joint [m, 1]. Chosen."""
+"""Tolerance [m, 1] with which a body frame counts as equal to the frame of its joint: it then names
+the link of the joint, and gets no link of its own. Chosen, not tuned."""
 
 _WORLD: Final = "world"
 """Name of the root link above a free base."""

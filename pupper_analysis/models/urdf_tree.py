@@ -229,7 +229,7 @@ class UrdfJoint(UrdfElement):
         add_element(self.element, "axis", xyz=write_numbers(axis, digits=digits))
 
     def fix(self) -> None:
-        """Change the type to ``fixed``."""
+        """Change the type of this joint to ``fixed``."""
         self.element.set("type", "fixed")
 
     def set_range(self, lower: float, upper: float) -> None:

@@ -62,7 +62,7 @@ class Element:
         self.changes[name] = value
 
     def rename_or_set(self, old: str, name: str, value: str) -> None:
-        """Set the attribute ``name``; an existing attribute ``old`` is renamed to ``name``."""
+        """Set the attribute ``name`` of this element; rename the attribute ``old``, if present."""
         if name != old and old in self.attributes:
             self.renamed[old] = name
         self.set(name, value)

@@ -85,10 +85,10 @@ _APPROACH_INTERVAL = 2.0
 `NUDGED_TIME`."""
 
 _MAX_APPROACH_RATIO = 0.9
-"""Largest ratio of two successive torque deviations, `_APPROACH_INTERVAL` apart, with which the
-torques count as approaching the prediction. Measured: the nudge moves feet by micrometres, and with
-elliptic cones and an ``impratio`` of 100 the tangential forces of six feet relax with a time
-constant of 6.8 s, a ratio of 0.75."""
+"""Upper bound of the torque deviation, relative to that `_APPROACH_INTERVAL` earlier, with which
+the torques count as approaching the prediction, so that the simulation continues. Measured after
+the nudge of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential forces
+relax with a time constant of 6.8 s, which is a ratio of 0.75."""
 
 TORQUE_RTOL = 0.01
 """Largest deviation of the torques in a simulation of the published file from the prediction,
@@ -645,7 +645,10 @@ def _test_causes(
 
     @cache
     def deviation_without(removed: frozenset[CauseCandidate]) -> float | None:
-        """Return the result of ``test_model`` for the model without some candidate elements."""
+        """Return the remaining deviation of the model with some candidates switched off.
+
+        It is the result of ``test_model``; None if that model is unsound.
+        """
         model = copy.copy(published.model)
         for candidate in removed:
             candidate.switch_off(model)

@@ -62,8 +62,8 @@ _MIN_FREQUENCY = 4 * math.pi
 holds no gravity torque, but must reach the command within some tenths of a second."""
 
 _NUM_POSES = 64
-"""Number of random poses in which the requirement of a fixed-base robot is evaluated. Chosen, not
-tuned."""
+"""Number of random poses of a fixed-base robot, in which the gravity torques and inertias for the
+design of its servos are computed. Chosen, not tuned."""
 
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
 """Divisors of the model's time step that are tried for added servos, in this order. Measured: a

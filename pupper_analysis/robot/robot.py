@@ -168,7 +168,7 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
-        """Return the record of the published file that a modified copy of a robot gets.
+        """Return this record for a modified copy of a robot, with the unmodified robot.
 
         Args:
             robot: Robot before the modification. At the first modification, it is stored as

@@ -39,9 +39,10 @@ _RATE_TOLERANCE = 0.3
 which both finite-difference steps show the same mode. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-14
-"""Solver tolerance during differences. Measured with the default of 1e-8: the solver sometimes
-stops an iteration earlier on one side, and an element deviates by 0.03. The model is changed in
-place, since a copy with the meshes of a humanoid is slow."""
+"""Upper bound of MuJoCo's solver tolerance while a time step is linearised by finite differences.
+Measured with the default of 1e-8: the solver sometimes stops an iteration earlier on one side of a
+difference, and an element of the matrix deviates by 0.03. The model is changed in place, since a
+copy with the meshes of a humanoid is slow."""
 
 
 SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value

@@ -251,7 +251,7 @@ class Stand(Pictured, Tabular):
 
     @property
     def solved(self) -> bool:
-        """Whether the feet are at their targets, and no clearance or CoM margin is violated."""
+        """Whether this stand has its feet at the targets, and keeps all clearances and CoM margins."""
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
     def check(self, robot: Robot) -> Robot:

@@ -194,7 +194,10 @@ class RelativePositionTask(PostureTask):
         return (self.frame, self.target)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the distance [m] of ``target`` from the required position in axes of ``frame``."""
+        """Return the distance [m] between actual and required position of the link ``target``.
+
+        Both positions are relative to the link ``frame``, in its axes.
+        """
         (rotation, origin), (_, place) = body.pose(self.frame), body.pose(self.target)
         return float(np.linalg.norm(rotation.T @ (place - origin) - np.asarray(self.position)))
 

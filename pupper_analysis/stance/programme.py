@@ -58,10 +58,10 @@ _MIN_PROGRESS_RATIO = 0.9
 counts as progress. Iterations without progress end the solve (`_PATIENCE`). Chosen, not tuned."""
 
 _PATIENCE = (1, 15)
-"""Largest number of successive iterations without progress in an SLSQP solve: (without slacks, with
-slacks). One more ends the solve. Measured without slacks: the bound was exceeded in 1 of 138 solves
-that led to a stand, and in two thirds of 206 solves that led to none. With slacks: in 1 of 350, and
-in one eighth of 633."""
+"""Largest number of successive SLSQP iterations without progress, for a solve without and with
+slacks (of relaxable requirements); one more ends the solve. Measured without slacks: 1 of 138
+solves that led to a stand exceeded the bound, and two thirds of 206 solves that led to none. With
+slacks: 1 of 350, and one eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
 """Diagonal of the pivoted QR factor of the equalities' Jacobian, relative to the largest, below

@@ -242,7 +242,8 @@ class _Search:
     def try_program(self) -> Stand:
         """Solve the nonlinear program from one initial configuration after another.
 
-        Skipped if it cannot help, for example without a free CoM and without redundant joints.
+        Skipped if it cannot help, for example if the task prescribes the horizontal position of the
+        CoM or base, and no joints are redundant.
 
         Returns:
             First solved stand; otherwise the best stand of the search, which may violate the goal.

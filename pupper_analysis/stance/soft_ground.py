@@ -283,10 +283,14 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     wanted, start = basis.T @ compute_forces(np.array(given)), basis.T @ np.array(given)
 
     def residual(coefficients: Array) -> Array:
-        """Return contact forces minus required forces, projected on the columns of ``basis``.
+        """Return contact forces minus required forces, projected on ``basis``, shape (k,) [N].
 
-        The components [N] are zero if resultant force and moments on the sole are as required.
-        ``coefficients`` [m] are factors of the columns; ``basis @ coefficients`` are penetrations.
+        The columns of ``basis`` are the penetrations that a rigid sole permits. The result is zero
+        if resultant force and moments on the sole are as required.
+
+        Args:
+            coefficients: Factors of the columns, shape (k,) [m]; ``basis @ coefficients`` are the
+                penetrations.
         """
         return np.asarray(basis.T @ compute_forces(basis @ coefficients) - wanted)
 

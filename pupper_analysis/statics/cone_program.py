@@ -60,9 +60,9 @@ Clarabel's solutions violate bounds by 1e-9 of these; chosen, not tuned."""
 
 
 _MIN_RECIPROCAL_CONDITION = 1e-8
-"""Smallest reciprocal condition number at which rows count as independent. Measured for four feet
-on level ground: 1e-4 with the weights of `TangentialMetric`, 5e-2 without. Below this bound the
-slower singular value decomposition is used."""
+"""Smallest reciprocal condition number with which the linear equations for the contact forces count
+as independent. Below, the slower singular value decomposition is used. Measured for four feet on
+level ground: 1e-4 with the weights of `TangentialMetric`, 5e-2 without."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 """Normal of level ground in the world frame."""

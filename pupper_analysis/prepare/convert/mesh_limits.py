@@ -75,9 +75,10 @@ class _ColladaScene:
         self._extents: dict[etree._Element, _Extent] = {}
 
     def extent(self, node: etree._Element) -> _Extent:
-        """Count the parts and the text length of a node of the scene, with all nodes in it.
+        """Count the parts of a COLLADA node, and the characters that describe its shapes.
 
-        A node that contains itself gets more parts than allowed.
+        Parts are the node, its shapes, and the parts of all nodes in it. A node that contains
+        itself gets more parts than allowed, so that the file is refused.
         """
         if node not in self._extents:
             self._extents[node] = _Extent(MAX_MESH_PARTS + 1, 0)

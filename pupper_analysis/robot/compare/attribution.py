@@ -244,7 +244,7 @@ _COPIED_CODES = {
 """{parameter copied from the MJCF to the URDF: code of the note}."""
 
 _COPIED_UNITS = {"armature": "kg m^2", "damping": "N m s/rad", "friction": "N m"}
-"""{copied parameter: unit for a hinge}."""
+"""{joint parameter copied from the MJCF to the URDF: unit of the values in the note}."""
 
 
 def _report_copied_values(

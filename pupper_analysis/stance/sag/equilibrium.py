@@ -458,11 +458,11 @@ class SagEquilibrium:
         return seen[2]
 
     def slips(self, qpos: Array, forces: Array) -> Array:
-        """Return the slip of each touching contact along two tangents, and its penetration.
+        """Return slips (along two ground tangents) and penetration of each touching contact.
 
-        A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
-        it is the displacement since the start of the current step of simulated creep, if there is
-        one, plus the product of compliance and tangential force: zero for a contact that sticks.
+        A slip is the displacement along the ground since the first contact. With ``feet="pinned"``
+        it starts at the current step of simulated creep, if there is one, and the product of
+        compliance and tangential force is added: the sum is zero for a contact that sticks.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -726,10 +726,11 @@ class SagEquilibrium:
         return equations
 
     def weld_rows(self, qpos: Array) -> Array:
-        """Return the Jacobian of welded bodies and of grippers that hold a bar, world frame.
+        """Return the Jacobian of welded bodies and gripped points, shape (6 w + 3 g, nv).
 
-        Shape (6 w + 3 g, nv): linear and angular velocity of w welded bodies, then linear velocity
-        of g gripped points. If only the base is welded: its six coordinates in qvel.
+        The product with qvel is the linear and angular velocity of w welded bodies, then the linear
+        velocity of g points of bars that grippers hold, in the world frame. If only the base is
+        welded, the rows select the six components of the base in qvel.
 
         Args:
             qpos: Configuration, shape (nq,).

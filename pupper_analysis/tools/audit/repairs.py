@@ -234,13 +234,15 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 
 
 _MIRROR_RTOL = 0.02
-"""Largest relative difference between a moment with a moved decimal point and the moment of the
-mirrored tensor, with which the latter confirms the former. Chosen, not tuned."""
+"""Largest relative difference between two repairs of a moment of inertia (moved decimal point, and
+mirrored tensor of the partner) that counts as agreement: then only the former is proposed. Chosen,
+not tuned."""
 
 
 MAX_DECIMAL_SHIFT = 6
-"""Largest number of places by which a decimal point is moved. Chosen: g mm^2 are 1e-9 kg m^2, but
-then all entries are wrong."""
+"""Largest number of places by which a repair moves the decimal point of a moment of inertia.
+Chosen: a larger factor, such as 1e9 for g mm^2, is a wrong unit, and concerns all moments of a
+tensor instead of one."""
 
 
 def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:

@@ -761,8 +761,8 @@ def find_lost_mimics(case: PatternCase) -> PatternFindings:
 
 
 _SINGLE_KINDS = ("inertia origin", "inertia turn")
-"""Kinds of causes that are reported for a single difference: the cause names the repair, the
-difference only six numbers."""
+"""Kinds of causes that are reported even if they explain only one difference: the message of the
+cause names the repair, that of the difference contains only six numbers."""
 
 
 _MAX_SUBSET_LINKS = 12

@@ -261,12 +261,13 @@ QUANTITIES = {
     "gyro": ("IMU", "rad/s"),
     "accelerometer": ("IMU", "m/s^2"),
 }
-"""{quantity: (owner of the rows, unit)}. Quantities that do not depend on the configuration are
-expressed in the world frame at zero angles, with a floating base at the origin."""
+"""{compared quantity: (kind of object that each row describes, unit)}. Quantities that do not
+depend on the configuration are expressed in the world frame at zero angles, with a floating base at
+the origin."""
 
 ROW_SCALED_QUANTITIES = ("body masses", "body inertias")
-"""Quantities whose deviation is relative to the scale of the row, not to the largest value of all
-rows."""
+"""Quantities with a row per body, whose deviation is divided by the largest magnitude in the row of
+the body instead of the largest magnitude in all rows."""
 
 
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:

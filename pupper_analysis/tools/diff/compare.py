@@ -443,7 +443,9 @@ class RandomStates:
         return tree.model, places, [*range(6 * base), *tree.model.jnt_dofadr[ids].tolist()]
 
     def evaluate_tree(self, values: MultibodyTree) -> dict[str, Array]:
-        """Evaluate the dynamics of a tree with the same joints at all states, in MuJoCo.
+        """Evaluate the dynamics of a tree at all compared states, in MuJoCo.
+
+        The tree must have the same joints as the tree whose limits define the states.
 
         Returns:
             {quantity: values, shape (n, ...)}: mass matrix, gravity [N m], bias forces minus

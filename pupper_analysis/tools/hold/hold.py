@@ -119,9 +119,9 @@ _PAYLOAD_RTOL = 1e-4
 tuned."""
 
 _MIN_SOFTENING = 1e-6
-"""Lower bound of the largest generalised eigenvalue of the negative load stiffness (of a payload as
-heavy as the robot) relative to the servo stiffness. Smaller eigenvalues are rounding: the stiffness
-then does not limit the mass. Chosen, not tuned."""
+"""Lower bound of the fraction of a motion's stiffness that a payload as heavy as the robot removes
+(generalised eigenvalue), with which the stiffness limits the payload. Smaller fractions are
+rounding. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

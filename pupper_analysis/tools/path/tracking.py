@@ -56,11 +56,10 @@ _NEWTON_STEPS = 2
 millimetres. Chosen, not tuned."""
 
 _MAX_ADDED_INERTIA = 0.075
-"""Upper bound of kd x time step / joint inertia in `_select_timestep`, unless the time step would
-be below `MIN_TIMESTEP`. An implicit integrator adds kd x time step to the inertia of a joint. The
-bound is the ratio of the Pupper variant ``original`` at `MAX_TIMESTEP`. For the knee of A1 (kd 13 N
-m s/rad, no armature) the ratio is 0.5 at `MAX_TIMESTEP`: its fastest squat then has a torque error
-of 17 % and loses ground contact; at 40 us the error is 3 %."""
+"""Upper bound of kd x time step / joint inertia when `_select_timestep` selects a time step of at
+least `MIN_TIMESTEP`: an implicit integrator adds kd x time step to the inertia of a joint. Chosen
+as the ratio of the Pupper variant ``original`` at `MAX_TIMESTEP`. Measured on the fastest squat of
+A1: with a ratio of 0.5 the torque error is 17 %, and feet lose contact; at 40 us it is 3 %."""
 
 MIN_TIMESTEP = 1e-5
 """Lower bound of the default time step [s], unless the model's is smaller. A path of 1 s then takes

@@ -123,8 +123,8 @@ VERIFIED_FRACTION = 0.97
 not tuned."""
 
 FAILING_RATIO = 1.03
-"""Ratio between a tested payload and the bound of the servos: if `stand` holds with this payload,
-the bound is raised. Chosen, not tuned."""
+"""Payload that tests the bound of the servos (computed from eigenvalues), relative to this bound:
+if the robot holds it in simulation, the bound is raised. Chosen, not tuned."""
 
 SIMULATION_RTOL = 0.02
 """Relative tolerance of payload bounds that are bisected by simulations: the bound of the
@@ -333,7 +333,8 @@ def payload_limit(
     def judge_with_feedforward(mass: float, trial: PayloadTrial | None) -> Verdict:
         """Return the verdict of the stance with a payload [kg], simulated with feed-forward only.
 
-        A simulation with position commands alone does not decide whether a verdict passes.
+        The simulation with position commands alone is left out, since it does not decide whether
+        the verdict passes.
         """
         loaded = with_payload(robot, mass, place)
         stand = solve_stand(loaded, task)

@@ -456,7 +456,9 @@ class _LimitSearch:
     def confirm_limits(self, initial: Array, resolution: float) -> None:
         """Simulate the survived pushes for the full time; search again below each that fails.
 
-        ``initial`` are the first impulses, shape (n,) [N s], ``resolution`` the tolerance [N s].
+        Args:
+            initial: Impulses from which the search started, shape (n,) [N s].
+            resolution: Tolerance of the largest survived impulses [N s].
         """
         unconfirmed = np.flatnonzero(self.survived > 0)
         while unconfirmed.size:

@@ -280,7 +280,8 @@ ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not fi
 joint or body names: payload, friction, and the gains of all servos."""
 
 FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items()} | ROBOT_VARIABLES
-"""Field of each variable of the stance or robot, without patterns: {variable: field}."""
+"""{variable of the stance or of the whole robot: field that defines its unit and range}. Variables
+with a pattern of joint or body names are not included."""
 
 MAX_CACHED_ROBOTS = 8
 """Maximum number of entries in each cache of scaled robots, robots and stands. Neighbours in a

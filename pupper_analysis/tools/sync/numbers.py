@@ -344,9 +344,10 @@ SERVO_KINDS = ("kp", "kd")
 """Kinds of numbers of a position servo that `write_numbers` accepts."""
 
 _SAME_ROBOT_RTOL = 1e-6
-"""Tolerance between the robot and its files: relative for masses, in m for the CoM; 1e3 times as
-large, relative, for inertias. Conversion and alignment are accurate to about 1e-9; later changes
-are larger than the last written digit. Chosen, not tuned."""
+"""Largest deviation of a body from the files with which the robot counts as unchanged after
+loading: relative for the mass, in m for the CoM, and 1e3 times as large (relative) for the inertia.
+Conversion and alignment are accurate to about 1e-9; later changes are larger than the last written
+digit. Chosen, not tuned."""
 
 
 def make_refusal(robot: Robot, reasons: Mapping[Key, Diagnostic]) -> ModelError:

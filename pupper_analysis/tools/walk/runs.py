@@ -139,11 +139,13 @@ class Stage:
 
 
 def prepare_stage(robot: Robot, policy: Policy) -> Stage:
-    """Combine a policy with a robot as in its files, with the servo gains of the policy.
+    """Prepare simulations of a policy: the robot as in its files, with the policy's servo gains.
+
+    A policy without gains gets those of the robot's files.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, or the rate of the policy
-            exceeds that of the time steps.
+        ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts more
+            often than once per time step.
         ModelError: If a joint has no motor, the policy states kp without kd or kd without kp,
             neither policy nor robot has gains, or the number of joints differs.
         UnknownNameError: If the policy names a joint that the robot does not have.

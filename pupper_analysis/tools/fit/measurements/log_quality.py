@@ -293,8 +293,9 @@ _MAX_PARTS = 400
 0.1 rad."""
 
 _MULTIPLE_TOLERANCE = 0.05
-"""Distance of a difference of readings from a whole number of encoder steps, in steps, up to which
-it counts as a multiple. The distance covers rounding in the file. Chosen, not tuned."""
+"""Deviation of the ratio ``difference of two readings / encoder step`` from a whole number, up to
+which the difference counts as a multiple of the step. Covers rounding in the file. Chosen, not
+tuned."""
 
 _MAX_STEPS = 50
 """Largest number of differences between readings (the smallest ones) that are tested as multiples

@@ -440,10 +440,10 @@ class MotionResiduals:
         """Linearise the whitened residuals of all runs, for ``estimate_parameters``.
 
         The residuals are predicted minus measured joint positions, divided by the long-run standard
-        deviation of the noise. If ``moments`` is the same object as ``noise_point``, the noise is
-        estimated again from the residuals; the derivatives are also evaluated again if the
-        parameters are farther than `_MAX_DERIVATIVE_DISTANCE` from those of the last evaluation.
-        Otherwise the previous noise and derivatives are used.
+        deviation of the noise. Noise and derivatives are those of earlier calls, unless ``moments``
+        is the same object as ``noise_point``. Then the noise is estimated from the new residuals;
+        the derivatives are also evaluated again if the parameters are farther than
+        `_MAX_DERIVATIVE_DISTANCE` from those of the last evaluation.
 
         Args:
             moments: Parameters in first-moment coordinates (`MomentCoordinates`), shape (n,).

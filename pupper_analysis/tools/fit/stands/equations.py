@@ -31,11 +31,10 @@ _TILT_HEIGHT_INDICES = [3, 4, 2]
 The measurements do not depend on the other base coordinates (horizontal position, yaw)."""
 
 _LAST_MOTION_FRACTION = 0.75
-"""Standard deviation, as a fraction of the dry friction, of the common part of the friction that
-remains in all joints and feet when the base comes to rest: one independent term for each of the six
-motions of the base. Measured on v3 set down in MuJoCo: all feet of a stand keep moments of the same
-sign, and the fastest joints their full friction. With this value, and the other half of the
-friction variance independent for each joint and foot, the whitened residuals of robots with exact
+"""Standard deviation, as a fraction of the dry friction, of the friction that all joints and feet
+keep in common when the base comes to rest: one independent random term for each of the six motions
+of the base. The other half of the friction variance is independent for each joint and foot.
+Measured on v3 set down in MuJoCo: with this value the whitened residuals of robots with exact
 parameters have unit variance."""
 
 _RANK_RTOL = 1e-6

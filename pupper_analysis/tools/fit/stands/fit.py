@@ -303,15 +303,16 @@ _MAX_PARAMETER_STDS = 4.5
 normal numbers, any exceeds 4.5 with a probability below 1e-3."""
 
 _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
-"""Kinds of the surroundings that ``check_surroundings`` tests."""
+"""Kinds of parameters that ``check_surroundings`` tests: slope and softness of the ground, lengths
+of the legs, and the load that the scale did not show."""
 
 _NONZERO_KINDS, _ZERO_RTOL = ("mass", "kp"), 0.01
 """Kinds whose values are never zero. An estimate below ``_ZERO_RTOL`` of the stated value counts as
 zero, and is a failure. Chosen, not tuned."""
 
 _RESIDUALS_PROBABILITY = 1e-3
-"""Probability of larger residuals by chance below which residuals are a failure. Chosen, not
-tuned."""
+"""Probability (chi2 test) that noise alone causes residuals of at least the observed size, below
+which the fit fails. Chosen, not tuned."""
 
 
 def check_residuals(
@@ -837,9 +838,9 @@ def _estimate_from_stands(
 
 
 _MIN_DECREASE = 2e-3
-"""Predicted decrease of the cost below which the iteration has converged: sqrt(2e-3) is a twentieth
-of a standard deviation. The noise depends weakly on contact forces and is not differentiated, so
-that smaller decreases are not realised."""
+"""Predicted decrease of the cost below which the iteration has converged. It corresponds to a step
+of sqrt(2e-3), about a twentieth of a standard deviation. Smaller predicted decreases are not
+realised, because the weak dependence of the noise on contact forces is not differentiated."""
 
 
 def predict_noise(
@@ -1180,9 +1181,10 @@ _MIN_FLATNESS = 1e-4
 penetration of feet is modelled to about this accuracy only."""
 
 _MIN_MOMENT = 1e-4
-"""Lower bound [m] of a noise level: moment on a contact point, divided by the normal force. The fit
-explains moments that are equal in similar stands by encoder offsets, so that the evidence does not
-show them. Measured: feet of v3 in MuJoCo keep 2e-5 to 1e-3 after 12 s."""
+"""Lower bound [m] of the estimated noise of foot moments: moment on a contact point, divided by the
+normal force. Without a bound the estimate is too small, because the fit attributes moments that are
+equal in similar stands to encoder offsets. Measured: feet of v3 in MuJoCo keep 2e-5 to 1e-3 after
+12 s."""
 
 _MIN_FRICTION_LEVEL = 0.5
 """Lower bound of the estimated random dry friction, divided by the expected friction. The fit

@@ -406,7 +406,7 @@ _MIN_HEIGHT_RATIO, _MAX_HEIGHT_RATIO = 0.75, 1.1
 """Bounds of the base height, as fractions of the nominal height. Chosen, not tuned."""
 
 _MAX_TILT = 0.25
-"""Upper bound [rad] of roll and pitch, in both directions. Chosen, not tuned."""
+"""Largest absolute roll and pitch [rad] of the base in a proposed stand. Chosen, not tuned."""
 
 _MAX_STEP_RATIO = 0.15
 """Upper bound of a foot's displacement along x and y, in both directions, as a fraction of the
