@@ -514,7 +514,8 @@ class _NudgedRun:
             [
                 [foot not in grounded for foot in conditions.stance_feet]
                 for grounded in feet_on_ground
-            ]
+            ],
+            dtype=bool,
         ).reshape(raised.shape) & (raised > MAX_FOOT_LIFT)
         is_lifted &= not robot.welds
         efforts, torques_of_samples = conditions.efforts, np.array(torques)

@@ -93,7 +93,7 @@ def test_stand_of_one_file_converts_the_other_in_memory(
     [
         (["analyze", "a.urdf", "--write", "out"], "it writes variants"),
         (["stand", "nowhere.urdf"], "nowhere.urdf: there is no such file"),
-        (["payload", "a.xml", "--map", "noequals"], "NAME=VALUE"),
+        (["payload", "a.xml", "--map", "noequals"], "URDF=MJCF"),
     ],
 )
 def test_invalid_input_is_refused_in_one_line(
