@@ -157,7 +157,7 @@ def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-        """Check the arguments, and call the function."""
+        """Check the types of the arguments, and call the decorated function."""
         type_tests = _make_type_tests(function)
         # Arguments that do not match the signature raise Python's own TypeError in the call.
         for arguments in (zip(positional, args, strict=False), kwargs.items()):

@@ -22,7 +22,10 @@ class _MuJoCoLoader(SourceFileLoader):
     """Loader of ``mujoco`` that loads MuJoCo without OpenGL if the backend in MUJOCO_GL fails."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Execute the module; after an exception that is no ImportError, again without OpenGL."""
+        """Execute the module ``mujoco``; if its OpenGL backend fails, again without OpenGL.
+
+        An ImportError is passed on: MuJoCo itself ignores that of a backend.
+        """
         try:
             super().exec_module(module)
         except ImportError:

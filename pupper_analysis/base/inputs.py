@@ -30,7 +30,7 @@ MAX_TEXT_BYTES: Final = 20_000_000
 """Maximum size of a text file, such as a model or settings. Chosen, not tuned."""
 
 MAX_FILE_BYTES: Final = 500_000_000
-"""Maximum size of any other input file, such as a mesh or a texture. Chosen, not tuned."""
+"""Maximum size of an input file that is no text, such as a mesh or a texture. Chosen, not tuned."""
 
 _CHUNK_BYTES: Final = 1 << 20
 """Number of bytes per read operation."""

@@ -111,7 +111,8 @@ FORMAT_SUFFIXES: Final = frozenset(
         *(".pdf", ".png", ".svg", ".toml", ".urdf", ".xlsx", ".xml", ".yaml", ".yml"),
     )
 )
-"""Suffixes by which programs select a format: no other format is written under them."""
+"""File name suffixes by which programs select a format. A file in another format must not have such
+a suffix."""
 
 
 TYPED_WORDS: Final = "pupper_analysis.typed_words"

@@ -186,12 +186,12 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
 
 
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate the model of the unmodified file, or a modified copy, from its initial keyframe.
+    """Simulate a published model from its initial keyframe.
 
     Without a keyframe, the simulation starts at the robot's nominal stand.
 
     Args:
-        published: Model that is simulated.
+        published: Model of the unmodified file, or a copy with modifications.
         robot: Prepared robot.
 
     Returns:

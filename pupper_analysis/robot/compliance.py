@@ -72,9 +72,9 @@ class GroundLaw:
     def of_contact(robot: Robot, foot: str) -> GroundLaw:
         """Return the force law between a contact point and the ground in MuJoCo's model.
 
-        For the symbols see `GroundLaw`. With the pyramidal cone, A_t = (1 + mu^2) A / impratio, and
-        ``normal`` is A_t mu^2 / (condim - 1) instead of A, since the normal force is the sum of the
-        forces of 2 (condim - 1) edges.
+        `GroundLaw` defines the symbols. With MuJoCo's pyramidal friction cone, ``tangential`` is
+        A_t = (1 + mu^2) A / impratio, and ``normal`` is A_t mu^2 / (condim - 1), because the normal
+        force is the sum of the forces of 2 (condim - 1) edges.
 
         Args:
             robot: Robot whose MuJoCo model has a ground.

@@ -88,9 +88,10 @@ _CHECK_INTERVAL = 0.5
 Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
-"""Largest motion of a coordinate in the remaining time [m, rad] with which the robot counts as at
-rest, and the simulation ends. Also the largest predicted distance of a coordinate from its range
-since the nudge (`_NudgedRun._bound_motion`). Chosen as a hundredth of ``MAX_JOINT_DEVIATION``."""
+"""Largest motion of a coordinate that is predicted for the remaining time [m, rad] with which the
+simulation ends early, because the robot counts as at rest. Also the largest predicted distance
+beyond the values that the coordinate has had since the nudge (`_NudgedRun._bound_motion`). Chosen
+as a hundredth of ``MAX_JOINT_DEVIATION``."""
 
 _SPEED_FACTOR = 1.5
 """Safety factor on the largest measured speed in the bound of the remaining motion, since an

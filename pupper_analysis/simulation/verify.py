@@ -700,11 +700,12 @@ def describe_drive_limits(
 
 
 def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> list[Diagnostic]:
-    """Report that both files describe different robots, if MuJoCo's balance residual is too large.
+    """Report that the files describe different robots, if MuJoCo finds the prediction unbalanced.
 
     Args:
         robot: The robot.
-        residual: Largest element of the residual [N, N m].
+        residual: Largest unbalanced generalised force [N, N m] in MuJoCo's model under the
+            predicted contact forces and motor torques.
         weight: Weight of the robot [N].
     """
     if not residual > MAX_BALANCE_RESIDUAL * weight:

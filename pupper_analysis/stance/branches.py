@@ -440,8 +440,9 @@ def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> I
 
 
 _MAX_COMBINATIONS = 100_000
-"""Upper bound of the number of combinations of a branch per limb that are sorted. Six legs with six
-branches each have 46,656; twelve legs would have 2e9, more than memory holds. Chosen."""
+"""Upper bound of the number of combinations (an IK branch per limb) that are sorted by cost. Six
+legs with six branches each have 46,656; twelve legs would have 2e9, more than memory holds.
+Chosen."""
 
 
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:

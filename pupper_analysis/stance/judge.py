@@ -251,7 +251,7 @@ class Stand(Pictured, Tabular):
 
     @property
     def solved(self) -> bool:
-        """Whether this stand has its feet at the targets, and keeps all clearances and CoM margins."""
+        """Whether this stand has its feet at the targets, and keeps all clearances and margins."""
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
     def check(self, robot: Robot) -> Robot:

@@ -53,9 +53,10 @@ _MIN_COM_RATE = 1e-6
 which the robot can move the CoM in a direction. Chosen, not tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
-"""Lower bound of a singular value of the horizontal CoM Jacobian (feet, base height and base
-orientation fixed), relative to the largest one, for the robot to be able to move the CoM in this
-direction. Soles that are a microradian off level cause smaller values. Chosen, not tuned."""
+"""Smallest horizontal CoM displacement per joint displacement, relative to that in the direction in
+which it is largest, above which the robot can move the CoM in a direction. Feet, base height and
+base orientation are fixed. Soles that are a microradian off level cause smaller values. Chosen, not
+tuned."""
 
 
 def has_redundant_joints(robot: Robot) -> bool:

@@ -244,8 +244,8 @@ _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
 attributes of its ``ground``."""
 
 _DEFAULTS = {attribute.name: attribute.default for attribute in fields(StandTask)}
-"""{attribute of `StandTask`: default value}. An attribute that is this object (``is``) is not
-checked."""
+"""{attribute of `StandTask`: default value}. The validation skips an attribute whose value is this
+same object (``is``)."""
 
 _SEPARATORS = {"en": ", ", "zh": "，"}  # noqa: RUF001
 """{language: separator of requirements in a text}."""

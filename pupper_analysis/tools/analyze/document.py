@@ -115,7 +115,8 @@ _MAX_SHOWN_FAILURES = 2
 tuned."""
 
 _CAUSE_CODE = "files-of-two-robots"
-"""Code of the failure that names two robots as the cause of the other failures."""
+"""Code of the failure that the files describe two different robots, which causes the other failures
+and is listed first."""
 
 _CROSS_CHECK_CODE = "models-deviate"
 """Code of the failure of a quantity in the cross-check."""

@@ -346,9 +346,9 @@ class StanceSearch:
     def run(self) -> None:
         """Search for the best stance, and store it in ``best``.
 
-        First the feet move together, then independently. The final descents start at the best
-        stance, and are repeated while the level (scaled objective) decreases. If no coordinate can
-        change, nothing is done.
+        First the feet move together, then independently. The last descents start at the best
+        stance found, and are repeated while its objective decreases. Nothing is done if no
+        coordinate can change.
         """
         space = self.space
         if not (space.high > space.low).any():

@@ -197,7 +197,10 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
 
 
 def list_observations(source: Source) -> list[str]:
-    """Return the observation terms of a policy in order, by common instead of library names."""
+    """Return the names of a policy's observation terms, in order.
+
+    Names of a library are replaced by common names (`OBSERVATION_ALIASES`).
+    """
     return [OBSERVATION_ALIASES.get(name, name) for name, _, _ in source.observations]
 
 

@@ -212,7 +212,7 @@ class GainStudy(Result):
 
     @property
     def exceeded(self) -> tuple[JointClass, ...]:
-        """Joint classes whose present kp or kd is above its upper bound.
+        """Groups of corresponding joints whose present kp or kd is above its upper bound.
 
         The torque limit bounds kp, and the resolution of the encoder bounds kd.
         """

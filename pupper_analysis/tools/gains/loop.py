@@ -85,7 +85,8 @@ tuned."""
 
 _MAX_SHIFT_RATIO = 1.1
 """Ratio of the largest joint displacement in the second half of a simulation to the displacement at
-the middle, above which (plus `_MIN_SHIFT`) the robot leaves the stand. Chosen, not tuned."""
+the middle, above which (plus `_MIN_SHIFT`) the robot counts as leaving the stand. Chosen, not
+tuned."""
 
 _MIN_SHIFT = 1e-3
 """Growth of the largest joint displacement [rad, m] in the second half of a simulation, in addition

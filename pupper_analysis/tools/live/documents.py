@@ -137,7 +137,7 @@ def push_document(trial: PushTrial) -> doc.Document:
 
 
 _SIMULATION_NOTE = doc.Lines((text("orange-as-simulated"),))
-"""Legend of the figure that shows the simulated robot in the scene."""
+"""Legend below a report of the live page: the orange robot in the scene is the simulated one."""
 
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:

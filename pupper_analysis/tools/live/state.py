@@ -57,7 +57,7 @@ PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNIT_BY_KIND.items()} | {
 """{kind of field: (unit on the web page, factor from the SI unit)}; for example mm for a length."""
 
 _TEXT_TYPES = str, Contact, Weld
-"""Types of values that are not numbers and are written as typed."""
+"""Types of field values that are not numbers, and therefore are not converted between units."""
 
 
 @dataclass(frozen=True, init=False)

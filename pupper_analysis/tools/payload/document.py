@@ -176,7 +176,7 @@ _BOUND_KEYS = {
     "servos": "servos-stiffness",
     "simulation": "payload-nudged",
 }
-"""Catalogue key of each bound's name."""
+"""{bound of the payload: key of the bound's name in the catalogue}."""
 
 
 def _describe_bound_failure(bound: Bound) -> doc.Words:

@@ -768,11 +768,11 @@ class PrimPlacement:
     scale: Array
 
     def make_frame(self, position: Any, rotation: Any) -> Pose:
-        """Return the pose [m] of a frame relative to its prim, from stated numbers.
+        """Return the pose [m] of a frame relative to its prim, from the numbers in the file.
 
         Args:
-            position: Position in the length unit of the stage, scaled as the prim; None for 0.
-            rotation: Quaternion of the file; None for no rotation.
+            position: Position in the file; multiplied by ``scale`` to be in metres. None for 0.
+            rotation: Quaternion in the file; None for no rotation.
         """
         offset = np.zeros(3) if position is None else recover_decimals(position) * self.scale
         if rotation is None:

@@ -136,7 +136,7 @@ class Orders(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the policy's stated interpretation is one of the best candidates (``alike``)."""
+        """True if the policy's stated interpretation is about as good as the best (``alike``)."""
         return self.stated in self.alike
 
 

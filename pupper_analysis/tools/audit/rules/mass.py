@@ -105,8 +105,9 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_MASS_FRACTION = 1e-3
-"""Mass of a link, relative to the carried mass, below which the mass is reported. Smaller
-ratios indicate a wrong unit or a missing mass. Chosen, not tuned."""
+"""Mass of a moving link (with the links fixed to it), relative to the mass of all other links that
+it carries, below which the mass is reported: the unit may be wrong, or a mass missing. Chosen, not
+tuned."""
 
 
 @rule

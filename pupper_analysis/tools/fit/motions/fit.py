@@ -650,8 +650,8 @@ def compute_rms(series: Iterable[Array]) -> float:
 
 
 _DIFFERENCE_STEP = 0.1
-"""Finite-difference step of the parameters in posterior standard deviations. Measured on v3: with
-steps of 0.1 to 1 the intervals agree to 1 %."""
+"""Finite-difference step of the parameters, in posterior standard deviations. Measured on v3: with
+steps of 0.1 to 1 the intervals of the estimated parameters agree to 1 %."""
 
 _INITIAL_DIFFERENCE_STEP = 1e-2
 """Finite-difference step of the parameters in prior standard deviations, for the first derivatives,
