@@ -291,9 +291,10 @@ def _make_elements_test(
     """
 
     def has_valid_elements(value: Any) -> bool:
-        """Return True if a value is an iterable of valid elements.
+        """Return True if a value is an iterable whose elements pass the test ``element``.
 
-        With ``of_known_length``, the value must be a sequence or an array.
+        With ``of_known_length``, the value must be a sequence or an array. The elements of an
+        iterator are not tested.
         """
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim

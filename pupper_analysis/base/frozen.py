@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, NoReturn, TypeVar
 
 _K = TypeVar("_K")
+"""Type of the keys of a `FrozenDict`."""
 _V = TypeVar("_V")
+"""Type of the values of a `FrozenDict`."""
 
 
 class FrozenDict(dict[_K, _V]):

@@ -37,7 +37,7 @@ class TolerantStream(io.RawIOBase):
         self.failure: OSError | None = None
 
     def writable(self) -> bool:
-        """Return True."""
+        """Return True, because this stream accepts output."""
         return True
 
     def isatty(self) -> bool:

@@ -663,7 +663,7 @@ def _display_progress(what: str) -> Iterator[None]:
             """Column with the elapsed time, or completed parts and remaining time."""
 
             def render(self, task: Task) -> Text:  # noqa: ARG002
-                """Return the text of the column: time and completed parts of the computation."""
+                """Return the text of the progress bar: times and number of completed parts."""
                 return Text(format_progress(clock))
 
         columns = SpinnerColumn(), TextColumn("{task.description}"), TimeColumn()

@@ -188,7 +188,7 @@ JOINT_ATTRIBUTES: Final = (
 BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {attribute.kind: attribute for attribute in JOINT_ATTRIBUTES}
 )
-"""{kind: parameter}."""
+"""{kind, such as ``damping``: parameter of a hinge or slide}."""
 
 BY_MJCF: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {word: attribute for attribute in JOINT_ATTRIBUTES for word in attribute.mjcf}
@@ -255,7 +255,7 @@ _KEY_WORDS: Final = ("qpos", "qvel", "act", "ctrl", "mpos", "mquat", "plastic", 
 """Attributes of a keyframe that are compared."""
 
 _LIMIT_WORDS: Final = ("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "margin")
-"""Constraint parameters of a joint that are compared."""
+"""Attributes of a joint or tendon, for limit and friction constraints, that ``diff`` compares."""
 
 _CONSTRAINT_WORDS: Final = {
     "joint": zip(

@@ -110,8 +110,8 @@ _COMPARED_PREFIXES: Final = (
     *("tendon_", "wrap_", "eq_", "pair_", "exclude_", "key_qpos", "key_ctrl", "key_qvel"),
     *("qpos0", "qpos_spring"),
 )
-"""Prefixes of the arrays of a model that must be reproduced. The frames of mesh geoms are compared
-by the positions of their vertices."""
+"""Prefixes of the arrays of a model that the new spec, when compiled, must reproduce. The frames of
+mesh geoms are compared by the positions of their vertices."""
 
 _IGNORED_ARRAYS: Final = frozenset(
     {

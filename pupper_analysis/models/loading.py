@@ -78,7 +78,7 @@ class Reader(Protocol):
         """Read a model file of this format, without building the robot."""
 
     def read_model(self, file: Any) -> RobotModel:
-        """Return links and joints of the robot that a read file specifies, for checks."""
+        """Convert a file from `read_file` to links and joints of the robot, for checks."""
 
     def read_as_urdf(self, path: Path) -> UrdfFile:
         """Read a file of this format, and convert the model to a URDF with the same values.

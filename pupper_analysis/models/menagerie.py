@@ -19,10 +19,11 @@ MENAGERIE_FOLDER: Final = "mujoco_menagerie"
 """Name of a clone, and prefix of names, as in ``mujoco_menagerie/unitree_go2``."""
 
 _NAME: Final = re.compile(r"[a-z0-9_]+")
-"""Pattern of the name of a robot."""
+"""Pattern of the name of a robot of MuJoCo Menagerie, such as ``unitree_go2``."""
 
 _MAX_NAME_LENGTH: Final = 200
-"""Largest number of characters of a name. Chosen, not tuned: file systems permit 255."""
+"""Largest number of characters of a text that can name a robot of MuJoCo Menagerie, with its folder
+and file. Chosen, not tuned: file systems permit 255 per name."""
 
 
 def is_menagerie_name(word: str) -> bool:

@@ -153,7 +153,8 @@ _NAN_FREE_FIELDS = (
     *(f"actuator_{what}" for what in ("gear", "gainprm", "biasprm", "armature", "damping")),
     *(f"tendon_{what}" for what in ("stiffness", "damping", "armature", "frictionloss")),
 )
-"""Fields in which infinity is valid, such as ranges and gains, but NaN is not."""
+"""Fields of ``mjModel``, such as ranges and gains, in which infinity is valid. A model with NaN in
+one of these is refused."""
 
 _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
 """{prefix of a model's array: tag of the element}, where both differ."""
@@ -198,7 +199,7 @@ def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
 
 
 def equality_ends(model: mujoco.MjModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
-    """Return (type, id) of both objects of an equality; the id is -1 if there is no second."""
+    """Return (type, id) of both objects of an equality constraint; id -1 if there is no second."""
     # eq_objtype is only valid for constraints of bodies or sites.
     object_type = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(
         int(model.eq_objtype[index])

@@ -62,7 +62,7 @@ class Pose:
 
     @staticmethod
     def of(placement: pin.SE3) -> Pose:
-        """Return the pose of a placement of Pinocchio."""
+        """Convert a placement of Pinocchio (``pin.SE3``) to a `Pose`."""
         return Pose(np.array(placement.translation), np.array(placement.rotation))
 
     @staticmethod

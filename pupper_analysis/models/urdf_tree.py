@@ -82,7 +82,7 @@ class UrdfElement:
         return str(self.element.get("name"))
 
     def remove(self, *tags: str) -> None:
-        """Remove the children with some tags."""
+        """Remove all child elements of this element that have one of the tags."""
         for tag in tags:
             for child in self.element.findall(tag):
                 self.element.remove(child)

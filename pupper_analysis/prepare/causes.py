@@ -101,7 +101,8 @@ _XML_SECTIONS = {
     "spring": "joint",
     "range": "joint",
 }
-"""{code: section of the MJCF in which the element is written}, for causes with a line number."""
+"""{code of a cause: tag or section of the MJCF that contains its elements}, to find the line of the
+first element."""
 
 
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:

@@ -54,8 +54,8 @@ sphere, for the sphere to be the foot. Chosen, not tuned."""
 
 _FOOT_PLACE_ATOL = 2e-3
 """Distance [m] up to which a link of the URDF counts as placed at a contact point of the MJCF. The
-position of the contact point is then not shifted by the distance of the joint axes. Chosen, not
-tuned."""
+contact point then keeps its position in the URDF; otherwise it is shifted by the distance between
+the axes of the last hinge in both files. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,8 +97,8 @@ class LoadRequest:
 
 
 _MIN_PARTIAL_FREE_JOINTS = 4
-"""Number of joints from which on a body counts as a base that moves by several joints instead of a
-free joint. Derived from three slides and a ball joint."""
+"""Smallest number of joints of a child body of the world with which this body counts as a free base
+without a free joint, so that the base is not fixed. Derived from three slides and a ball joint."""
 
 
 @dataclass(frozen=True)

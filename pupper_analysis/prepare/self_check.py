@@ -81,8 +81,9 @@ _MAX_NUDGED_TIME = 40.0
 longer than `NUDGED_TIME` only while the torques approach the prediction. Chosen, not tuned."""
 
 _APPROACH_INTERVAL = 2.0
-"""Simulated time between two torque deviations that are compared [s]. Chosen as a divisor of
-`NUDGED_TIME`."""
+"""Simulated time between two evaluations of the torque deviation from the prediction [s]. Two
+successive deviations show whether the torques still approach the prediction
+(`_MAX_APPROACH_RATIO`). Chosen as a divisor of `NUDGED_TIME`."""
 
 _MAX_APPROACH_RATIO = 0.9
 """Upper bound of the torque deviation, relative to that `_APPROACH_INTERVAL` earlier, with which
@@ -595,10 +596,10 @@ def find_difference_causes(
     """
 
     def test_model(model: mujoco.MjModel) -> float | None:
-        """Return the relative torque error of a changed model against the prediction.
+        """Simulate a changed model, and return its torque error relative to the torque scale.
 
-        None unless the simulation agrees with the prediction, or the change repairs the torques
-        while the joints stay in place.
+        The error is the deviation from the predicted equilibrium. None if the model still
+        collapses, or deviates from the prediction although the change does not repair its torques.
         """
         new_run = simulate_prediction(replace(published, model=model), robot, prediction)
         if new_run is None or new_run.collapses:

@@ -52,8 +52,8 @@ from pupper_analysis.robot.robot import PublishedFile, Robot
 Array = NDArray[np.float64]
 
 _SAFE_SCALE = 20.0
-"""Scales between the inverse of this value and this value are known to compile; with other scales
-the derived MJCF is compiled as a test. Chosen, not tuned."""
+"""Scale of legs or torso mass above which, or below the inverse of which, the derived MJCF of a
+variant is compiled as a test. With scales in between MuJoCo accepts the MJCF. Chosen, not tuned."""
 
 
 def describe_variant(variant: str | VariantSpec) -> Description:

@@ -138,7 +138,11 @@ class EqualityCompliance:
         return compliance
 
     def solve_violations(self, forces: Array) -> Array:
-        """Return the constraint violations (m,) [m, rad] at rest under forces (m,) [N, N m]."""
+        """Return the violations of the equality constraints at rest, shape (m,) [m, rad].
+
+        Args:
+            forces: Force of each of m scalar constraint equations, shape (m,) [N, N m].
+        """
         openings = self._base_compliance * forces
         for rows, solimp in self._row_groups:
             openings[rows] *= _compliance_factor(

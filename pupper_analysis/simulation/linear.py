@@ -59,7 +59,7 @@ class LinearStep:
         return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
 
     def reproduces(self, states: Array) -> bool:
-        """Return True if positions predicted from the first two states agree with later states.
+        """Return True if this linear model predicts simulated positions from the first two states.
 
         Args:
             states: Successive states after each step, shape (n, size), n > 2.

@@ -183,7 +183,11 @@ def _sort_branches(
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
 
     def sort_key(branch: Branch) -> tuple[int, float]:
-        """Return a sort key: foot error, in 1e-6 m, then sum of joint origins along base x [m]."""
+        """Return the sort key of an IK branch: foot error, then position of the joints.
+
+        The foot error is rounded to multiples of 1e-6 m, so that the position decides between
+        equivalent branches: the sum of the x coordinates of the joint origins along base x [m].
+        """
         bent = qpos.copy()
         bent[robot.nq - robot.nu + limb.joints] = branch.positions
         pin.forwardKinematics(model, data, robot.pin_convention.q(bent))

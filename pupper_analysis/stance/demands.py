@@ -121,7 +121,7 @@ class DemandVector:
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Return the values of the vector's n requirements in another task, shape (n,) [m, rad].
+        """Return the values that another task has for the n numbers of this vector, (n,) [m, rad].
 
         Args:
             task: Task that specifies the same fields for the same feet, with other values.
@@ -136,10 +136,10 @@ class DemandVector:
         return np.array([part[key.axis] for part, key in zip(parts, self.keys, strict=True)])
 
     def make_task(self, values: Array) -> StandTask:
-        """Return a copy of the task with other values of its relaxable requirements.
+        """Return a copy of the task in which the n numbers of this vector have other values.
 
         Args:
-            values: Values in the order of ``keys``, shape (n,) [m, rad].
+            values: Values of the requirements that ``keys`` lists, shape (n,) [m, rad].
         """
         changed: dict[str, dict[str, list[float]]] = {}
         for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):

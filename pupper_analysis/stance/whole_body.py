@@ -68,8 +68,8 @@ _MAX_MEASURED_DISTANCE = 1e3
 """
 
 _CONTACT_WEIGHT = 1e4
-"""Weight of the squared residuals of kept contacts, relative to tasks: in a conflict, the tasks
-miss their targets. Chosen, not tuned."""
+"""Weight of the squared residuals of contacts that a posture must keep, relative to required tasks:
+in a conflict, the tasks miss their targets. Chosen, not tuned."""
 
 _PREFERENCE_WEIGHT = 1e-4
 """Weight of the squared residuals of preferred joint positions, relative to required tasks. Chosen:

@@ -312,7 +312,7 @@ def _pack_mesh(mesh: Mesh) -> dict[str, Any]:
 
 
 _VIEWER_PACKAGE = "meshcat"
-"""Package that contains three.js."""
+"""Python package from which the script of the 3-D view, three.js, is read."""
 _EXPORT_MARKER = "THREE:()=>"
 """Text in the bundle that shows the export of three.js."""
 

@@ -107,7 +107,7 @@ _MIN_RELATIVE_MASS = 0.01
 """Relative difference of a body's mass from which the difference is listed before differences of
 limits and efforts. Chosen, not tuned."""
 _MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions")
-"""Quantities of the first element of `Difference.relative_effects`."""
+"""Quantities whose largest relative effect is the first number in `Difference.relative_effects`."""
 
 _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
 """Quantities whose largest relative effect orders the differences of equal urgency

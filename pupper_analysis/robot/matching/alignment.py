@@ -340,5 +340,5 @@ def in_body_frame(values: MultibodyTree, name: str, rotation: Array, shift: Arra
 
 
 def with_base(values: MultibodyTree, pose: pin.SE3) -> MultibodyTree:
-    """Express a robot in another frame of the base: x' = pose x."""
+    """Return a tree with another frame of the base: coordinates x in the base become pose x."""
     return in_body_frame(values, values.base, np.array(pose.rotation), np.array(pose.translation))

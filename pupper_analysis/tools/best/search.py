@@ -58,7 +58,8 @@ kink: v3's smallest utilisation was 5.569 or 5.588 %, depending on the number of
 linear algebra used. With restarts it is 5.569 % with 1 and with 2 processors."""
 
 _DESCENT_ITERATIONS = 25
-"""SLSQP iterations of a continued descent. Chosen."""
+"""Upper bound of the SLSQP iterations of each continuation of one of the best first descents
+(`_FINALIST_COUNT`), and of each final descent with independent feet. Chosen."""
 
 _INDEPENDENT_FEET_ITERATIONS = 10
 """SLSQP iterations of a descent with independent feet from a continued descent. An iteration

@@ -44,8 +44,8 @@ MAX_OUTWARD_STEP = 0.25
 largest reachable base height. Chosen."""
 
 MAX_INWARD_STEP = 0.5
-"""Largest displacement of a foot inwards along x or y, relative to the smallest distance of a free
-foot from the centre along that axis. Chosen."""
+"""Bound of the search: largest displacement of a foot towards the centre of the feet along x or y,
+relative to the smallest distance of a movable foot from this centre along that axis. Chosen."""
 
 MAX_BASE_ROTATION = 0.3
 """Bound of the search: largest difference of the base's roll, pitch and yaw from the initial task
@@ -74,9 +74,9 @@ MIN_MOTION_RCOND = 1e-6
 largest, at which `StanceSpace.compute_motions` determines motions. Chosen, not tuned."""
 
 MAX_MOTION_RESIDUAL = 1e-9
-"""Largest velocity of a contact point relative to the required velocity, per unit of a coordinate
-[m/m or m/rad], in `StanceSpace.compute_motions`. Feet with redundant equations (soles) satisfy
-these to rounding. Chosen, not tuned."""
+"""Largest error of the velocity of a contact point, per unit velocity of a coordinate [m/m or
+m/rad], with which `StanceSpace.compute_motions` returns motions. The equations of soles are
+redundant, and are satisfied to rounding. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

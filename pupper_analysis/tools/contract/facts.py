@@ -51,7 +51,8 @@ FIELD_TABLE: Final[Mapping[str, Any]] = tomllib.loads(
 """
 
 KEY_ALIASES: Final[Mapping[str, list[str]]] = FIELD_TABLE["names"]
-"""{concept: keys in the formats, in order of precedence}."""
+"""{concept, such as joint names: keys that files of different formats use, the preferred first}. A
+dot in a key separates nested keys."""
 
 OBSERVATION_ALIASES: Final[Mapping[str, str]] = {
     alias: name for name, aliases in FIELD_TABLE["observed"].items() for alias in aliases
@@ -299,7 +300,7 @@ class Node:
         return content if isinstance(content, dict) else {}
 
     def get(self, *keys: str) -> Node:
-        """Return the node at a path of keys below this node.
+        """Return the value at a path of nested dict keys in this node, as a node.
 
         If a key is missing, a node with the value None is returned.
         """
@@ -309,10 +310,10 @@ class Node:
         return node
 
     def find_first(self, names: str) -> Node:
-        """Return the entry of this node for a concept, whose key depends on the file format.
+        """Return the entry of this node for a concept, such as joint names, in any file format.
 
-        Of the possible keys, the first that is present counts. If all are missing, a node with the
-        value None is returned.
+        Each format has its own key for the concept; the first key that is present counts. If all
+        are missing, a node with the value None is returned.
 
         Args:
             names: Concept, a key of `KEY_ALIASES`.

@@ -177,14 +177,14 @@ _PURE_FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
     "range": range,
     "sorted": sorted,
 }
-"""{name: function} of functions of plain values."""
+"""{name in a configuration: function that its evaluation calls}, for arguments without nodes."""
 _LIST_FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {"zip": zip, "enumerate": enumerate}
-"""{name: function} of functions of lists of any content."""
+"""{name in a configuration: function that its evaluation calls}, for lists of any content."""
 _ALLOWED_METHODS: Final[Mapping[type, Sequence[str]]] = {
     dict: ("get", "pop", "setdefault", "update", "keys", "values", "items", "copy", "clear"),
     list: ("append", "extend", "insert", "pop", "reverse", "copy", "clear"),
 }
-"""{type: names of the methods that are called}."""
+"""{type: names of its methods that the evaluation of a configuration in Python may call}."""
 
 _NAMED_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
 """Constants of numeric modules."""

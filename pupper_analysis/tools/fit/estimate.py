@@ -210,18 +210,16 @@ def estimate_parameters(
 ) -> Posterior:
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    Step: minimum of the linearised cost within the lower bounds, with damping added to the
-    diagonal. An undamped step may be corrected twice by a step of the linearisation at its end.
-    Accepted: an actual decrease of at least 10 % of the predicted decrease, minus
-    `_MIN_PREDICTED_DECREASE`; the damping is then divided by ten. Rejected: the damping is raised
-    tenfold, from 0 to `_MIN_DAMPING`.
+    A step minimises the linearised cost within the lower bounds. It is accepted if the cost
+    decreases by at least 10 % of the predicted decrease, minus `_MIN_PREDICTED_DECREASE`; otherwise
+    it is repeated with more damping.
 
-    Converged: the predicted decrease of the undamped step is below ``min_decrease``. Stalled: no
-    step is accepted up to `_MAX_DAMPING`, an accepted step decreases the cost by at most
-    ``min_decrease``, or 60 steps are taken. A stalled iteration ends if the predicted decrease is
-    below 1, or below 1 % of the cost; the covariance is then widened by the outer product of the
-    undamped step. This occurs if joints stick and slip, since the cost of such a simulation has
-    jumps.
+    The iteration has converged if the predicted decrease of the undamped step is below
+    ``min_decrease``. It has stalled if no step is accepted up to `_MAX_DAMPING`, if an accepted
+    step decreases the cost by at most ``min_decrease``, or after 60 steps. This occurs if joints
+    stick and slip, since the cost of such a simulation has jumps. A stalled iteration still gives a
+    result if the predicted decrease is below 1, or below 1 % of the cost; the covariance is then
+    widened by the outer product of the undamped step.
 
     The noise of residuals may depend on the parameters (encoder noise acts on torques by kp). It is
     evaluated at the last parameters, and not differentiated: otherwise the minimisation would
@@ -236,7 +234,7 @@ def estimate_parameters(
         min_decrease: Predicted decrease below which the iteration has converged.
 
     Raises:
-        FitError: If the iteration neither converges nor ends stalled as described, or the
+        FitError: If the iteration neither converges nor gives a result when it stalls, or the
             information of the cost is not finite or not positive definite.
     """
     x = table.stated.copy() if start is None else np.array(start, dtype=float)

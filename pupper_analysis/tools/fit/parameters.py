@@ -323,8 +323,8 @@ class ParameterTable:
     ) -> float:
         """Return the value of a parameter, in its unit, from a parameter vector.
 
-        ``kind``, ``subject`` and ``component`` select the `Parameter`. If the table does not
-        contain it, the result is ``default``.
+        ``kind``, ``subject`` (joint or link) and ``component`` select the `Parameter`. If the
+        parameter is not estimated, the result is ``default``.
         """
         index = self._indices.get((kind, subject, component))
         return default if index is None else float(vector[index])

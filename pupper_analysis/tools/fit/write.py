@@ -199,8 +199,9 @@ _MAX_DRAW_ROUNDS = 100
 is not enough. Chosen, not tuned."""
 
 _MIN_FACTOR = 0.1
-"""Smallest mass or kp that is written or drawn: as a fraction of the stated value when writing, of
-the written value when drawing. Chosen, not tuned."""
+"""Lower bound of masses and kp, as a fraction. Written estimates below this fraction of the value
+stated in the files are raised to it; random robots with less than this fraction of a written value
+are rejected. Chosen, not tuned."""
 
 
 _SAMPLES_HEADER = """\

@@ -558,7 +558,7 @@ class _Gains:
         limited = math.isfinite(limit) and limit > 0
 
         def scale_class_damping(factor: float) -> _Pair:
-            """Return kp and kd of all joints, with a factor on the kd of ``members`` only."""
+            """Return stable kp and kd, (nu,) each, after multiplying the kd of this class."""
             stiffness, damping = self.scale_gains(*stable_pair)
             damping[list(members)] *= factor
             return stiffness, damping

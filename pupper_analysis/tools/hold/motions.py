@@ -120,13 +120,11 @@ class JointMotions:
         return postures
 
     def find_range(self, qpos: Array, motion: int) -> tuple[float, float]:
-        """Return the displacements (low, high) [rad, m] from a posture along a joint motion.
+        """Return the range (low, high) of displacements [rad, m] that joint limits permit.
 
-        They reach to the ends of the joint ranges.
-
-        The displacement is that of the independent joint. For a nonlinear motion, only the range
-        of the independent joint counts: the ranges of the dependent joints are checked by
-        `move_along`.
+        Displacements are those of the independent joint of a motion, from a posture. For a
+        nonlinear motion, only the range of the independent joint counts: the ranges of the
+        dependent joints are checked by `move_along`.
 
         Args:
             qpos: Posture, shape (nu,).

@@ -468,7 +468,7 @@ CONTROL_BY_NAME = {
         or [Control(field.address, field)]
     )
 }
-"""Sliders by name in the address of a page, except the sliders of joints."""
+"""{name of a slider, as in the address of the page: slider}, without the sliders of joints."""
 
 
 @dataclass(frozen=True)

@@ -228,10 +228,11 @@ def _map_numbers(value: Any, change: Callable[[float], float]) -> Any:
 
 
 def parse_length(millimetres: float) -> float:
-    """Convert a length typed in mm to m.
+    """Convert a length typed in mm to m, without the rounding error of a product.
 
-    The exponent is appended to the decimal text, so the result is the floating-point number nearest
-    to the typed decimal number. A text with an exponent (below 1e-4 mm) is multiplied by 1e-3.
+    The decimal text followed by ``e-3`` is converted, so the result is the floating-point number
+    nearest to the typed decimal number. A number whose text has an exponent already (for example,
+    below 1e-4 mm) is multiplied by 1e-3.
     """
     return float(f"{millimetres!r}e-3") if "e" not in repr(millimetres) else millimetres * 1e-3
 

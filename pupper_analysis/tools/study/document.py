@@ -342,7 +342,7 @@ def progress_bar() -> Iterator[Callable[[StudyProgress], None]]:
         task = bar.add_task("", total=None)
 
         def show(progress: StudyProgress) -> None:
-            """Update the progress bar."""
+            """Show rate, remaining time and failures of a study in the progress bar."""
             rate = (
                 f"{progress.rate:.1f}/s, {format_duration(progress.remaining_time)} left"
                 if progress.done

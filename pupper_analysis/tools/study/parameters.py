@@ -64,7 +64,8 @@ PATTERN_KINDS = {
 `ADDITIVE_KINDS`."""
 
 COM_OFFSET_KINDS = ("com_x", "com_y", "com_z")
-"""Kinds that are offsets of centres of mass [m], along x, y and z of the link."""
+"""Kinds of variables ``KIND:PATTERN`` that are offsets of centres of mass [m], along x, y and z of
+the URDF's link."""
 
 ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 """Kinds of variables of a study that are values or offsets, not factors on numbers of the files;
@@ -73,7 +74,7 @@ ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 BODY_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
 """Kinds whose pattern selects bodies."""
 SERVO_KINDS = ("kp", "kd")
-"""Kinds that are servo gains."""
+"""Kinds of variables ``KIND:PATTERN`` that are factors on servo gains."""
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,7 @@ def _render_mjcf(description: Description, choose_path: Any) -> str:
     path_of_file: dict[str, str] = {}
 
     def find_file(name: str, folder: str) -> Path | None:
-        """Return the existing file of a name; None if there is none."""
+        """Return the path of a file that the MJCF references, such as a mesh; None if missing."""
         if not name:
             return None
         name = Path(name).name if spec.strippath else name

@@ -351,8 +351,9 @@ def _restore_triangle_inequality(inertial: Inertial) -> Inertial:
 
 
 _TRIANGLE_INEQUALITY_RTOL = 1e-6
-"""Largest excess of I3 over I1 + I2, relative to I3, that counts as rounding: some digits in single
-precision, and below the tolerance of file comparisons."""
+"""Largest excess of the principal moment of inertia I3 over I1 + I2, relative to I3, that is taken
+for rounding, and removed. Chosen as some units of the last digit in single precision, below the
+tolerance of file comparisons."""
 
 
 def _is_accepted(inertial: Inertial) -> bool:

@@ -26,9 +26,9 @@ MAX_WEIGHTS = 50_000_000
 have about 1e6."""
 
 MAX_VALUE_SIZE = 1_000_000
-"""Maximum number of elements of an operation's result, unless an input has as many: refuses graphs
-whose values double from layer to layer. The widest layers of walking policies have 1024. Chosen,
-not tuned."""
+"""Maximum number of elements of the result of a layer. A larger result is refused, unless an input
+of the layer has at least as many elements: values that double from layer to layer would exhaust the
+memory. The widest layers of walking policies have 1024. Chosen, not tuned."""
 
 
 def sigmoid(value: Array) -> Array:

@@ -120,9 +120,10 @@ class Orders(Result):
 
     @property
     def alike(self) -> tuple[int, ...]:
-        """Indices of the interpretations that are about as good as the best, which has index 0.
+        """Indices of the interpretations of a policy that are about as good as the best (index 0).
 
-        They track as many commands, at a cost of at most `MIN_COST_RATIO` times that of the best.
+        An interpretation is an order of joints, signs, scale and history. The listed ones track as
+        many commands as the best, at a cost of at most `MIN_COST_RATIO` times that of the best.
         Empty if no interpretation tracks a command.
         """
         best = self.candidates[0]

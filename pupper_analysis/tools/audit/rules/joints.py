@@ -46,7 +46,8 @@ _AXIS_NAMES = (
     "hfe|kfe|thigh|knee|calf|shank|hip_?pitch|hy",
     "hip_?yaw",
 )
-"""Parts of joint names that imply a rotation about x, y or z."""
+"""Patterns of words in joint names that imply a rotation about x, y or z of the base, respectively.
+A hinge with another axis is reported."""
 
 _AXIS_PATTERNS = [
     re.compile(rf"(?<![a-z])(?:{names})(?![a-z])", re.IGNORECASE) for names in _AXIS_NAMES

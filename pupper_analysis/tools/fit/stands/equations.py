@@ -70,8 +70,9 @@ since dry friction holds a joint with any torque up to its limit, as at joints o
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
-dead band x kp. A servo error e reduces it by the factor b / sqrt(e^2 + b^2), with the sign band b.
-Derived from joints of Go1 and MEVIUS, whose friction has any value up to the limit."""
+dead band x kp (the largest friction torque). It is multiplied by b / sqrt(e^2 + b^2), with the
+servo error e and the sign band b (`_SIGN_BAND_RATIO`): a large error determines the sign of the
+friction. Derived from joints of Go1 and MEVIUS, whose friction has any value up to the limit."""
 
 
 @dataclass(frozen=True)
@@ -311,9 +312,10 @@ class StandRows:
     def find_contradictions(self, covariance: Array) -> tuple[Array, Array]:
         """Estimate the error of each joint's measured position in a stand.
 
-        The error of a single reading is estimated from all other readings, with the parameters
-        integrated out. With projected residuals r and derivatives d by the reading and A by the
-        parameters of covariance C:
+        The error of a joint position is estimated from all other readings of the stand; the
+        uncertainty of the parameters is taken into account. r are the residuals after elimination
+        of the unknowns of the stand (see `eliminate_own_unknowns`), d their derivative by the joint
+        position, A their derivative by the parameters, and C the covariance of the parameters:
 
             error = -d^T r / (d^T d - d^T A C A^T d)
 

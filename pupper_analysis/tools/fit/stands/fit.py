@@ -1128,7 +1128,8 @@ class LogCoordinates:
     def compute_rates(self, coordinates: Array) -> Array:
         """Return the derivatives dx/dy of the parameters x by the coordinates y, shape (n,).
 
-        x / x0 for masses and kp, with the stated values x0; 1 for other parameters.
+        The derivative is x / x0 for a mass or kp with the stated value x0, and 1 for other
+        parameters (see `to_parameters`).
         """
         rates = np.ones(len(coordinates))
         stated = self._stated[self._factors]
