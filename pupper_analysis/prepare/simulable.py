@@ -159,11 +159,13 @@ warm-started, as in consecutive simulation steps. Chosen, not tuned."""
 
 
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
-    """Compute MuJoCo's residual of M qacc = f for a pushed free base, relative to the weight.
+    """Compute the error of MuJoCo's solver: the residual of M qacc = f of a pushed free base.
+
+    The push is a force of `_PUSH_FRACTION` of the robot's weight along each axis.
 
     Args:
         model: Model.
-        data: State; the base is pushed, and the accelerations are computed in place.
+        data: State; accelerations of the pushed robot are computed in place.
         base: Id of the body with the free joint.
 
     Returns:

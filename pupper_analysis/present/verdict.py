@@ -280,9 +280,9 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
 def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
     """Yield the clauses of a verdict about the published file, simulated from a keyframe.
 
-    One clause about the run with the file's own commands, one about the run with joint angles as
-    commands if that run exists, then one about each cause of a failure. None without a run. The
-    clause of a file that MuJoCo refuses does not support the stand.
+    The clauses are about the run with the file's own commands, about the run with joint angles as
+    commands if that run exists, and about each cause of a failure. Without a run, nothing is
+    yielded. The clause of a file that MuJoCo refuses does not support the stand.
     """
     for run in (
         ()

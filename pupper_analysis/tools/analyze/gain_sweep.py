@@ -116,7 +116,7 @@ def sweep_gains(
 
     No pair is called the best: the base moves less with stiffer servos, and the simulation has
     neither the delay nor the noise that bound the stiffness on a robot. ``lasts`` is False for
-    unstable pairs.
+    pairs with which the robot does not stay at rest without the force.
 
     Args:
         robot: Robot.

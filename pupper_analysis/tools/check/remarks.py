@@ -270,9 +270,10 @@ def relative_path(file: str | Path, folder: Path) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """Convert a value to JSON types, with numbers of `NUM_DIGITS` digits, for the baseline.
+    """Convert a value to JSON types, with numbers of `NUM_DIGITS` digits.
 
-    A diagnostic becomes a table with its code and values, in SI units.
+    The baseline, a file with known remarks, contains the result. A diagnostic becomes a table with
+    its code and values, in SI units.
     """
     if isinstance(value, Diagnostic):
         values = {name: to_plain(item) for name, item in value.values.items() if item is not None}
@@ -506,7 +507,7 @@ def count_findings(remarks: Iterable[Remark]) -> int:
 
 
 def values_agree(first: Any, second: Any) -> bool:
-    """Return True if two values of the baseline are equal, numbers within `_VALUE_RTOL`.
+    """Return True if two values of the remarks in a baseline agree, numbers to `_VALUE_RTOL`.
 
     Tables need the same keys, lists the same structure.
     """

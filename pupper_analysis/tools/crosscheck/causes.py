@@ -1087,8 +1087,8 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
 
 
 _MIN_AXIS_SINE = 1e-9
-"""Sine of the angle between two joint axes below which the axes count as parallel when the
-distance is computed: rounding. Chosen, not tuned."""
+"""Sine of the angle between two joint axes below which the distance between the axes is computed as
+that of parallel lines: the angle may be rounding. Chosen, not tuned."""
 
 _MAX_MOVED_JOINTS = 20
 """Largest number of joints with different positions for which a displaced axis of a single joint is

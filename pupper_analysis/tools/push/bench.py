@@ -80,9 +80,9 @@ relative to the requested time: 60 s by default. A robot that still moves then h
 Chosen, not tuned."""
 
 _MAX_REMAINING_RATIO = 0.1
-"""Upper bound of the predicted motion of the base in the remaining time, relative to the height of
-the CoM, with which a robot counts as at rest. Measured on v3-long-leg: the robot returns from
-0.03, and falls slowly from 0.07. """
+"""Upper bound of the base motion that is predicted for the remaining time (with `_SPEED_FACTOR`),
+relative to the CoM height, with which a pushed robot counts as at rest. Measured on v3-long-leg:
+the robot returns from 0.03, and falls slowly from 0.07."""
 
 _SPEED_FACTOR = 1.5
 """Safety factor on the predicted motion of the base (speed x remaining time), which has an upper

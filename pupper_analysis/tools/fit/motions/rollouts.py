@@ -284,12 +284,13 @@ class Simulator:
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
     def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:
-        """Replace the derivative of positions by the position lag with a sum over other parameters.
+        """Compute the derivative with respect to the position lag from those of other parameters.
 
-        To second order a lag T of positions is a damping of -kp T and an armature of kp T^2.
-        Therefore the derivative by T is the sum of -kp times the derivative by the damping and
-        2 kp T times the derivative by the armature of each joint. Finite-difference errors must not
-        distinguish equivalent parameters. Without estimated damping and armature nothing changes.
+        To second order, a lag T of positions is equivalent to a damping of -kp T and an armature of
+        kp T^2. Therefore the derivative by T is the sum over the joints of -kp times the derivative
+        by the damping and 2 kp T times that by the armature. Computed so, finite-difference errors
+        do not distinguish equivalent parameters. Nothing changes unless damping and armature are
+        estimated.
 
         Args:
             vector: Parameters, shape (n,).
