@@ -86,7 +86,7 @@ def cross_matrices(vectors: Array) -> Array:
 
 
 _UNIT_CROSS_MATRICES = np.zeros((3, 9))
-"""Flattened skew-symmetric matrices of the unit vectors, shape (3, 9). A matrix product is faster
-than six column assignments."""
+"""Skew-symmetric matrices [x]x, [y]x and [z]x of the unit vectors, each a row of shape (9,). With
+them `cross_matrices` is a single matrix product, faster than six column assignments."""
 
 _UNIT_CROSS_MATRICES[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1, 1, 1, -1, -1, 1

@@ -195,9 +195,10 @@ def generated_model_kind(known: str | None) -> Kind:
 
 
 OWN_KIND: Final = Kind("model", _match_any)
-"""Model file whose name is derived from the content, so that each existing file may be replaced."""
+"""File kind for a file whose name is a hash of what it contains, so that an existing file of this
+name may be replaced."""
 EDITED_KIND: Final = Kind("model", _match_any, edits=True)
-"""Model file that the run reads and writes in place."""
+"""File kind for a model file that the run reads and then overwrites."""
 
 SAMPLES_KIND: Final = Kind("table of samples", match_prefix("# Samples of a fitted robot."))
 """CSV file with the samples of a fitted robot, recognised by its first line."""

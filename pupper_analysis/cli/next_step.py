@@ -28,13 +28,15 @@ _OUTPUT_PARAMETERS = ("everything", "style", "force")
 def complete_command(step: NextStep | None) -> str:
     """Return the command line of a next step, for the robot of the running command.
 
-    The line contains the typed robot, unless the step names files, and the typed options that both
-    commands have and that specify no output. It is empty without a step or a running command, if no
-    such command is installed, if the typed files do not suffice for the next command, and if a
-    typed file is standard input.
+    The line contains the robot that the user typed, unless the step names files. It also contains
+    typed options that both commands have, except those for outputs.
 
     Args:
-        step: Next step.
+        step: Next step; None for none.
+
+    Returns:
+        Command line. Empty without a step or a running command, if the next command is not
+        installed or needs more files than were typed, or if a typed file is standard input.
     """
     context = click.get_current_context(silent=True)
     if step is None or context is None:

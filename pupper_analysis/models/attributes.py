@@ -183,7 +183,7 @@ JOINT_ATTRIBUTES: Final = (
         resists=True,
     ),
 )
-"""All parameters, in the order of comparison."""
+"""All joint parameters that URDF and MJCF are compared in, in the order of comparison."""
 
 BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {attribute.kind: attribute for attribute in JOINT_ATTRIBUTES}
@@ -197,7 +197,7 @@ BY_MJCF: Final[Mapping[str, JointAttribute]] = MappingProxyType(
 ``springdamper`` sets stiffness and damping and has the stiffness (``spring``) as entry."""
 
 TREE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.field)
-"""Parameters with a field in `multibody.TreeJoint`."""
+"""Joint parameters with a field in `multibody.TreeJoint`."""
 
 PASSIVE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.resists)
 """Parameters that resist the motion of a joint independently of the motor."""

@@ -39,6 +39,7 @@ from pupper_analysis.models.xml import parse_text, to_text
 Array = NDArray[np.float64]
 
 _T = TypeVar("_T")
+"""Type of the values of a mapping."""
 
 _FREE_JOINT_NAME = "__free__"
 """Name of the free joint of a model with a free base."""

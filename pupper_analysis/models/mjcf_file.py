@@ -404,7 +404,7 @@ class IncludeTree:
 
 
 _HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
-"""Pattern of a hexadecimal number."""
+"""Pattern of a hexadecimal number, which MuJoCo accepts in place of a decimal one."""
 
 
 def _check_sizes(path: Path, element: etree._Element) -> None:
@@ -419,10 +419,12 @@ def _check_sizes(path: Path, element: etree._Element) -> None:
 
 
 _FORMAT_DIRECTIVE: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
-"""Directives of printf that write to memory, or that read an address."""
+"""Directives of printf (``%n``, ``%s``, ``%S``) that access memory. MuJoCo's reader uses some texts
+as format strings and would crash, so a file with such a text is refused."""
 
 _TEXT_ATTRIBUTES: Final = ("data", "file", "meshdir", "texturedir", "assetdir")
-"""Attributes that MuJoCo does not use in format strings."""
+"""Attributes that may contain directives of printf, because MuJoCo does not use them as format
+strings."""
 
 
 def _check_formats(path: Path, element: etree._Element) -> None:

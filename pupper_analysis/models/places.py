@@ -17,6 +17,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Source
 from pupper_analysis.base.errors import InputError, ModelError
 
 T = TypeVar("T")
+"""Type of an element in the tree of a file format."""
 
 
 @dataclass(frozen=True)

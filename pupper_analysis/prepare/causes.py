@@ -170,7 +170,8 @@ def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[st
 
 
 NUMERICS_CODES = ("timestep", "iterations")
-"""Codes of the causes in integration and constraint solver."""
+"""Codes of the causes of a deviation that are numerical: time step, or iterations of the constraint
+solver."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
 """Codes of the causes that change the position that a servo command specifies."""

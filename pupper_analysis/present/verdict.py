@@ -190,7 +190,8 @@ _DETAIL_CODE = "own-run"
 if it is favourable."""
 
 _LEADING_CODES = ("servos-given",)
-"""Codes of statements that are always part of the short answer: servos that are not the file's."""
+"""Codes of the statements of a verdict that its short form always contains, also if they are good:
+the servo gains were passed by the user."""
 
 
 class JudgedResult(Protocol):

@@ -14,6 +14,7 @@ from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.robot import Robot
 
 P = ParamSpec("P")
+"""Parameters of ``load_robot``."""
 
 
 def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:

@@ -23,10 +23,11 @@ def is_variant(word: object) -> bool:
 
 
 def refuse_unknown_variant(word: str) -> None:
-    """Raise an error if a word without suffix names no file, and is similar to that of a variant.
+    """Raise an error if a word is probably a misspelled variant name.
 
     Raises:
-        VariantError: If this is so; the message lists the similar variants.
+        VariantError: If the word has no suffix, names no file, and is similar to names of variants,
+            which the message lists.
     """
     path = Path(word)
     may_be_variant = not path.suffix and len(path.parts) == 1 and not path.exists()

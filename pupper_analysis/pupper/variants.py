@@ -70,7 +70,7 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
         ),
     }
 )
-"""{name: base model}."""
+"""{name: base model, from which scaled variants are derived}."""
 
 
 def _check_name(name: object) -> None:

@@ -26,9 +26,9 @@ _NUM_UNBOUNDED_STEPS = 4
 sufficient. Chosen, not tuned."""
 
 _STEP_RTOL = 1e-9
-"""Length of a Newton step, relative to the penetration plus margin, at which `GroundLaw.depth`
-ends. The remaining relative error is of the order of the square of this value. Chosen, not
-tuned."""
+"""Length of a Newton step, relative to the penetration plus the contact margin, at which
+`GroundLaw.depth` ends. The remaining relative error is of the order of the square of this value.
+Chosen, not tuned."""
 
 _DEPTH_RTOL = 4e-16
 """Distance between lower and upper bound of a penetration, relative to the penetration, at which

@@ -164,7 +164,7 @@ class PublishedFile:
 
     @property
     def is_unchanged(self) -> bool:
-        """True if this record contains no file, because the robot was loaded without changes."""
+        """True if no separate published file is stored, because the robot was loaded unchanged."""
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:

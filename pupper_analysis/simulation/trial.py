@@ -106,9 +106,9 @@ _MAX_GROWTH_EXPONENT = 20.0
 growth by a factor of 5e8. Chosen, not tuned."""
 
 _CLEARANCE_FACTOR = 2.0
-"""Distance by which a resting robot is lowered for the test that no other part reaches the ground,
-relative to the bound of the remaining motion: half for the base, half for the joints. Chosen, not
-tuned."""
+"""Ratio between the distance by which the base of a resting robot is lowered, to test if another
+part could reach the ground, and the largest motion of a coordinate in the remaining time. Chosen,
+not tuned: once for the motion of the base, once for that of the joints."""
 
 
 class Failure(StrEnum):

@@ -270,17 +270,18 @@ class ClearanceShapes:
         targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Return the lowest collision shape that is no foot: height [m] above the ground, and link.
+        """Find the collision shape, not of a foot, that is lowest above the ground.
 
         Args:
             at: Kinematics of the configuration.
             ground: Ground: slope, steps and planes of feet.
-            targets: {contact point: target of the sphere centre, shape (3,) [m], in the world}. A
-                step is below the target of its foot.
+            targets: {contact point: target of the sphere centre, shape (3,) [m], in the world};
+                determines where the steps of the ground are.
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
-            Smallest of the `measure_part_heights`; None if these are empty.
+            Smallest height [m] of `measure_part_heights`, with the link and the surface below;
+            None if `measure_part_heights` is empty.
         """
         heights = self.measure_part_heights(at, ground, targets, depths)
         if not heights:

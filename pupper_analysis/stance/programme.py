@@ -44,10 +44,10 @@ first minimisation of foot distances. Measured on solves that led to a stand: wi
 1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or fewer."""
 
 _FINE_UNIT = 200.0
-"""Ratio between the stand height and the smallest length unit in which the second minimisation
-measures foot distances; the unit is the remaining distance if that is larger. Measured with flat
-minima of the cost: in both larger units (stand heights) and smaller units (a thousandth), SLSQP
-stops before the minimum."""
+"""Ratio between the stand height and the smallest unit of length in the second minimisation of foot
+distances, whose unit is the distance that the first one leaves, if that is larger. Measured with
+flat minima of the cost: with larger units (stand heights) and with smaller units (a thousandth),
+SLSQP stops before the minimum."""
 
 _MAX_ITERATIONS = 100
 """Upper bound of the SLSQP iterations that minimise foot distances a second time. About 45 are

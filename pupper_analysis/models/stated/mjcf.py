@@ -303,7 +303,7 @@ _WORD_GROUPS: Final = {
     "touches": ("contype", "conaffinity"),
     "": (),
 }
-"""{group: attributes}."""
+"""{name of a group of geom attributes: attributes}, of which `place_of_geom` locates any one."""
 
 
 def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:

@@ -34,8 +34,8 @@ _URDF_NOTE_CODES = (
     "fixed-base-stands",
     "root-link-left-out",
 )
-"""Codes of notes about a URDF beside an MJCF that are not relevant if the URDF was made from the
-MJCF."""
+"""Codes of notes about content that the URDF lacks. They are omitted if the URDF was converted from
+the MJCF."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,7 +85,7 @@ def serialise_scene(scene: object) -> dict[str, Any] | None:
     Returns:
         Robot, motions, contacts and ground; lengths in m, forces in N. Contacts, ground and CoM are
         expressed in the world frame, shapes and joint axes in the frames of their bodies. None if
-        an implementation has nothing to show; both built-in ones always have.
+        the scene contains nothing to show.
 
     Raises:
         TypeError: If there is no implementation for this type of scene.
@@ -314,7 +314,8 @@ def _pack_mesh(mesh: Mesh) -> dict[str, Any]:
 _VIEWER_PACKAGE = "meshcat"
 """Python package from which the script of the 3-D view, three.js, is read."""
 _EXPORT_MARKER = "THREE:()=>"
-"""Text in the bundle that shows the export of three.js."""
+"""Text in the script ``main.min.js`` that shows that the script exports three.js. Without it, the
+script is not used."""
 
 
 @dataclass(frozen=True)

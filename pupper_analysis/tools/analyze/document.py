@@ -119,7 +119,8 @@ _CAUSE_CODE = "files-of-two-robots"
 and is listed first."""
 
 _CROSS_CHECK_CODE = "models-deviate"
-"""Code of the failure of a quantity in the cross-check."""
+"""Code of the failures for quantities in which URDF and MJCF differ; the report contains them as a
+single failure."""
 
 
 def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:

@@ -62,9 +62,9 @@ _DESCENT_ITERATIONS = 25
 (`_FINALIST_COUNT`), and of each final descent with independent feet. Chosen."""
 
 _INDEPENDENT_FEET_ITERATIONS = 10
-"""SLSQP iterations of a descent with independent feet from a continued descent. An iteration
-evaluates a stance per coordinate (14 with four feet) if derivatives are not known in closed form.
-Chosen."""
+"""Upper bound of the SLSQP iterations of a descent in which each foot moves independently, from the
+result of a descent in which the feet move together. Chosen small: without derivatives in closed
+form, an iteration evaluates a stance per coordinate (14 with four feet)."""
 
 _MIN_RELATIVE_GAIN = 3e-4
 """Smallest decrease of the level (scaled objective) by a descent, relative to the level, with which

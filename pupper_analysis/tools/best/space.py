@@ -237,7 +237,11 @@ class StanceSpace:
         return np.array(columns).T
 
     def make_task(self, coordinates: Array) -> StandTask:
-        """Create the stand task of a stance from coordinates, shape (n,) [m or rad]."""
+        """Create the stand task of a stance from the coordinates of the search, shape (n,).
+
+        Coordinates are base height, x, y [m], roll, pitch, yaw [rad], then x and y [m] of the
+        displacement of each free foot.
+        """
         height, x, y, roll, pitch, yaw = map(float, coordinates[: len(BASE_COORDINATES)])
         task = self.nominal.task
         offsets: dict[str, Point] = dict(task.foot_offsets)

@@ -287,7 +287,8 @@ _NEAR_LIMIT_RTOL = 0.02
 NOTE, since data sheets round these numbers. Chosen, not tuned."""
 
 _ANGLE_QUANTITIES = ("default angle", "action offset")
-"""Quantities that are joint angles: values of opposite sign form one group."""
+"""Quantities that are joint angles. Differences of two joints that are equal up to the
+sign are reported as one disagreement."""
 
 
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:

@@ -177,9 +177,11 @@ _PURE_FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
     "range": range,
     "sorted": sorted,
 }
-"""{name in a configuration: function that its evaluation calls}, for arguments without nodes."""
+"""{name in a configuration: function that its evaluation calls}, if all arguments are known
+values."""
 _LIST_FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {"zip": zip, "enumerate": enumerate}
-"""{name in a configuration: function that its evaluation calls}, for lists of any content."""
+"""{name in a configuration: function that its evaluation calls}, for lists or tables whose elements
+may be unknown."""
 _ALLOWED_METHODS: Final[Mapping[type, Sequence[str]]] = {
     dict: ("get", "pop", "setdefault", "update", "keys", "values", "items", "copy", "clear"),
     list: ("append", "extend", "insert", "pop", "reverse", "copy", "clear"),

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
-    """Yield notes about the matching of joints, and about content that was left out."""
+    """Yield notes about the matching of joints, and about parts that were not compared."""
     yield from comparison.notes
     if comparison.mount is not None:
         yield diagnose("tilt-is-no-difference", tilt=comparison.mount)

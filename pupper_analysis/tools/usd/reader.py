@@ -182,9 +182,9 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
     usd: UsdFile | None = None
 
     def find_attribute(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
-        """Return the location of an element's attributes: its prim in the USD file.
+        """Return the prim of an element as the location of its attributes; None without a prim.
 
-        None if the USD file has no such prim.
+        A USD location has no attribute, so ``attributes`` has no effect.
         """
         del attributes
         found = self.place(kind, name)
@@ -476,4 +476,4 @@ CHECKS: Final[Mapping[str, Check]] = {
         joint_numbers_contradict,
     )
 }
-"""{rule: check}."""
+"""{id of an audit rule: function that yields its findings}, for rules of USD files."""

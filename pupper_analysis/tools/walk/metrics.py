@@ -55,7 +55,8 @@ _COMMON_ARGUMENTS = {
     "function": None,
     "simulates": True,
 }
-"""Arguments of `Metric` that both metrics share; `of_file` creates the function from the policy."""
+"""Arguments of `Metric` with the same value for all `METRICS`. ``function`` is None, because the
+argument ``of_file`` creates the function from the file of the policy."""
 
 METRICS: dict[str, dict[str, Any]] = {
     "walk_margin": {

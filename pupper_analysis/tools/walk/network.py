@@ -54,7 +54,7 @@ ACTIVATIONS: Mapping[str, Operation] = {
 
 
 def dense(value: Array, weights: Array, bias: Array) -> Array:
-    """Return x W + b."""
+    """Evaluate a dense layer of a network: return x W + b for the input x = ``value``."""
     product: Array = np.matmul(value, weights) + bias
     return product
 

@@ -514,7 +514,7 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 _CONTACT_PARAMETERS = ("condim", "friction", "solref", "solimp", "margin")
-"""Contact parameters that are compared."""
+"""Attributes of a geom that `mirror_contacts` compares between left and right."""
 
 
 def _list_contacts(

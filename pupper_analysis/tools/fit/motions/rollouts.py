@@ -619,7 +619,8 @@ class MomentCoordinates:
     def transform_posterior(self, posterior: Posterior, covariance: Array) -> Posterior:
         """Convert a distribution of first-moment coordinates to a distribution of the parameters.
 
-        The conversion is linearised about the mean.
+        First-moment coordinates contain mass times CoM instead of the CoM, scaled to a length. The
+        conversion is linearised about the mean.
 
         Args:
             posterior: Distribution of the coordinates.

@@ -66,7 +66,9 @@ exist. Chosen, not tuned."""
 _SIGN_BAND_RATIO = 0.7
 """Sign band (servo error over which the sign of friction changes smoothly), as a fraction of the
 dead band (servo error at which the servo torque equals the dry friction). The change is gradual,
-since dry friction holds a joint with any torque up to its limit, as at joints of Go1 and MEVIUS."""
+since dry friction holds a joint with any torque up to its limit, as at joints of Go1 and MEVIUS.
+Chosen; the confidence intervals of fits with this value were verified on simulated robots with
+dead bands (``docs/explanation/fit.md``)."""
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
@@ -643,7 +645,7 @@ def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Ar
     Args:
         robot: Robot.
         joints: Joint positions, shape (nu,) [rad].
-        points: Contact points that carry.
+        points: Contact points that carry load.
 
     Returns:
         Quaternion and height of the base in the world frame, shape (5,).

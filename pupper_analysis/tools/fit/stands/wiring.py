@@ -99,15 +99,18 @@ def find_wiring(
 ) -> Wiring | None:
     """Find the wiring (assignment and signs of the joints) with which the model explains stands.
 
-    Wirings with one error are ranked by the log evidence of the measurements, linearised about the
-    stated values. Of those more probable than the present wiring, the three most probable are
-    fitted. The first one whose fit has no failures is returned; None without such a wiring.
+    Candidates differ from the present wiring by one error (`generate_wirings`), and are ranked by
+    the log evidence of the measurements, linearised about the stated values. Of those more probable
+    than the present wiring, the three most probable are fitted.
 
     Args:
         robot: Robot.
         stands: Stands, joints in actuator order.
         evidence: Function that returns the log evidence of stands.
         fit: Function that fits stands.
+
+    Returns:
+        First fitted wiring whose fit has no failures; None without such a wiring.
     """
 
     def evaluate(candidate: MeasuredStands) -> float:
