@@ -41,7 +41,12 @@ class TreeBody:
 
     @staticmethod
     def of(inertia: pin.Inertia, link: str = "") -> TreeBody:
-        """Return the body with a spatial inertia, in the frame of the inertia."""
+        """Convert a spatial inertia of Pinocchio to a body, expressed in the frame of the inertia.
+
+        Args:
+            inertia: Mass [kg], CoM [m] and rotational inertia [kg m^2].
+            link: Value of the field ``link`` of the body.
+        """
         tensor = np.array(inertia.inertia)
         return TreeBody(float(inertia.mass), np.array(inertia.lever), tensor, link)
 
@@ -311,7 +316,8 @@ def copy_value(
 ) -> MultibodyTree:
     """Return a tree in which one value, such as a mass or a joint axis, is that of another tree.
 
-    If the parent of this joint alone would create a loop, the parents of all joints are copied.
+    If the value is the parent of a joint, and would create a loop in the tree, the parents of all
+    joints are copied.
 
     Args:
         tree: Tree to modify; the result is a copy.

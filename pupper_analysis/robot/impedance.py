@@ -22,8 +22,8 @@ _NUM_EQUATIONS = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,
     mujoco.mjtEq.mjEQ_WELD.value: 6,
 }
-"""Number of equations of a constraint whose impedance depends on their common norm; 1 for others.
-"""
+"""{type of an equality constraint: number of its scalar equations}, if the impedance depends on the
+norm of all its violations. For other types each equation has its own impedance."""
 
 _DEFAULT_REFERENCE = (0.02, 1.0)
 """Time constant [s] and damping ratio of MuJoCo's mj_defaultSolRefImp."""

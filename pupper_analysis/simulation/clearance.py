@@ -134,4 +134,5 @@ def _chain_length(model: mujoco.MjModel) -> float:
 
 
 _MAX_LIMIT_RATIO = 2.0
-"""Largest position of a slide joint, relative to its limit: limits are soft. Chosen, not tuned."""
+"""Assumed largest position of a slide joint in a simulation, relative to its limit, in the bound of
+the robot's displacements: limits in MuJoCo are soft. Chosen, not tuned."""

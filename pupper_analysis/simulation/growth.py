@@ -54,7 +54,8 @@ LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
 ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other motion."""
 
 _CHUNK_DURATION = 2.0
-"""Simulated time between two evaluations of growth and decay [s]. Chosen, not tuned."""
+"""Simulated time [s] after which a growth test evaluates again whether the motion has grown or
+decayed. Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
 """Ratio of the deviation D to the initial deviation below which a growth test ends: the motion has

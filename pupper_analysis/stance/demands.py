@@ -248,7 +248,7 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
 
 
 def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
-    """Return True if a value of some relaxable requirements differs from the nominal stand.
+    """Return True if a relaxable requirement of a task has another value than the default stand.
 
     Args:
         robot: Robot.

@@ -266,7 +266,7 @@ class EquilibriumScales:
         Args:
             residual: Shape (nv + 3 n,); balance, then three equations per touching contact.
             nv: Number of velocity coordinates.
-            forces: Contacts whose slip equations are forces [N] instead of distances [m].
+            forces: Numbers of the contacts whose two slip equations have the unit N instead of m.
         """
         units = np.full(len(residual), self.length)
         units[: self.moves], units[self.moves : nv] = self.weight, self.weight * self.length

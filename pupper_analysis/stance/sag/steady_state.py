@@ -93,11 +93,11 @@ def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[st
 def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
     """Measure the slip of the touching contact points along the ground.
 
-    The slip is measured from the first contact, or from the start of the current creep step. The
-    slips of a sole's points are projected onto a rigid motion.
+    The slip is measured from the first contact, or from the start of the current creep step (slow
+    slip during a short time). The slips of a sole's points are projected onto a rigid motion.
 
     Args:
-        system: Equations.
+        system: Equilibrium equations of the robot on its servos.
         solution: Solution of the equations.
 
     Returns:
@@ -563,8 +563,8 @@ def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
         pose: Stable equilibrium.
 
     Returns:
-        Time until the equilibrium no longer exists or has a failure [s]; infinite if longer than
-        ``HOLD_DURATION``, or if no creep is simulated.
+        Time [s] until the equilibrium no longer exists, or the robot fails in it (see
+        ``_find_failures``); infinite if longer than ``HOLD_DURATION``, or if no creep is simulated.
     """
     creeps = pose.feet != "sliding" and any(pose.foot_creep.values())
     if (

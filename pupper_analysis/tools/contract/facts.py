@@ -87,7 +87,7 @@ QUANTITIES: Final[Mapping[str, QuantityKind]] = {
     )
     for name, row in FIELD_TABLE["quantities"].items()
 }
-"""{quantity: properties}, from ``fields.toml``."""
+"""{quantity, such as ``time step``: unit and rules of comparison}, from ``fields.toml``."""
 
 
 def find_quantity_kind(quantity: str) -> QuantityKind:
@@ -397,7 +397,8 @@ class Node:
 
 
 _FLOAT_PATTERN = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-"""Number without quotes. YAML 1.1 reads ``1e-3`` as a text, the C++ readers as a number."""
+"""Unquoted text of a YAML file that is read as a number. Includes ``1e-3``, which is a text in YAML
+1.1, but a number for the C++ readers."""
 
 _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 """Number as written, with groups for the decimals and the exponent."""

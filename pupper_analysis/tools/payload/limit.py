@@ -127,10 +127,10 @@ FAILING_RATIO = 1.03
 if the robot holds it in simulation, the bound is raised. Chosen, not tuned."""
 
 SIMULATION_RTOL = 0.02
-"""Relative tolerance of payload bounds that are bisected by simulations: the bound of the
-simulation, and the bound of the servos if a simulation contradicts the eigenvalues. The bound of
-the simulation also has an absolute tolerance: ``SIMULATION_RTOL**2`` times the smallest static
-bound. Chosen, not tuned."""
+"""Relative tolerance of the largest payload that holds in simulation, and of the largest payload of
+the servos if a simulation contradicts the eigenvalues; both are found by bisection. The former also
+has an absolute tolerance: ``SIMULATION_RTOL**2`` times the smallest static bound. Chosen, not
+tuned."""
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """Relative tolerances of the bounds of stance, motors and servos. The first tolerance applies to

@@ -373,10 +373,10 @@ def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Ite
     """Yield failures if estimates of ground, leg lengths or load contradict their priors.
 
     Tested are the slope of the ground [rad], the softness of the ground (the factor on the
-    penetration that the MJCF gives), the lengths of the legs, and the load that the scale did not
-    show. All parameters of a kind are tested jointly, by a chi2 test of the changes. The load is
-    tested only if a mass that the user knows was added in some stands, since only such a mass can
-    contradict the scale.
+    penetration that the MJCF gives), the lengths of the legs, and the load on the feet in excess of
+    the masses. All parameters of a kind are tested jointly, by a chi2 test of the changes. The load
+    is tested only if a known mass was added in some stands, since only such a mass can contradict
+    the weight on the scale.
 
     Args:
         posterior: Distribution of the parameters.
