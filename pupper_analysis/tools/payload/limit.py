@@ -114,9 +114,9 @@ UNLIMITED_MASS_RATIO = 1e4
 then is infinite. Chosen, not tuned."""
 
 MAX_BOUND_RATIO = 10.0
-"""Largest payload that is searched after a first failure, relative to the first payload that fails
-(or to the robot's mass, if that is larger). The bounds of the other kinds of failure (stance,
-motors, servos) are infinite if the kind does not fail up to there. Chosen, not tuned."""
+"""Largest payload at which the search for the other kinds of failure (stance, motors, servos) ends
+after a first failure, relative to the first payload that fails (or to the robot's mass, if that is
+larger). The bound of a kind that has not failed by then is infinite. Chosen, not tuned."""
 
 VERIFIED_FRACTION = 0.97
 """Fraction of the limit with which the loaded stance is judged, and simulated with nudges. Chosen,

@@ -503,7 +503,8 @@ def _is_round(value: float) -> bool:
 
 
 ROUND_LOG_ATOL = 1e-9
-"""Absolute tolerance of the decimal logarithm of a power of ten, for binary rounding."""
+"""Largest difference between the decimal logarithm of a number and an integer with which the number
+counts as a power of ten: more than binary rounding."""
 
 
 def _compute_box_moment(points: Array, mass: float) -> float:
