@@ -38,6 +38,12 @@ ROBOTS = {
 }
 """{robot: file in the folder of published robots}."""
 
+_ROBOTS_WITHOUT_EFFORTS = ("G1 (MJCF)",)
+"""Robots whose files state no effort limits, so that no utilisation exists."""
+
+_COMMANDS_WITH_EFFORTS = ("best utilisation",)
+"""Commands of `COMMANDS` that refuse a robot without effort limits."""
+
 _FIXED_ROBOTS = ("Panda",)
 """Robots with a fixed base, which are measured with ``hold``."""
 
@@ -222,6 +228,8 @@ def _list_processes(name: str, robot: str, folder: Path) -> dict[str, list[str]]
     commands = {"hold": ("hold", "{robot}")} if name in _FIXED_ROBOTS else COMMANDS
     for command, words in commands.items():
         if command == "convert" and not robot.endswith(".urdf"):
+            continue
+        if command in _COMMANDS_WITH_EFFORTS and name in _ROBOTS_WITHOUT_EFFORTS:
             continue
         output = folder / f"{name.replace(' ', '-')}.xml"
         values = {"robot": robot, "output": str(output)}
