@@ -45,7 +45,7 @@ MAX_FOOT_DISPLACEMENT = 5e-3
 """Largest horizontal displacement of a foot from the target for a robot at rest [m]. Chosen, not
 tuned."""
 
-MAX_BASE_ROTATION = 0.1
+MAX_STAND_ROTATION = 0.1
 """Upper bound of the rotation of the base from the stand [rad], beyond which the robot has left the
 stand. Chosen, not tuned."""
 
@@ -56,7 +56,7 @@ the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
 """Ratio of foot displacement to `MAX_FOOT_DISPLACEMENT`, or of base rotation to
-`MAX_BASE_ROTATION`, above which the settling simulation ends with failure. Chosen: a base that
+`MAX_STAND_ROTATION`, above which the settling simulation ends with failure. Chosen: a base that
 starts at rest overshoots to at most twice the final tilt."""
 
 _CHECK_INTERVAL = 0.25
@@ -176,7 +176,7 @@ def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) ->
             return None
         intervals.append((states, _mean_foot_displacements(held, data, states)))
         lost = _max_horizontal_norm(intervals[-1][1]) > _LOST_RATIO * MAX_FOOT_DISPLACEMENT
-        if lost or _has_left_stand(reference, state, _LOST_RATIO * MAX_BASE_ROTATION):
+        if lost or _has_left_stand(reference, state, _LOST_RATIO * MAX_STAND_ROTATION):
             return None
         if len(intervals) == intervals.maxlen:
             last_second = np.concatenate([states for states, _ in intervals])
@@ -227,7 +227,7 @@ def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Arra
 
 
 def _has_left_stand(
-    reference: monitor.StandReference, state: Array, max_rotation: float = MAX_BASE_ROTATION
+    reference: monitor.StandReference, state: Array, max_rotation: float = MAX_STAND_ROTATION
 ) -> bool:
     """Return True if the base is rotated by more than a bound [rad] or the robot has collapsed."""
     rotation = monitor.rotation_angle(reference.robot, reference.rotation, state)
