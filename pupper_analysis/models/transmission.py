@@ -228,7 +228,8 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
 _TYPE_PRIORITY = (
     Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS
 )  # fmt: skip
-"""Types of actuators that share a joint, by descending priority."""
+"""Types of actuators by descending priority: if actuators of different types act on a joint, the
+first of these types is that of the joint."""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:

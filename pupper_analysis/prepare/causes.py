@@ -170,8 +170,8 @@ def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[st
 
 
 NUMERICS_CODES = ("timestep", "iterations")
-"""Codes of the causes of a deviation that are numerical: time step, or iterations of the constraint
-solver."""
+"""Codes of the numerical causes of a deviation: integration (time step, integrator), and inaccurate
+constraint solver."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
 """Codes of the causes that change the position that a servo command specifies."""

@@ -699,4 +699,5 @@ def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterat
 
 
 _DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
-"""Kinds of tolerances that affect the dynamics."""
+"""Kinds of tolerances for values that affect the dynamics. The largest of these tolerances is also
+permitted as a relative deviation of the results."""

@@ -189,10 +189,10 @@ _ALLOWED_METHODS: Final[Mapping[type, Sequence[str]]] = {
 """{type: names of its methods that the evaluation of a configuration in Python may call}."""
 
 _NAMED_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
-"""Constants of numeric modules."""
+"""{name: value} of constants that numeric modules define, such as ``np.pi``."""
 
 _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
-"""Names of modules with known constants."""
+"""Names under which configurations import modules that contain `_NAMED_CONSTANTS`."""
 
 _LIST_CONSTRUCTORS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
 """Calls that return the argument as a list."""

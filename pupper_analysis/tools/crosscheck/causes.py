@@ -409,10 +409,10 @@ _MASS_UNITS = {
 """{factor: (unit used, unit required)} of masses."""
 
 _ANGLE_UNITS = {math.degrees(1.0): ("degrees", "radians")}
-"""{factor: (unit used, unit required)} of angles."""
+"""{ratio of the numbers for an angle: (unit used, unit required)}."""
 
 _LENGTH_UNITS = {1e3: ("mm", "m"), 1e2: ("cm", "m"), 39.3701: ("inches", "m")}
-"""{factor: (unit used, unit required)} of lengths."""
+"""{ratio of the numbers for a length: (unit used, unit required)}."""
 
 _INERTIA_UNITS = {
     1e3: ("g m^2", "kg m^2"),

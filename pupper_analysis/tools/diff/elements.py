@@ -270,7 +270,7 @@ SURFACE_ATOL = 1e-6
 Chosen, not tuned."""
 
 SHAPE_WORD: Final = "shape"
-"""Value that stands for the shape of a geom where messages and comparisons name an attribute."""
+"""Name for the shape of a geom (type, size and pose together) in place of an attribute's name."""
 
 
 @dataclass(frozen=True, eq=False)

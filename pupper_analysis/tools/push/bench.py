@@ -85,9 +85,9 @@ relative to the CoM height, with which a pushed robot counts as at rest. Measure
 the robot returns from 0.03, and falls slowly from 0.07."""
 
 _SPEED_FACTOR = 1.5
-"""Safety factor on the predicted motion of the base (speed x remaining time), which has an upper
-bound for a robot at rest (`_MAX_REMAINING_RATIO`). The measured speed of an oscillation may be
-small for a while. Chosen, not tuned."""
+"""Safety factor on the motion of the base that is predicted from its speed for the remaining time,
+since the measured speed of an oscillation may be small for a while. A robot at rest has a predicted
+motion below `_MAX_REMAINING_RATIO`. Chosen, not tuned."""
 
 _STILL_RATIO = 0.01
 """Largest predicted motion of the base after the end of the longest simulation, relative to its

@@ -72,7 +72,7 @@ ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 `check_variable_range` checks no bounds of these."""
 
 BODY_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
-"""Kinds whose pattern selects bodies."""
+"""Kinds of variables ``KIND:PATTERN`` whose pattern selects bodies instead of joints."""
 SERVO_KINDS = ("kp", "kd")
 """Kinds of variables ``KIND:PATTERN`` that are factors on servo gains."""
 

@@ -34,7 +34,7 @@ UNKNOWN_LIMITS = {"effort": write_numbers(UNSTATED), "velocity": "1000"}
 exporters write it; a velocity of 0 would be used by motion planners."""
 
 _LIMIT_KINDS = ("lower limit", "upper limit")
-"""Kinds of joint limits."""
+"""Kinds of the two position limits of a joint, which a URDF must state together."""
 
 _NUMBER_KINDS = [
     one.kind for one in JOINT_ATTRIBUTES if one.is_in_both_formats and one.kind not in _LIMIT_KINDS

@@ -409,10 +409,10 @@ class UsdModel(RobotModel):
         return self.floating
 
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the name of a joint parameter for messages, and None for its child element.
+        """Return the name of a joint parameter for messages, and None as its child element.
 
-        The name is the kind, such as ``damping``, since attribute names differ between USD schemas.
-        A USD has no child elements.
+        The name is the kind of the parameter, such as ``damping``, because attribute names differ
+        between USD schemas. Prims of a USD have no child elements for parameters.
         """
         return attribute.kind, None
 

@@ -233,7 +233,7 @@ MIN_HULL_DEPTH = 1e-3
 the hull is reported. Chosen, not tuned."""
 
 _SHANK_ANGLES = np.linspace(-MAX_SHANK_ANGLE, MAX_SHANK_ANGLE, 25)
-"""Inclinations of the shank that are compared [rad]."""
+"""Inclinations of a shank [rad] at which the depth of its mesh below the foot is evaluated."""
 
 
 def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Array:
