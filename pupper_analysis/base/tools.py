@@ -37,7 +37,7 @@ HELP_HEADINGS = ("Files", "Stance", "Design", "Real robot", "Look", "Other tools
 last."""
 
 _FIRST_LINE = re.compile(r'\A[rR]?"""(.+?)(?:"""|\n)')
-"""Pattern of the first line of a module's docstring, the question that a tool answers (`Tool.question`)."""
+"""Pattern of the first line of a module's docstring: the question that a tool answers."""
 
 _HEADING_PATTERN = re.compile(r'^HELP_HEADING = "(.+)"$', re.MULTILINE)
 """Pattern of the constant in a module that selects its heading in ``--help``."""
