@@ -434,7 +434,8 @@ shape (3, 3), with which the joints move a base in all directions. For coordinat
 1. Chosen, not tuned."""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
-"""Types of the joints that move a base in three directions."""
+"""Types of three slides, by which MJCFs without a free joint let a base translate in all
+directions."""
 
 _FREE_BASE_JOINTS: Final = (
     [*_THREE_SLIDES, JointKind.BALL],

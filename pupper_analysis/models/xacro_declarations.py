@@ -20,7 +20,8 @@ from pupper_analysis.models.places import make_element_error
 from pupper_analysis.models.xml import XACRO_PREFIX, parse_xml
 
 _DECLARATIONS: Final = ("property", "arg", "macro")
-"""Elements without effect, unless a macro is called or an expression names the value."""
+"""Xacro elements that do not change links or joints by themselves: only a macro call or an
+expression that uses their names has an effect."""
 
 _HARMLESS_TAGS: Final = ("material", "transmission", "gazebo", "ros2_control")
 """Children of an included file's root that change neither links nor joints."""

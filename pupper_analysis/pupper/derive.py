@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 BALLAST_COLOUR = (0.13, 0.14, 0.16, 1.0)
 """Colour of the block that marks a heavier torso (red, green, blue, opacity). Chosen, not tuned."""
 _VISUAL_GROUP = 1
-"""Geom group of the shapes of the models that are only drawn."""
+"""Geom group of shapes without contacts, which are only drawn."""
 
 
 def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 DOUBLINGS = 3
 """Number of doublings of the deviation D (module docstring, step 2) that confirm a growing mode.
-Chosen, not tuned: growth that is exponential within micrometres only ends earlier, when a contact
+Chosen, not tuned: growth that is exponential only within micrometres ends earlier, when a contact
 opens or takes load."""
 
 NUDGE_ANGLE, NUDGE_SPEED = 1e-4, 0.1

@@ -36,8 +36,9 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 FALLEN_HEIGHT_RATIO = 0.5
-"""Height of the CoM, fixed in the base, relative to the expected height above the feet, below which
-a robot has fallen (`StandReference.has_fallen`). Chosen, not tuned."""
+"""Remaining fraction of the expected CoM height above the feet below which a robot has fallen. The
+CoM is that of the expected stand, as a point of the base (`StandReference.has_fallen`). Chosen, not
+tuned."""
 
 MAX_STANDING_TILT = math.radians(10)
 """Largest tilt of the base with which `StandCheck` counts a robot as standing [rad]. Chosen between

@@ -110,8 +110,9 @@ feet. Only stands whose legs are too short to compensate for the penetration of 
 height with feed-forward. Chosen, not tuned."""
 
 MAX_BALANCE_RESIDUAL = 1e-3
-"""Largest residual of MuJoCo's balance with the predicted forces, relative to the weight, with
-which both files describe the same robot. Rounded files leave 1e-6. Chosen, not tuned."""
+"""Largest unbalanced generalised force in MuJoCo's model under the predicted contact forces and
+motor torques [N, N m], divided by the weight [N]. Above, the two files describe different robots,
+which is a failure. Rounded files leave 1e-6. Chosen, not tuned."""
 
 TORQUE_SCALE_LEVER = 1e-3
 """Lever arm [m]: torque deviations are divided by at least robot weight times this lever arm

@@ -39,14 +39,15 @@ _SATISFIED_VIOLATION = 1e-6
 following IK solve reduces it further. Chosen, not tuned."""
 
 _SOLVE_ITERATIONS = (20, 50)
-"""Upper bounds of SLSQP iterations: (without slacks, with slacks). The second value also bounds the
-first minimisation of foot distances. Measured on solves that led to a stand: without slacks, all of
-1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or fewer."""
+"""Upper bounds of SLSQP iterations of a solve without and with slacks (of relaxable requirements).
+The second value also bounds the first minimisation of foot distances. Measured on solves that led
+to a stand: without slacks, all of 1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or
+fewer."""
 
 _FINE_UNIT = 200.0
-"""Ratio between the stand height and the smallest unit of length in the second minimisation of foot
-distances, whose unit is the distance that the first one leaves, if that is larger. Measured with
-flat minima of the cost: with larger units (stand heights) and with smaller units (a thousandth),
+"""Stand height divided by the smallest unit of length of the second minimisation of foot distances.
+The unit is the distance that the first minimisation leaves, but not less than this smallest unit.
+Measured with flat minima: with larger units (stand heights) and with smaller units (a thousandth),
 SLSQP stops before the minimum."""
 
 _MAX_ITERATIONS = 100

@@ -507,9 +507,10 @@ def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goa
 
 
 NEAR_MISS = 1e-3
-"""Foot error or violation of the program [m, rad] up to which a configuration is refined, because
-the feet may be in reach after a small displacement of the CoM. Also the reserve [m] of the bounds
-in `branch_initial_guesses` and `bound_com_shift`. Chosen, not tuned."""
+"""Foot error, or constraint violation of the nonlinear program [m, rad], up to which a
+configuration is refined by IK, because the feet may be in reach after a small displacement of the
+CoM. Also the reserve [m] of the bounds in `branch_initial_guesses` and `bound_com_shift`. Chosen,
+not tuned."""
 
 _MAX_BASE_SHIFT = 0.75
 """Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a

@@ -303,7 +303,8 @@ _WORD_GROUPS: Final = {
     "touches": ("contype", "conaffinity"),
     "": (),
 }
-"""{name of a group of geom attributes: attributes}, of which `place_of_geom` locates any one."""
+"""{name of a group of geom attributes: attributes}. A location in the file is that of any attribute
+of the group which is set; the empty name stands for the geom itself."""
 
 
 def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:

@@ -68,7 +68,8 @@ def make_fields_document(result: Result) -> doc.Document:
 
 
 _PACKAGE_NAME = "pupper_analysis"
-"""Top package: the search for a builder in the parent packages of a type ends below it."""
+"""Name of the top package. The search for the module ``document`` that builds the report of a
+result goes up the parent packages of the result's class, and ends below this package."""
 
 
 @singledispatch

@@ -587,7 +587,8 @@ def _compare_ground_contact(
 
 
 _DISPLACING_KINDS = ("type", "parent", "base frame", "zero", "position", "rotation", "axis")
-"""Kinds of differences that displace the bodies on a joint."""
+"""Kinds of joint differences that displace the bodies on the joint; the collision shapes of these
+bodies are not compared."""
 
 
 def _has_mechanical_difference(differences: Iterable[Difference]) -> bool:

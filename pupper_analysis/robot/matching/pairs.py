@@ -116,7 +116,8 @@ def _list_map_options(urdf_joint: str, candidates: Sequence[str]) -> Diagnostic:
 
 
 _GENERIC_WORDS = {"joint", "jnt", "link"}
-"""Words without information about the joint."""
+"""Words that are ignored when the joint names of two files are compared, unless a name has no other
+words."""
 
 
 def match_without_affixes(

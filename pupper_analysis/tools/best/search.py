@@ -36,7 +36,8 @@ from pupper_analysis.tools.best.space import JOINT_LIMIT_OVERSHOOT, StanceSlack,
 
 Array = NDArray[np.float64]
 _SAMPLE_COUNT = 128
-"""Number of Latin hypercube samples, which are evaluated to choose initial guesses. Chosen."""
+"""Number of stances (Latin hypercube samples of the search space) that are evaluated to choose the
+initial guesses of the descents. Chosen, not tuned."""
 
 _START_COUNT = 16
 """Number of best samples at which descents start; another descent starts at the initial
@@ -50,12 +51,9 @@ Chosen."""
 
 _FINALIST_COUNT = 6
 """Number of best first descents that are continued. Measured: with 1, four of 24 random robots were
-1.4 to 7.6 % worse than the best of thirty additional random descents; v3-heavy's payload requires
-3; with 4, the utilisation of v3-long-leg on three feet is 3e-4 (relative) larger.
-
-A continued descent is restarted while the restart gains, because a single descent can stall at a
-kink: v3's smallest utilisation was 5.569 or 5.588 %, depending on the number of processors that the
-linear algebra used. With restarts it is 5.569 % with 1 and with 2 processors."""
+1.4 to 7.6 % worse than the best of thirty additional random descents; with 4, one stand of
+v3-long-leg was 3e-4 worse. A continued descent is restarted while the restart gains, because a
+descent can stall at a kink."""
 
 _DESCENT_ITERATIONS = 25
 """Upper bound of the SLSQP iterations of each continuation of one of the best first descents

@@ -65,9 +65,9 @@ legs whose feet sink into soft ground. Chosen. Without a reserve, a small distur
 fail: with the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg failed."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
-"""Largest accepted violation of the reserve at the joint limits [rad]: a descent along this
-constraint slightly violates it. The reserve is never smaller than this value, so that a violation
-stays inside the joint limits. Chosen."""
+"""Largest accepted violation of the reserve at the joint limits (`JOINT_RESERVE`) [rad]: a descent
+along this constraint slightly violates it. The reserve is never smaller than this value, so that a
+violation stays inside the joint limits. Chosen."""
 
 MIN_MOTION_RCOND = 1e-6
 """Smallest singular value of the Jacobians of the contact points by the joints, relative to the

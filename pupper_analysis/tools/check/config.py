@@ -422,7 +422,8 @@ class _ConfigReader:
 # First `pupper-analysis.toml` of a repository, with all models in the folders.
 
 _SKIPPED_FOLDERS: Final = ("node_modules", "site-packages", "build", "install", "log")
-"""Folders of generated or installed files. Folders with a leading dot are skipped as well."""
+"""Folders of generated or installed files, which the search for models of a new configuration
+skips, as it skips folders with a leading dot."""
 
 _CONFIG_HEADER: Final = """\
 # What pupper-analysis check checks. A pair is one robot's two files, which are compared: here, a

@@ -308,9 +308,9 @@ _HEADER_LINES: Final = _HEADER_TEXT.splitlines()
 """Lines of the comment at the top of a baseline."""
 
 _VALUE_RTOL: Final = 1e-6
-"""Tolerance of equal numbers, relative to the largest number of a list.
-
-Values have 9 digits; rotated angles and inertias agree to about 12 digits on different machines."""
+"""Difference of two numbers, relative to the largest number of their list, up to which a remark
+agrees with the baseline. Values have 9 digits; rotated angles and inertias agree to about 12 digits
+on different machines."""
 
 
 @dataclass(frozen=True)

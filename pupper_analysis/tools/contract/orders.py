@@ -205,7 +205,7 @@ def list_observations(source: Source) -> list[str]:
 
 
 _PLAIN_NAME = re.compile(r"[\w/\- ]+")
-"""Text that is a name, not a pattern."""
+"""Pattern of a text that is the name of a joint, not a regular expression for several joints."""
 
 
 def _determine_order(
@@ -328,7 +328,7 @@ def is_pattern(text: str) -> bool:
 
 
 _REPEAT_PATTERN = re.compile(r"[+*{?]")
-"""Quantifier in a regular expression."""
+"""Pattern of a quantifier in a regular expression, to count them (`_MAX_REPEATS`)."""
 
 _MAX_REPEATS = 5
 """Largest number of quantifiers (``+``, ``*``, ``?``, ``{``) in a regular expression that is

@@ -217,12 +217,14 @@ the flag is disabled."""
 DISABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtDisableBit.__members__.values() if bit.name.startswith("mjDSBL_")
 )
-"""Flags that are enabled by default."""
+"""MuJoCo's disable flags. Each stands for a feature that is on by default; the comparison of two
+MJCFs includes all of them."""
 
 ENABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtEnableBit.__members__.values() if bit.name.startswith("mjENBL_")
 )
-"""Flags that are disabled by default."""
+"""MuJoCo's enable flags. Each stands for a feature that is off by default; the comparison of two
+MJCFs includes all of them."""
 
 
 def get_flag_name(bit: Any) -> str:
@@ -616,7 +618,7 @@ _ENUM_TYPES: Final = {
 """{attribute: MuJoCo enumeration of the values}."""
 
 _TRANSLATED_WORDS: Final = (SHAPE_WORD, "friction")
-"""Attributes whose names are translated."""
+"""Attributes whose names messages translate; other names are printed as in the MJCF."""
 
 
 def _format_value(element: Element | None, word: str) -> object:
@@ -688,7 +690,8 @@ def _serialise_model(model: mujoco.MjModel) -> bytes:
 
 
 MOTION_QUANTITY: Final = "simulated motion"
-"""Name of the quantity to which the effects of a simulation belong."""
+"""Name under which the largest difference of a coordinate between the simulations of both versions
+is reported."""
 
 
 @dataclass(frozen=True, eq=False)

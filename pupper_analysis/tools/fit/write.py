@@ -51,7 +51,8 @@ _EXTRA_DIGITS = 2
 rounding changes a value by at most 0.5 % of the standard deviation."""
 
 _FACTOR_KINDS = ("mass", "kp", "friction", "damping", "armature")
-"""Kinds for which `study` has a factor."""
+"""Kinds of fitted parameters that are written as variables of `study` which are factors on the
+stated value; parameters without a variable are omitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +196,9 @@ def draw_samples(
 
 
 _MAX_DRAW_ROUNDS = 100
-"""Upper bound of the rounds in which ``count`` robots are drawn. Fewer samples are returned if this
-is not enough. Chosen, not tuned."""
+"""Upper bound of the rounds in which the requested number of random robots is drawn; a round
+rejects robots below `_MIN_FACTOR`. If the rounds are not enough, fewer samples are returned.
+Chosen, not tuned."""
 
 _MIN_FACTOR = 0.1
 """Lower bound of masses and kp, as a fraction. Written estimates below this fraction of the value

@@ -119,9 +119,9 @@ _PAYLOAD_RTOL = 1e-4
 tuned."""
 
 _MIN_SOFTENING = 1e-6
-"""Lower bound of the fraction of a motion's stiffness that a payload as heavy as the robot removes
-(generalised eigenvalue), with which the stiffness limits the payload. Smaller fractions are
-rounding. Chosen, not tuned."""
+"""Fraction of the stiffness of a motion that a payload as heavy as the robot must remove (largest
+generalised eigenvalue), for the stiffness to limit the payload. Smaller fractions are rounding, and
+the limit is infinite. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

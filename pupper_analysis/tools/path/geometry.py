@@ -43,8 +43,8 @@ _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin",
 target values of all other constraints are interpolated between the two stances."""
 
 UNLOADED_HEIGHT = 1e-12
-"""Height [m] that represents a foot that touches the ground without load. Chosen: positive, but
-smaller than any geometric tolerance."""
+"""Height [m] that a stand task states for a foot that touches the ground without load: a positive
+height marks a foot as not carrying. Chosen smaller than any geometric tolerance."""
 
 
 @dataclass(frozen=True, eq=False)

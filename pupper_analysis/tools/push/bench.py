@@ -70,9 +70,9 @@ _SAMPLE_TIME = 0.004
 tuned."""
 
 _NUM_SAMPLES_NEAR_GROUND = 25
-"""Number of successive samples whose contacts are searched without a check whether the search is
-necessary. The check is a lower bound of the distance of the parts from the ground. Chosen, not
-tuned."""
+"""Number of successive samples whose contacts are searched after a part was found near the ground.
+Then the distance to the ground is computed again, to skip the samples in which no part can reach
+it. Chosen, not tuned."""
 
 MAX_DURATION_RATIO = 10.0
 """Largest simulated time of a push whose outcome is not decided at the end of the requested time,
@@ -90,9 +90,9 @@ since the measured speed of an oscillation may be small for a while. A robot at 
 motion below `_MAX_REMAINING_RATIO`. Chosen, not tuned."""
 
 _STILL_RATIO = 0.01
-"""Largest predicted motion of the base after the end of the longest simulation, relative to its
-bound (`_MAX_REMAINING_RATIO`), which counts as rounding or creep, even if the speed does not
-decrease. Chosen, not tuned."""
+"""Predicted motion of the base at the end of the longest simulation, relative to its bound
+(`_MAX_REMAINING_RATIO`), up to which the robot counts as at rest without a check of the modes, even
+if the speed does not decrease: rounding or creep. Chosen, not tuned."""
 
 _MAX_BATCH_VALUES = 2**25
 """Largest number of 8-byte values (states and controls) of one batch of pushes, unless one push has

@@ -172,8 +172,8 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
 
 
 CHECKED_LEVELS = 8
-"""Number of smaller pushes per direction, equally spaced, that are simulated after the bisection.
-Chosen, not tuned."""
+"""Number of pushes per direction, equally spaced below the limit that the bisection found, that are
+simulated to check that the robot survives smaller pushes, too. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -284,8 +284,8 @@ FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items(
 with a pattern of joint or body names are not included."""
 
 MAX_CACHED_ROBOTS = 8
-"""Maximum number of entries in each cache of scaled robots, robots and stands. Neighbours in a
-product of lists share entries. Chosen, not tuned."""
+"""Maximum number of entries in each cache of scaled robots, robots and stands. A few suffice: in a
+product of lists, successive designs mostly differ in the last variable only. Chosen, not tuned."""
 
 
 @dataclass(eq=False)

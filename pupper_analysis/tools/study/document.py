@@ -42,7 +42,7 @@ MAX_TABLE_ROWS = 300
 
 
 _MAX_FRONT_METRICS = 4
-"""Maximum number of metrics in the table of the front, in addition to the objectives. Chosen, not
+"""Maximum number of metrics, besides the objectives, in the table of the Pareto front. Chosen, not
 tuned."""
 
 

@@ -384,7 +384,8 @@ MAX_VALUE_CELLS, MIN_CELLS, DESIGNS_PER_CELL = 24, 4, 3
 `DESIGNS_PER_CELL`) for n designs. Chosen, not tuned."""
 
 ROUNDING_RTOL = 1e-9
-"""Relative difference of two values that is attributed to rounding. Chosen, not tuned."""
+"""Difference of two values, relative to the larger magnitude, up to which the range between them
+counts as 0 (rounding). Chosen, not tuned."""
 
 
 def _assign_cells(values: Array) -> Array:

@@ -48,7 +48,8 @@ _NEW_INERTIAL_COST = 100
 selected. Chosen larger than the cost of any change of existing attributes."""
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
-"""Orientation attributes of an <inertial> that are not written."""
+"""Orientation attributes of an <inertial> that cannot be rewritten: a body whose <inertial> has one
+of them is not changed."""
 
 
 def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:

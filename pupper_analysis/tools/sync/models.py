@@ -287,7 +287,7 @@ def make_unified_diff(path: Path, before: bytes, after: bytes) -> str:
 # Choice of the source of the value, per difference.
 
 FILE_SIDES: Final = ("urdf", "mjcf")
-"""Names of the two files in a choice."""
+"""Names of the files whose value the user can choose for a difference, as in ``urdf: mass``."""
 
 _BODY_KINDS: Final = ("mass", "com", "inertia")
 """Kinds of differences that are attributed to a link, not to a joint or frame."""

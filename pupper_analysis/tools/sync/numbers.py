@@ -257,8 +257,9 @@ def _map_renamed_joints(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
 
 
 _READ_RTOL = 1e-9
-"""Relative tolerance between a written number and the number that an engine reads, for rounding and
-rotations. Chosen, not tuned."""
+"""Largest relative difference between a requested number and the number that an engine reads from
+the new file; with a larger one the files are not written. Covers rounding and rotations. Chosen,
+not tuned."""
 
 
 def try_files(

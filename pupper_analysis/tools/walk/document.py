@@ -169,7 +169,8 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 _MIN_TORQUE = 1e-9
-"""Smallest divisor [N m], so that a run without torques divides by no zero. Chosen, not tuned."""
+"""Smallest divisor [N m] of the motor torques when the most loaded motor is selected; prevents a
+division by zero in a run without torques. Chosen, not tuned."""
 
 
 def _max_over_runs(walk: Walk, name: str) -> Array:

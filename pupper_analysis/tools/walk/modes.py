@@ -167,4 +167,5 @@ def _run_policy_mode(
 MODES: Mapping[str, Callable[[Command], Command]] = {
     name: partial(_add_policy_mode, name) for name in _QUANTITIES_OF_COMMAND
 }
-"""Function that adds a mode to a command of another tool: {command: function}."""
+"""{command of another tool: function that adds the option ``--policy`` to it}. With this option,
+the command evaluates a walking policy instead of a stand."""

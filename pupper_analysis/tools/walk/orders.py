@@ -43,8 +43,8 @@ one, above which the best one is clearly better. Chosen: for Pupper's own policy
 ratio is 1.2."""
 
 SCALE_FACTORS = (0.5, 2.0)
-"""Factors on the stated action scale that are tried. With smaller deviations a policy still
-walks."""
+"""Factors on the stated action scale that are tried as other interpretations of a policy. Smaller
+deviations cannot be recognised: the policy still walks with them."""
 
 _MAX_PERMUTED_LIMBS = 4
 """Maximum number of limbs of which all orders are tried; of more limbs, only pairs are exchanged.

@@ -389,7 +389,8 @@ def _ignore_attributes(operation: Operation) -> Make:
 
 
 _IDENTITY_OPERATORS = ("Identity", "Cast", "Dropout", "Flatten", "Reshape", "Squeeze", "Unsqueeze")
-"""Operators that keep the numbers of an observation and the order."""
+"""ONNX operators that are evaluated as identity: for a single observation they change neither the
+numbers nor their order. Only the first input is used."""
 
 _OPERATION_MAKERS: dict[str, Make] = {
     "Add": _ignore_attributes(np.add),

@@ -111,8 +111,8 @@ def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
 
 
 MIN_PLANAR_COSINE = 0.9999
-"""Smallest cosine between a hinge axis and the normal of the plane of a planar robot. Chosen, not
-tuned."""
+"""Cosine of the angle between each hinge axis and an axis of the base, above which the robot counts
+as planar, with this axis as normal of its plane. Chosen, not tuned."""
 
 
 POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (

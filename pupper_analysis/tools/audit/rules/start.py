@@ -43,8 +43,8 @@ MAX_KEYFRAMES = 100
 """Largest number of keyframes of a file that are checked. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
-"""Accepted offset between the command and the joint position of a keyframe [rad, m], for a servo
-without torque limit. Chosen, not tuned."""
+"""Difference between the command of a keyframe and the joint position [rad, m] above which the
+keyframe is reported, for a servo without torque limit. Chosen, not tuned."""
 
 _MIN_TIMESTEP = 1e-4
 """Time step [s] below which a file is not simulated: each run would need more than 20,000 steps.

@@ -36,8 +36,9 @@ _DEGREES_PER_RADIAN = 180 / np.pi
 """Degrees per radian."""
 
 _SAME_UNIT_RATIOS = (0.2, 5.0)
-"""Bounds of the ratio of standard deviations of commands and positions with the same unit. With
-degrees and radians the ratio is about 57.3 or 1/57.3. Chosen, not tuned."""
+"""Bounds of the ratio between the standard deviations of commands and positions. Outside, a note
+reports that the columns have two units: with degrees and radians the ratio is about 57.3 or 1/57.3.
+Chosen, not tuned."""
 
 _MAX_SWAPPED_CORRELATION = -0.1
 """Correlation of the displacements of a joint between samples with the servo error (command -

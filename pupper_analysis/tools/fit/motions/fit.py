@@ -288,7 +288,8 @@ def _report_notes(
 
 
 _MIN_REPLAY_CORRELATION = 0.95
-"""Correlation of held-out and fitted commands above which the motions are the same. Measured:
+"""Correlation of the commands of two runs above which both are the same motion. Held-out runs of a
+fitted motion do not test the fit: such a log is refused, such a part of a log reported. Measured:
 repeated logs have at least 0.99, other motions of the same joints hardly 0.5."""
 
 
@@ -391,7 +392,8 @@ def _estimate_encoder_noise(series: Sequence[Array]) -> float:
 
 
 _NORMAL_MEDIAN = 0.6744897501960817
-"""Median of the absolute value of a standard normal variable."""
+"""Median of the absolute value of a standard normal variable, which converts the median of
+differences of readings to the standard deviation of the noise."""
 
 
 IntArray = NDArray[np.int64]

@@ -31,9 +31,9 @@ _TILT_HEIGHT_INDICES = [3, 4, 2]
 The measurements do not depend on the other base coordinates (horizontal position, yaw)."""
 
 _LAST_MOTION_FRACTION = 0.75
-"""Standard deviation, as a fraction of the dry friction, of the friction that all joints and feet
-keep in common when the base comes to rest: one independent random term for each of the six motions
-of the base. The other half of the friction variance is independent for each joint and foot.
+"""Standard deviation of the part of the dry friction that all joints and feet have in common when
+the base comes to rest, as a fraction of the dry friction: one random term for each of the six
+motions of the base. The rest of the variance, about half, is independent for each joint and foot.
 Measured on v3 set down in MuJoCo: with this value the whitened residuals of robots with exact
 parameters have unit variance."""
 

@@ -454,8 +454,9 @@ m of Go1 were copied to files of Spot and HyQReal2, and to Pegasus before Pegasu
 there the ratio is 0.03 to 0.09 %."""
 
 _MAX_PULL_RATIO = 0.02
-"""Upper bound of the pulling force of a foot, as a fraction of the weight. A foot that pulls more
-does not carry. Chosen, not tuned."""
+"""Largest computed pull of a foot on the ground, as a fraction of the weight, that is accepted for
+a foot that the measurements list as carrying. A larger pull is an error: the foot was probably in
+the air. Chosen, not tuned."""
 
 
 @check_arguments
@@ -579,8 +580,9 @@ _CONTRADICTION_CODES = ("foot-in-the-air-touches", "foot-would-pull")
 """Codes of the errors of ``_check_feet``, each of which contradicts the row of a single stand."""
 
 _MAX_EXCLUDED_FRACTION = 0.25
-"""Largest fraction of stands that is left out. More contradictions have a common cause. Chosen, not
-tuned."""
+"""Largest fraction of stands that is left out of a fit because of a contradiction
+(`_CONTRADICTION_CODES`). With more, the fit fails: so many contradictions have a common cause.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -944,8 +946,9 @@ command and position then does not determine the joint torque, and the command i
 not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
-"""Margin of a joint to a position limit, in standard deviations of the encoder offset. Chosen, not
-tuned."""
+"""Distance of a joint from a position limit, in standard deviations of the encoder offset. Planned
+stands keep this distance; in measured stands, a joint within it (plus `_STOP_MARGIN`) may be at a
+stop, and its command is not used. Chosen, not tuned."""
 
 
 def _get_encoder_offsets(

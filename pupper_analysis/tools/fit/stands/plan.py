@@ -228,8 +228,8 @@ def _compute_base_top(robot: Robot) -> float:
 
 
 _STANDS_PER_LIFTED_FOOT = 3
-"""Reciprocal of the largest fraction of stands with a foot in the air. A person has to observe the
-feet in such stands. Chosen, not tuned."""
+"""Number of planned stands per stand with a foot in the air: at most a third has one, since a
+person must watch the feet in such stands. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
