@@ -256,8 +256,8 @@ _MAX_PRODUCTS: Final = (
 exhaust the memory. The tag "*" represents each tag. Chosen, not tuned."""
 
 _SECTION_TAGS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
-"""Sections of an MJCF whose elements are indexed by (section, name) in addition to (tag, name),
-since the names within a section are unique whatever the tags."""
+"""Sections of an MJCF whose elements are indexed by section and name in addition to tag and name,
+so that an actuator, for example, is found without its tag."""
 
 
 class IncludeTree:

@@ -122,8 +122,8 @@ def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
 
 
 _CAP_ANGLE = math.radians(50.0)
-"""Half opening angle [rad] of the cap around a foot's lowest point that must fit to a sphere.
-Chosen, not tuned."""
+"""Half opening angle [rad] of the cap around a foot's lowest point. The foot is replaced by a
+sphere only if the sphere fits this cap (`_MAX_SPHERE_DEVIATION`). Chosen, not tuned."""
 
 _MAX_SPHERE_DEVIATION = 0.1
 """Upper bound of the distance between the surface of a foot's cap and a fitted sphere, relative to

@@ -214,9 +214,9 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
 
 _KEYFRAME_ROUNDING = 1e-3
-"""Distance beyond a joint limit [rad, m] below which a position in a keyframe is attributed to
-rounding, and replaced by the limit. Keyframes are written with a few digits. A keyframe with a
-larger distance is the default posture only if the caller names it."""
+"""Distance of a keyframe's joint position beyond the limit [rad, m] below which it is attributed to
+rounding to a few digits, and replaced by the limit. A keyframe with a larger distance becomes the
+default posture only if the caller names it."""
 
 
 def joint_ranges(robot: Robot) -> Array:

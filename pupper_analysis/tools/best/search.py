@@ -77,9 +77,9 @@ _DIFFERENCE_STEP = 1e-6
 if derivatives are not known in closed form (`StanceSearch.differentiate_rows`). Chosen."""
 
 _SLACK_REDUCTION = 1e-6
-"""Amount by which the nonlinear program reduces the slacks of its constraints [1, rad, 0.1 m],
-except for the penetration, so that descents end at stances without violations despite SLSQP's
-tolerance. Chosen, not tuned."""
+"""Amount by which the nonlinear program reduces the slacks (distances from the bounds) of its
+constraints [1, rad, 0.1 m], except for the penetration, so that descents end at stances without
+violations despite SLSQP's tolerance. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
 """Weight of the sum of constraint violations in `StanceSearch.merit`, which adds it to the level

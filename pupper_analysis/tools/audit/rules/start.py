@@ -168,8 +168,8 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_EQUAL_COMMANDS = 3
-"""Smallest number of torque commands that equal a joint angle other than zero, from which the
-commands of a keyframe are reported. Chosen: torques do not equal angles by chance."""
+"""Smallest number of joint angles other than zero from which a keyframe is reported whose torque
+commands all equal the joint angles. Chosen: torques do not equal angles by chance."""
 
 
 @rule
