@@ -106,7 +106,10 @@ def _import_package() -> Any:
 
 
 def _find_clone() -> Path | None:
-    """Return the folder of ``MENAGERIE_ROOT``, or ``mujoco_menagerie`` in this folder or above."""
+    """Return the folder of MuJoCo Menagerie; None if it is not found.
+
+    It is that of ``MENAGERIE_ROOT``, or ``mujoco_menagerie`` in the working directory or above.
+    """
     root = os.environ.get("MENAGERIE_ROOT")
     if root:
         return Path(root).expanduser()

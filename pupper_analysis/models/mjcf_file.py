@@ -642,7 +642,7 @@ class MjcfFile:
         return self._list_missing_values("bodies")
 
     def _list_missing_values(self, key: str) -> tuple[str, ...]:
-        """Return the names under a key in the values of the notes on missing files, each once."""
+        """Return the names in the field ``key`` of the notes on missing files, each once."""
         values = [note.values.get(key) for note in self.notes if note.code == "files-missing"]
         names = (str(name) for value in values if isinstance(value, tuple) for name in value)
         return tuple(dict.fromkeys(names))

@@ -424,7 +424,11 @@ def _missing_files(robot: Robot) -> tuple[str, ...]:
 def _joint_deviations(
     published: PublishedModel, robot: Robot, start: mujoco.MjData, end: mujoco.MjData, ctrl: Array
 ) -> list[JointOff]:
-    """Return the displacement [rad, m] of each joint between two states, in actuator order."""
+    """Return the displacement [rad, m] of each joint between two states, in actuator order.
+
+    ``ctrl`` are the controls of the model. The results also contain the difference between the
+    position that they command and the initial position.
+    """
     addresses = joint_qpos_addresses(published, robot)
     displacement = end.qpos[addresses] - start.qpos[addresses]
     return [

@@ -478,7 +478,7 @@ def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
 
 @_register_pass(Term("adds motors to joints of loops that have none"), _may_be_altered)
 def _add_loop_motors(draft: Draft) -> PassOutput:
-    """Add motors without torque to independent joints without a motor, with closed loops only."""
+    """Add motors without torque to independent joints without one, if there are closed loops."""
     return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 

@@ -254,7 +254,7 @@ def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel
 
 
 def _find_free_joint(model: mujoco.MjModel, base: str) -> int | None:
-    """Return the id of the free joint at the root of a body; None if there is no free joint."""
+    """Return the id of the free joint of a body's root body; None without a free joint."""
     body = model.body(base).id
     joint = int(model.body_jntadr[model.body_rootid[body]])
     kind = None if joint < 0 else int(model.jnt_type[joint])

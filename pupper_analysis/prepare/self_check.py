@@ -167,7 +167,10 @@ def compare_nominal_stand(robot: Robot) -> Published | None:
 
 
 def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | None:
-    """Compare the published file with the nominal stand; None without a nominal stand."""
+    """Compare the published file with the prediction for the nominal stand.
+
+    None without a nominal stand, or as by `_compare_in`.
+    """
     with contextlib.suppress(PupperAnalysisError):
         return _compare_in(robot, solve_stand(robot, explain=False), gains)
     return None

@@ -94,7 +94,7 @@ def _list_bounded_values(
 
 
 def _name_element(model: mujoco.MjModel, kind: str, row: int) -> str:
-    """Return the name of an element; of an actuator without a name, the name of the joint."""
+    """Return the name of the element ``kind`` number ``row``; of an unnamed actuator, its joint."""
     name = str(getattr(model, kind)(row).name)
     if kind == "actuator" and not name and is_at_one_joint(model, row):
         return str(model.joint(int(model.actuator_trnid[row, 0])).name)
@@ -102,7 +102,7 @@ def _name_element(model: mujoco.MjModel, kind: str, row: int) -> str:
 
 
 def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
-    """Return the place of an element in the MJCF."""
+    """Return file and line of the element ``kind`` number ``row``, or of the option ``field``."""
     if kind == "option":
         stated = (place for words, place in mjcf.elements("option") if field in words)
         return next(stated, Place(mjcf.path))

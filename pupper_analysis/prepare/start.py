@@ -449,7 +449,7 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
         robot: Robot.
         pose: Preferred joint positions, shape (nu,) [rad, m].
         margin: Distance of the joints from their limits [rad, m].
-        known: Largest number of stands known so far; a smaller number may be incomplete.
+        known: Largest number of stands known so far. The search ends once it cannot be exceeded.
     """
     length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = [
@@ -648,7 +648,7 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 def _list_objections(
     robot: Robot, name: str, joints: Mapping[str, float]
 ) -> tuple[Diagnostic, ...]:
-    """Return the reasons why ``is_standing_pose`` rejects a keyframe: joint limits, uneven feet."""
+    """Return why ``is_standing_pose`` rejects a keyframe: joint limits, or else uneven feet."""
     subject = ("keyframe", name)
     values = np.array([joints.get(joint, 0.0) for joint in robot.joint_names])
     excess = np.abs(values - clip_to_limits(robot, joints))

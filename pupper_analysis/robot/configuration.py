@@ -256,7 +256,7 @@ class Configuration(Pictured):
         return result
 
     def _frame_index(self, name: str) -> int:
-        """Return the Pinocchio index of a link; UnknownNameError if there is none."""
+        """Return the index of a link's frame in Pinocchio; UnknownNameError for an unknown link."""
         index = self._structure.links.get(name)
         if index is None:
             links = [frame.name for frame in self._model.frames if frame.type == pin.FrameType.BODY]

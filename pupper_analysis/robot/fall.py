@@ -148,9 +148,9 @@ class BodyMotion:
         return self.collapses and not self.diverged and not self._has_collapsed(0.0)
 
     def _has_collapsed(self, away: float) -> bool:
-        """Evaluate ``has_collapsed``; ``away`` is the CoM's horizontal distance from the start [m].
+        """Call the function ``has_collapsed`` with the tilt, height loss and size of this motion.
 
-        All other arguments are those of this motion.
+        ``away`` is the horizontal distance of the CoM from its start [m].
         """
         size = self.height + max(self.clearance, 0.0) if self.lies else self.height
         return has_collapsed(self.lean, size - self.end_height, away, size)

@@ -332,7 +332,7 @@ class _LoadedModel:
 
 
 def _make_cache(_: Robot) -> _LoadedModel:
-    """Return an empty cache for the place of the last payload."""
+    """Return an empty cache of the model of a robot with its last payload."""
     return _LoadedModel()
 
 

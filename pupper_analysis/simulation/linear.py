@@ -75,7 +75,10 @@ class LinearStep:
         return error <= _INTERVAL_RTOL * most + _INTERVAL_ATOL
 
     def _predict(self, before: Array, state: Array, count: int) -> Array:
-        """Return displacements from ``state`` after 1 to ``count`` strides; see ``predict``."""
+        """Return displacements from ``state`` at ``count`` successive times; see ``predict``.
+
+        The interval between two of these times is ``_stride`` time steps.
+        """
         change = self.subtract(before, state)
         displacements, displacement = np.empty((count, len(change))), np.zeros(len(change))
         with np.errstate(over="ignore", invalid="ignore"):  # growth without bound

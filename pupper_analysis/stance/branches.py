@@ -379,7 +379,7 @@ class _Descent:
     def _compute_steps(
         self, errors: Array, jacobians: Array, joints: Array, damping: Array
     ) -> Array:
-        """Return Levenberg-Marquardt steps of the limb joints, (k, n) [rad, m].
+        """Return Levenberg-Marquardt steps of n limb joints in k configurations, (k, n) [rad, m].
 
         Joints at a bound with an outward gradient stay.
         """
@@ -395,7 +395,7 @@ class _Descent:
         return step
 
     def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
-        """Return position errors of the f contact points, (k, f, 3) [m], and Jacobians."""
+        """Return position errors of f points in k configurations, (k, f, 3) [m], and Jacobians."""
         convention, model, data = self._robot.pin_convention, self._model, self._data
         ends = np.empty((len(joints), len(self._last), 3, 4))
         columns = np.empty((len(joints), 1, 6, len(self._joints)))

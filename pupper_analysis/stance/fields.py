@@ -179,7 +179,7 @@ class Field:
         return self._check_single_value(self.name, value)
 
     def _check_single_value(self, name: str, value: Any) -> Any:
-        """Check a value of a mapping, or the only value."""
+        """Check and convert the value of a foot or joint, or the only value of the field."""
         if self.choices and isinstance(value, str):
             if value not in self.choices:
                 message = diagnose("neither-word-nor-point", given=value, known=self.choices)

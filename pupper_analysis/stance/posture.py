@@ -122,9 +122,10 @@ def find_posture(
 
 
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
-    """Close loops and couplings near joint positions (nu,), without moving the joints ``placed``.
+    """Close loops and couplings near joint positions (nu,), with the joints ``placed`` at rest.
 
-    Joints ``placed`` (indices) move by up to `_MAX_CLOSING_DISPLACEMENT` if necessary.
+    If this is impossible, the joints ``placed`` (indices) move, too, by up to
+    `_MAX_CLOSING_DISPLACEMENT`.
 
     Raises:
         ConfigurationError: If the loops cannot be closed.

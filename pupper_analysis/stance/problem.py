@@ -530,7 +530,10 @@ def nominal_point_positions(robot: Robot) -> dict[str, Array]:
 
 
 def _compute_nominal_points(robot: Robot) -> tuple[tuple[str, Array], ...]:
-    """Compute the sphere centres at the nominal joint positions."""
+    """Return (contact point, sphere centre (3,) [m]) at the nominal joint positions.
+
+    The base is at the world origin, without rotation.
+    """
     qpos = robot.make_qpos(robot.nominal)
     return tuple(Configuration(robot, qpos).foot_positions().items())
 
@@ -657,7 +660,10 @@ def default_contact_position(robot: Robot, foot: str) -> Array:
 
 
 def _compute_home_points(robot: Robot) -> dict[str, Array]:
-    """Compute the sphere centres (3,) [m] of the home pose at the default base height."""
+    """Return {contact point: sphere centre (3,) [m]} with the joints of the home pose.
+
+    The base is above the world origin at the default height, without rotation.
+    """
     qpos = robot.make_qpos(robot.home[robot.nq - robot.nu :])
     qpos[2] = robot.base_height
     return Configuration(robot, qpos).foot_positions()

@@ -224,7 +224,7 @@ class StandTask:
         return _SEPARATORS[language].join(parts)
 
     def _list_requirements(self) -> Iterator[tuple[Field, str, Any]]:
-        """Yield each requirement of the text: field, foot or joint (or empty), value [m, rad]."""
+        """Yield (field, foot or joint or "", value [m, rad]) that the text of the task states."""
         inside = self.com == "inside" or (self.offset is not None and self.com_margin != 0.0)
         for name, value in self.values().items():
             field = FIELDS[name]

@@ -128,7 +128,7 @@ def support_region(
 
 
 def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Array]:
-    """Return torque limits as rows and upper bounds of forces in units of the weight.
+    """Return A and b of the torque limits A f <= b on contact forces f, in units of the weight.
 
     Raises:
         ConfigurationError: If no file states the effort limit of a joint.

@@ -147,7 +147,10 @@ def half_digit(text: str) -> float:
 def _make_shape(
     file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
 ) -> Shape:
-    """Return the record of a shape; its kind is ``none`` if ``<geometry>`` is empty."""
+    """Return the record of a shape from its ``<collision>`` or ``<visual>`` (``element``).
+
+    ``tag`` is the child of ``<geometry>``; if it is None, the kind of the shape is ``none``.
+    """
     pose, name = _read_origin(element), element.get("name", "")
     if tag is None:
         return Shape(name, "none", pose, (), collides)

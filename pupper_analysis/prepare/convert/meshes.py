@@ -335,7 +335,7 @@ class DeferredMeshes:
         return _describe_left_visuals(removed)
 
     def _convert(self, name: str) -> tuple[str, bytes, bool]:
-        """Return file name and content of a mesh as OBJ, and whether it is a shell.
+        """Return file name and content of a mesh as OBJ, and True for a mesh without volume.
 
         Raises:
             UnreadableError: If the file is broken, or MuJoCo refuses the mesh.
@@ -357,7 +357,7 @@ class DeferredMeshes:
 def _describe_left_visuals(left: Mapping[Diagnostic, Sequence[str]]) -> list[Diagnostic]:
     """Describe visual meshes that cannot be converted: {reason: files}.
 
-    Visual meshes have no effect on a simulation, so the code differs from that of other meshes.
+    These notes have a code of their own, since visual meshes have no effect on a simulation.
     """
     return [diagnose("visual-meshes-left", files=files, why=why) for why, files in left.items()]
 

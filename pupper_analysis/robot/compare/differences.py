@@ -648,7 +648,10 @@ def body_changes(
 
 
 def _clear_rounding(value: float, scale: float) -> float:
-    """Return 0 for a number that is only the rounding error of a rotated tensor."""
+    """Return a tensor entry, or 0 if it is only the rounding error of a rotated tensor.
+
+    ``scale`` is the largest entry of the compared tensors, to which `_ROUNDING_RTOL` is relative.
+    """
     return value if abs(value) > _ROUNDING_RTOL * scale else 0.0
 
 

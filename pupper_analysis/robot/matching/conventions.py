@@ -185,8 +185,9 @@ def _find_base_pose(
 ) -> pin.SE3 | None:
     """Return the pose of the base frame of the first tree in that of the second tree.
 
-    None if a joint has the same placement in both trees (the frames are equal), if the joints on
-    the base do not correspond, or if no pose decreases the deviation enough.
+    None if no joint is on the base, if a joint has the same placement in both trees (the frames are
+    equal), if the joints on the base do not correspond, or if no pose decreases the deviation
+    enough. For a ``fixed`` base, exchanged axes that remove the whole deviation are also accepted.
     """
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):

@@ -237,7 +237,10 @@ def _get_leg_colour(leg: int) -> str:
 
 
 def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
-    """Write the names of the feet above a panel, right-aligned, each in the colour of the leg."""
+    """Write the names of the feet above a panel, right-aligned, each in the colour of the leg.
+
+    Nothing is written for a single foot, or for more feet than there are colours.
+    """
     if not 1 < len(feet) <= len(drawing.SERIES_COLOURS):
         return
     right = 0.0

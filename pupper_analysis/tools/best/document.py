@@ -75,8 +75,8 @@ def _make_next_step(study: BestStudy) -> doc.NextStep:
     """Return the command that moves from the initial stance to the best one.
 
     If the stance fails, the command that states the cause is returned instead. If the task of the
-    stance specifies absolute foot positions or a position of the CoM, the command that computes the
-    range of the initial stance is returned.
+    stance specifies absolute foot positions, a CoM that is not in the centre, or no height, the
+    command that computes the range of the initial stance is returned.
     """
     task = study.best.stand.task
     if not study.passed:

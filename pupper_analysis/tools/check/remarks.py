@@ -416,7 +416,7 @@ def _split_top(lines: list[str]) -> tuple[tuple[str, ...], list[str]]:
     """Return the user's lines at the top of a file, and the comment of its first entry.
 
     Args:
-        lines: All lines above the first entry; a blank line ends the top.
+        lines: All lines above the first entry; the last blank line ends the top.
     """
     own = [*lines]
     for line in _HEADER_LINES:

@@ -179,8 +179,8 @@ def _check_source(placed_source: PlacedSource, model: Source) -> list[Diagnostic
     """Return the notes on a source.
 
     Raises:
-        ModelError: If the source states no number for a joint of the robot, has no joint order, and
-            is no unnamed network with a number of joints.
+        ModelError: If the source states neither a number for a joint of the robot nor a joint
+            order, and is not a network that states the number of joints without names.
     """
     stated_facts = [
         fact for fact in placed_source.facts.values() if fact.joint and not fact.implied

@@ -433,7 +433,7 @@ def read_yaml_nodes(path: Path, text: str) -> list[Node]:
 
 
 def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> Node:
-    """Convert a node of PyYAML; ``left`` holds the remaining number of values."""
+    """Convert a node of PyYAML; ``left[0]`` counts down the values that may still be read."""
     place = Place(path, node.start_mark.line + 1)
     left[0] -= 1
     if left[0] < 0:

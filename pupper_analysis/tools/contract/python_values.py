@@ -493,7 +493,7 @@ class Evaluator:
         return self._make_node(result, expression, scope)
 
     def _make_node(self, value: Any, expression: ast.AST, scope: Scope) -> Node:
-        """Make a node at the place of an expression, with plain list elements at the same place."""
+        """Make a node of a value and its list items, with the place of an expression."""
         if isinstance(value, list | tuple):
             value = [
                 part if isinstance(part, Node) else self._make_node(part, expression, scope)

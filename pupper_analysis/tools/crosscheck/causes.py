@@ -635,7 +635,10 @@ class _TensorPair:
 
 
 def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
-    """Yield the bodies with equal mass and CoM, and different tensors of single links."""
+    """Yield the inertia tensors of bodies that differ, although mass and CoM agree.
+
+    Left out are explained differences, and bodies that consist of several links in a file.
+    """
     links = UrdfTree.of(case.robot.description.urdf).links
     differing = {element for kind, element in case.keys if kind in ("mass", "com")}
     for kind, name in case.unexplained:

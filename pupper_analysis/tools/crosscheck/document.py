@@ -213,7 +213,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 
 
 def _describe_extent(comparison: Comparison) -> doc.Text:
-    """State the number of differences; if the files agree without, the largest deviation."""
+    """State the number of differences, or the largest deviation of files without differences."""
     count = len(comparison.differences)
     if not count and comparison.agree:
         check = comparison.check

@@ -643,7 +643,11 @@ def _format_value(element: Element | None, word: str) -> object:
 
 
 def _to_plain(element: Element | None, word: str) -> object:
-    """Convert a value to plain data, for JSON."""
+    """Return the value of an attribute of an element as data for JSON; None without an element.
+
+    ``word`` is the name of the attribute. If it is empty or `SHAPE_WORD`, the result describes the
+    shape, if there is one.
+    """
     if element is None:
         return None
     if word in ("", SHAPE_WORD):

@@ -82,7 +82,7 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _describe_servos(study: GainStudy) -> Iterable[doc.Words]:
-    """Yield the statement that the present gains are those of added servos."""
+    """Yield the statement that the present gains are those of added servos, if there are any."""
     if study.servos.made:
         yield clause_text(make_servo_clause(study.servos, good=study.passed)).with_mark("warn")
 

@@ -352,7 +352,7 @@ def _divide_period(timestep: float, rate: float | None, delay: float) -> tuple[f
 
     Args:
         timestep: Largest time step [s].
-        rate: Control rate [Hz]; None: the rate of ``timestep``.
+        rate: Control rate [Hz]; None for 1 / ``timestep``.
         delay: Delay [s].
 
     Returns:

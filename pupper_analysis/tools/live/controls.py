@@ -204,7 +204,7 @@ class Controls:
         return state.with_values(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 
     def _show_contacts(self, *, typed: bool) -> None:
-        """Show the contacts of the state as text, unless typed, and in the list of feet."""
+        """Show contacts in the list of feet and, unless the user ``typed`` them, as text."""
         contacts = self._state.contacts
         if not typed:
             self.contacts.value = "\n".join(

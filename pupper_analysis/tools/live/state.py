@@ -192,7 +192,7 @@ def _check_value(field: Field, value: Any) -> Any:
 
 
 def _is_zero_significant(field: Field) -> bool:
-    """Return True if the value 0 of a foot or joint differs from no value."""
+    """Return True if the number 0 for a foot or joint has another effect than no entry."""
     return field.open or field.nominal != "zero" or field.kind == "contact"
 
 

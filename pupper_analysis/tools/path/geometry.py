@@ -479,8 +479,8 @@ def _differentiate(
     minimum-norm solution is returned.
 
     Constraints: the contact points of loaded feet do not move (if ``rolling``), or the centres of
-    their spheres do not move. Swing feet, the height of the base, the CoM, roll, pitch, yaw, and
-    joints of a posture are linear in s.
+    their spheres do not move. Swing feet, the height of the base, the horizontal CoM position,
+    roll, pitch, yaw, and joints of a posture are linear in s.
     """
     one, two = segment.start, segment.end
     angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (one, two)])

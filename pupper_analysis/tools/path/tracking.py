@@ -158,9 +158,9 @@ def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
 
     The base keeps its path. Each leg is extended by the penetration of its foot under the delayed
     contact force (``_compute_depths``), and joint resistance follows the resulting motion. With
-    commands for rigid ground the robot would sink and tilt: torques of the variants' lifts would
-    deviate by 13 %; with extended legs they deviate by 2 to 4 % (v3-long-leg: 7 %). Creep of
-    rolling feet and the inertia of sinking legs are not modelled.
+    commands for rigid ground the robot would sink and tilt. Measured when Pupper variants lift a
+    foot: the torques deviate by 13 %, and with extended legs by 2 to 4 % (v3-long-leg: 7 %). Creep
+    of rolling feet and the inertia of sinking legs are not modelled.
 
     Args:
         robot: Robot on the ground of the path.

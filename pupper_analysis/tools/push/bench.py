@@ -193,13 +193,12 @@ class PushBench:
     ) -> list[Diagnostic | None]:
         """Simulate n pushes interval by interval until each outcome is decided.
 
-        Returns the failure of each push, or None. If ``may_rest``, the simulation of a robot at
-        rest ends before ``duration``.
+        Returns the failure of each push, or None.
 
         Args:
             directions: Indices of the push directions in ``axes``, shape (n,).
             impulses: Impulses of the pushes, shape (n,) [N s].
-            may_rest: Whether a robot at rest ends the simulation of its push.
+            may_rest: Whether the simulation of a push ends early once the robot is at rest.
         """
         count = len(directions)
         failures: list[Diagnostic | None] = [None] * count
@@ -259,7 +258,7 @@ class PushBench:
     def _roll_out_batches(
         self, starts: Array, forces: Array, steps: int, *, pushed: bool
     ) -> Iterator[Array]:
-        """Simulate steps from states (n, size), and yield the states (steps, size) of each.
+        """Simulate ``steps`` steps from n states (n, size); yield states (steps, size) of each.
 
         If ``pushed``, the forces (n, 2) [N] act on the base during the first ``pulse_steps``.
         """

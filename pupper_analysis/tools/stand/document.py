@@ -158,7 +158,7 @@ _NEXT_STEPS = {
 
 
 def _select_next_step(stance: Stance) -> NextStep:
-    """Return the command that follows a verdict: its cause, or the payload of a stance that holds.
+    """Return the command to run after a verdict: on its cause, or `payload` if the stance holds.
 
     Files that differ, or describe two robots, are compared. A robot of one file is audited instead.
     """

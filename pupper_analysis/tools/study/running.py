@@ -604,7 +604,7 @@ class StudyRun:
                 self.progress.failures[row["failure"]] += 1
 
     def _write_shard(self) -> None:
-        """Write the collected rows as a shard."""
+        """Write the collected table rows to the study folder as a shard (Parquet file)."""
         self.store.write(self._rows)
         self._rows, self._last_write_time = [], time.monotonic()
 

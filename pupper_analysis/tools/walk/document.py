@@ -414,7 +414,7 @@ def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -
 
 
 def _make_measured_cells(interval: TrackedInterval) -> tuple[doc.Cell, doc.Cell]:
-    """Return the cells of a tracked quantity: measured interval, and whether within bounds."""
+    """Return two cells: measured interval, and whether it is inside the tracked interval."""
     if interval.measured is None:
         return doc.Name("-"), doc.Name("-")
     low, high = interval.measured

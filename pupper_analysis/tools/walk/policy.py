@@ -384,7 +384,7 @@ def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _ignore_attributes(operation: Operation) -> Make:
-    """Return a function that makes an operation from attributes, and ignores the attributes."""
+    """Return a function that returns ``operation`` for any attributes of an ONNX node."""
     return lambda _given, _count: operation
 
 

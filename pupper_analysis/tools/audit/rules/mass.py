@@ -479,9 +479,10 @@ masses with three digits or more."""
 
 
 def _compute_link_volume(body: Link) -> float | None:
-    """Compute the volume of the shapes of a link [m^3]; None if the volume of a shape is unknown.
+    """Compute the volume of the visual shapes of a link [m^3], or else of the collision shapes.
 
-    Overlaps of shapes are counted twice.
+    None if both kinds are missing or contain a shape of unknown volume. Overlaps of shapes are
+    counted twice.
     """
     for collides in (False, True):
         volumes = [shape.compute_volume() for shape in body.shapes if shape.collides == collides]

@@ -331,7 +331,8 @@ def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Jo
 def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> float:
     """Compute the cosine between a joint axis and the mirrored axis of the partner.
 
-    A rotation axis is a pseudovector with mirror image -S a; the image of a sliding axis is S a.
+    With the reflection matrix S, the image of a sliding axis a is S a, and that of a rotation axis
+    (a pseudovector) is -S a.
     """
     image = mirror.matrix @ first.axis * (-1.0 if first.kind == HINGE_JOINT else 1.0)
     return float(image @ second.axis)

@@ -724,9 +724,9 @@ def differentiate_motion(
 def _make_steps(columns: list[int], information: Array | None) -> Array:
     """Return finite-difference steps of the k parameters with indices ``columns``, shape (k, k).
 
-    Each row is a step, in prior standard deviations: of a single parameter without ``information``
-    (inverse covariance), else along an eigenvector, with a length of `_DIFFERENCE_STEP` posterior
-    standard deviations.
+    Each row is a step, in units of the prior standard deviations. Without ``information`` (inverse
+    covariance in these units), a row changes a single parameter. Otherwise it is an eigenvector,
+    `_DIFFERENCE_STEP` posterior standard deviations long.
     """
     if information is None:
         return _INITIAL_DIFFERENCE_STEP * np.eye(len(columns))

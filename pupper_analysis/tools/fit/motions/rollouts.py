@@ -228,7 +228,7 @@ class Simulator:
         )
 
     def _predict_batch(self, run: Run, vectors: Sequence[Array]) -> Array:
-        """Return the predicted encoder positions for at most ``_MAX_BATCH_SIZE`` vectors."""
+        """Return encoder positions predicted for up to ``_MAX_BATCH_SIZE`` parameter vectors."""
         while len(self._models) < len(vectors):
             self._models.append(copy.copy(self._model))  # 20 ms, with the meshes
         models = self._models[: len(vectors)]

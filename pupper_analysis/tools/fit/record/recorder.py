@@ -276,7 +276,11 @@ class _RecordingSession:
         return position, swing
 
     def _ramp_commands(self, stand: PlannedStand, target: Array, rows: int) -> None:
-        """Ramp the command to a stand, starting at the measured positions in the first stand."""
+        """Ramp the command to the joint positions ``target`` of a stand, shape (nu,) [rad].
+
+        The ramp to the first stand starts at the measured positions. ``rows``, the number of
+        recorded stands, is stored for the servos that follow.
+        """
         if self._command is None:  # start at the measured positions
             self._command = self._read_positions(stand)
             self._bridge.send(self._command)
@@ -394,7 +398,7 @@ def _list_instructions(
 
 
 def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
-    """Check all stands with the file's masses, and yield the CoM margin [m] of each.
+    """Check all stands of a plan with the model's masses, and yield the CoM margin [m] of each.
 
     Raises:
         MeasurementError: If a command exceeds the joint limits, or a stand is not balanced.

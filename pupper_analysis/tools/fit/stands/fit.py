@@ -1009,7 +1009,8 @@ def _make_scale_residual(
 ) -> Callable[[Array], LinearisedResiduals]:
     """Return a function that linearises the residual (total mass - ``weight`` [kg]) / std.
 
-    Its argument is a parameter vector, shape (n,). Without a weight there is no residual.
+    std is the relative error `SCALE_RTOL` times ``weight``. The argument of the function is a
+    parameter vector, shape (n,). Without a weight there is no residual.
     """
     mass_gradient = np.array([float(parameter.kind == "mass") for parameter in table])
     # Mass of bodies that are not estimated.
