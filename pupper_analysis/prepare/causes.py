@@ -454,7 +454,7 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield actuators at tendons, sites, ball joints and bodies, and slow actuator filters.
+    """Yield candidate causes: actuators that are at no hinge or slide, and slow actuator filters.
 
     Servos at fixed tendons that drive joints without actuator are commanded, and left out.
     """

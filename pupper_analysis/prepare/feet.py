@@ -196,7 +196,10 @@ def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
 def _name_feet(
     model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
 ) -> list[str]:
-    """Name feet by the only geom, if the geom has a name; else by the body. Names are unique."""
+    """Name each foot by its only geom if this geom has a name, else by the body.
+
+    If two feet would have the same name, all are named by the bodies.
+    """
     names = []
     for body, points in feet:
         geoms = {point.geom for point in points}

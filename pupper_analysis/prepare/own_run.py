@@ -126,6 +126,8 @@ def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
 def _import_urdf(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
     """Import the URDF of a robot without MJCF by MuJoCo's own importer.
 
+    The time step of a robot on feet is reduced if the robot does not settle otherwise.
+
     Returns:
         Model; the error message if MuJoCo refuses the URDF; None if the robot has an MJCF.
     """

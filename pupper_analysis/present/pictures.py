@@ -389,7 +389,7 @@ def draw_views(
 
 
 def _list_drivers() -> tuple[str, ...]:
-    """Return the values of MUJOCO_GL to try: only the user's value, if the variable is set."""
+    """Return the values of MUJOCO_GL to try: the user's only, if set; "" for the default."""
     requested = os.environ.get("MUJOCO_GL", "")
     if requested:
         return (requested,)

@@ -246,7 +246,7 @@ def follow_branches(
 
 
 def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tuple[Branch, ...]:
-    """Return the distinct branches among positions of a limb, smallest foot error first.
+    """Return up to `_MAX_BRANCHES` distinct branches of a limb, smallest foot error first.
 
     Args:
         positions: Joint positions, shape (k, n) [rad, m].

@@ -180,7 +180,7 @@ def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]
 
 
 def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
-    """Yield (foot, value) of the numeric values of a field; foot is empty if not a mapping."""
+    """Yield (foot, value) of the values of a field other than words; "" for a single value."""
     value = getattr(task if field.part == "task" else task.ground, field.name)
     if field.per:
         yield from value.items()

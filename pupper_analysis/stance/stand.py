@@ -207,7 +207,8 @@ def solve_stands(
 def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
     """Search a stand near the previous stands of a sequence; None without one.
 
-    The search starts from the extrapolated configuration, then from the latest one.
+    None also if the stand may depend on the initial guess, as with redundant joints. The search
+    starts from the extrapolated configuration, then from the latest one.
 
     Args:
         context: Search context of the robot.

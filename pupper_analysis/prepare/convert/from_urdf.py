@@ -370,7 +370,7 @@ class UrdfBodies:
         return None
 
     def _find_material(self, shape: etree._Element) -> str | None:
-        """Return the name of a shape's material, which is recorded; None without a colour."""
+        """Record the colour of a shape's material; return its name, None without a colour."""
         material = shape.find("material")
         if material is None:
             return None

@@ -275,7 +275,7 @@ def _format_range(values: Array) -> str:
 
 
 def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> None:
-    """Mark the first contact of another link with the ground among the failures of a run."""
+    """Mark the first contact with the ground that the failures of a run state."""
     contacts = list(_list_ground_contacts(run.failures))
     if not contacts:
         return

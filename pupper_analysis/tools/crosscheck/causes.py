@@ -458,7 +458,7 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
 
 
 def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
-    """Return the common factor between pairs of arrays.
+    """Return the factor second / first that pairs of proportional arrays have in common.
 
     Returns:
         Factor; None if there are fewer than two nonzero pairs, if the arrays are not proportional

@@ -353,7 +353,7 @@ def _divide_period(timestep: float, rate: float | None, delay: float) -> tuple[f
     Args:
         timestep: Largest time step [s].
         rate: Control rate [Hz]; None for 1 / ``timestep``.
-        delay: Delay [s].
+        delay: Delay [s]; rounded if no number of steps makes it a multiple.
 
     Returns:
         Period [s], time steps per period, and time steps of the delay.

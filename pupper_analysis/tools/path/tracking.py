@@ -512,7 +512,7 @@ def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic
 
 
 def _as_finite(utilisation: float) -> float | None:
-    """Return a utilisation; None if it is infinite, as that of a limit of 0 or less is."""
+    """Return a utilisation; None if it is infinite (limit of 0 or less) or not a number."""
     return utilisation if math.isfinite(utilisation) else None
 
 

@@ -163,7 +163,7 @@ class UrdfSide(Side):
                 self.notes[key] = diagnose("limit-completed", attribute=word, value=value)
 
     def _list_members(self, mover: str) -> list[str]:
-        """Return the links that move with a joint, or with the base; the moved link first."""
+        """Return the compared links that move with a joint or the base; the moved link first."""
         top = self.sides.matched.urdf_link[mover]
         members, waiting = [], [top]
         while waiting:

@@ -445,9 +445,10 @@ def find_legs(robot: RobotModel) -> Iterator[Leg]:
 
 
 def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
-    """Return the end of a shank in the base frame, shape (3,) [m]: the next joint, or the foot.
+    """Return the end of a shank in the base frame, shape (3,) [m].
 
-    None if the shank has several moving children, or neither a fixed part, a frame nor a sphere.
+    It is the next joint, or else the fixed link, frame or sphere farthest from the shank's joint.
+    None if the shank has several moving children, or none of these parts.
     """
     group = robot.fixed_group(shank.name)
     moving = [c for part in group for c in robot.children(part.name) if c.moving]

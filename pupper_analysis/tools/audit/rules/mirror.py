@@ -141,7 +141,7 @@ def _get_anchor(body: Link) -> Array:
 def _find_displaced_bodies(
     robot: RobotModel, mirror: MirrorPlane
 ) -> tuple[set[str], list[tuple[Link, Link]]]:
-    """Return the names of links that are not mirror images, and the first pair of each chain.
+    """Return the names of links at positions without symmetry, and the first pair of each chain.
 
     The first pair is the pair without an ancestor that is displaced too. Links that neither move
     nor have mass, and are no feet, are skipped.

@@ -112,7 +112,7 @@ def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
 def _find_annotated_class(
     evaluator: py.Evaluator, argument: ast.arg, function: py.FunctionValue
 ) -> Node:
-    """Return the first class in the annotation of an argument."""
+    """Return the first class in an argument's annotation; NotConstantError if there is none."""
     for child in [] if argument.annotation is None else ast.walk(argument.annotation):
         node = evaluator.evaluate(child, function.around) if isinstance(child, ast.Name) else None
         if node is not None and isinstance(node.value, py.ClassValue):

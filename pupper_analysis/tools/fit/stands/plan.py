@@ -563,9 +563,10 @@ def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
 
 
 def _compute_clearance(robot: Robot) -> float | None:
-    """Return the required clearance [m] between links.
+    """Return the clearance [m] between links that planned stands must keep.
 
-    None if the nominal stand cannot be solved, for example since links touch, or has no link pairs.
+    It is `_CLEARANCE_FRACTION` of that in the nominal stand, and at most `_MIN_CLEARANCE`. None if
+    the nominal stand cannot be solved, for example since links touch, or has no link pairs.
     """
     try:
         clearance = solve_stand(robot, StandTask(self_clearance=0.0), explain=False).self_clearance
