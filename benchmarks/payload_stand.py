@@ -211,6 +211,7 @@ def judge_case(case: Case) -> dict[str, Any]:
         StaticsInfeasibleError,
     )
     from pupper_analysis.cli.stance_fields import parse_contact
+    from pupper_analysis.simulation.verdict import UNKNOWN_CODES
     from pupper_analysis.tools.stand.stance import study_stance
 
     no_stance = (NotSettlingError, StanceUnreachableError, StaticsInfeasibleError)
@@ -242,7 +243,7 @@ def judge_case(case: Case) -> dict[str, Any]:
         except no_stance:
             found["verdicts"][fraction] = False, "no stance"
             continue
-        passes = verdict.passed or verdict.code.value.endswith("unknown")
+        passes = verdict.passed or verdict.code in UNKNOWN_CODES
         causes = [cause.code for cause in verdict.failures]
         found["verdicts"][fraction] = passes, "; ".join([verdict.code.value, *causes[:2]])
     return found
