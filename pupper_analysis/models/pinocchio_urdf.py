@@ -255,5 +255,5 @@ def _write(number: float) -> str:
 
 
 def _write_limit(limit: float) -> str:
-    """Return the text of an effort or velocity limit; an infinite one is unknown in a URDF."""
+    """Return the text of an effort or velocity limit; an infinite one becomes `UNSTATED`."""
     return _write(limit) if limit < UNSTATED else f"{UNSTATED:g}"

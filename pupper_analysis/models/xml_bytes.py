@@ -154,14 +154,14 @@ def read_document(path: Path) -> XmlDocument:
 
 
 def _find_tag_end(data: bytes, element: Element) -> int:
-    """Return the position after the end of a start tag."""
+    """Return the index in ``data`` of the byte after the start tag of an element."""
     match = _START_TAG_PATTERN.match(data, element.start)
     assert match is not None
     return match.end()
 
 
 def _find_value_spans(data: bytes, element: Element) -> dict[str, tuple[int, int]]:
-    """Return {attribute: span of the value, without quotes}."""
+    """Return {attribute: (first byte, byte after the last) of the value, without quotes}."""
     end = _find_tag_end(data, element)
     spans = {}
     for match in _ATTRIBUTE_PATTERN.finditer(data, element.start, end):

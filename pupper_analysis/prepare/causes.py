@@ -181,8 +181,8 @@ def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], N
     """Return a function that sets elements of a model's arrays, or of the options.
 
     Args:
-        changes: (names of the fields, index of the elements, value); for options the index is
-            None.
+        changes: (names of the fields, joined by spaces; index of the elements; value). For options
+            the index is None.
     """
 
     def switch_off(model: mujoco.MjModel) -> None:

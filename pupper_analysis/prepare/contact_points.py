@@ -298,7 +298,7 @@ def find_contact_points(
 def _sample_surface(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yield spheres, centre (3,) in the world frame and radius [m], whose hull is a geom's.
+    """Yield (centre (3,) in the world frame, radius) [m] of spheres whose hull is that of a geom.
 
     Shapes without extent, such as planes, yield nothing.
     """

@@ -160,7 +160,7 @@ def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
 
 
 def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) -> Array | None:
-    """Simulate a stand until it is at rest; return the last second, None without rest."""
+    """Simulate a stand until it rests; return the states of the last second, else None."""
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
     ctrl = np.tile(held.ctrl, (max(2, round(_CHECK_INTERVAL / timestep)), 1))
