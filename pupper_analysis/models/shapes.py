@@ -53,7 +53,7 @@ class Pose:
 
     @property
     def placement(self) -> pin.SE3:
-        """Pose as a placement of Pinocchio."""
+        """The same transformation, from the frame with this pose to its parent, for Pinocchio."""
         return pin.SE3(self.rotation, self.position)
 
     def inverse(self) -> Pose:

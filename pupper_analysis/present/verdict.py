@@ -439,7 +439,7 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
 
 
 def describe_cause(cause: Cause) -> Diagnostic:
-    """Create the message about a cause of the deviation of a published file from a computed stand.
+    """Create the message about a cause why the unmodified file, simulated, deviates from a stand.
 
     Raises:
         KeyError: If the code of the cause is unknown.

@@ -121,8 +121,9 @@ class Balance:
             metric: Weighted norm that is minimised.
 
         Returns:
-            Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
-            forces satisfy balance and friction.
+            Forces in world axes, shape (size,) [N, N m]: contact forces (3 n,), wrenches of welds
+            (6 w,), forces of grips, which hold a point in all directions (3 g,). None if no forces
+            satisfy balance and friction.
         """
         forces = metric.solve_min_norm(self.base_rows, self.base_load)
         if forces is not None:

@@ -158,7 +158,10 @@ class Contacts:
 
     @functools.cached_property
     def _twist_to_velocity(self) -> Array:
-        """Matrix from the twists of contact spheres to contact velocities, shape (3 n, 6 n)."""
+        """Matrix (3 n, 6 n) from twists at sphere centres to velocities of contact points.
+
+        All are in world axes; a twist is linear velocity, then angular velocity.
+        """
         count = len(self.feet)
         matrix = np.zeros((count, 3, count, 6))
         index = np.arange(count)

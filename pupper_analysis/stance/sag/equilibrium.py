@@ -5,8 +5,8 @@ contact. The unknowns are the configuration and the contact forces. The set of t
 fixed in a solve; `SagEquilibrium.switch_contact` changes it. `stance.sag.steady_state` follows a
 solution while feed-forward is removed and feet creep.
 
-The "ground frame" of a contact has the z axis along the ground normal. "Height" as a unit is
-`EquilibriumScales.length`.
+The "contact frame" of a contact has two tangents of the ground as x and y axes, and its normal as
+z axis. "Height" as a unit is `EquilibriumScales.length`.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Solution:
 
     Attributes:
         qpos: Configuration, shape (nq,).
-        forces: {touching contact: force of the ground, shape (3,) [N]}, in the ground frame.
+        forces: {touching contact: force of the ground, shape (3,) [N]}, in the contact frame.
         residual: Largest element of the residual (N, N m and m mixed).
     """
 
@@ -62,7 +62,7 @@ class Solution:
     def force(self, foot: str) -> Array:
         """Return the force of the ground on the contact point ``foot``, shape (3,) [N].
 
-        Expressed in the ground frame of the contact. Zero if the point is not in contact.
+        Expressed in the contact frame of the contact. Zero if the point is not in contact.
         """
         return self.forces.get(foot, np.zeros(3))
 
@@ -91,7 +91,7 @@ class ContactKinematics:
         config: Configuration.
         anchors: {touching contact: pose at the first contact}.
         centres: Centres of the contact spheres, shape (n, 3) [m], in the world frame.
-        frames: Rotations from the world to the ground frame of each contact, shape (n, 3, 3).
+        frames: Rotations from the world to the contact frame of each contact, shape (n, 3, 3).
         crosses: Cross-product matrices of the ground normals, shape (n, 3, 3), in the world frame.
         depths: {contact: penetration [m]} of all contact points.
 
@@ -160,7 +160,8 @@ class ContactKinematics:
         """Compute the generalised force of contact forces on the robot, shape (nv,) [N, N m].
 
         Args:
-            forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames.
+            forces: Forces on the n touching contacts in their contact frames (two tangents, then
+                the normal), shape (n, 3) [N].
         """
         pushed: Array = forces.ravel() @ self.jacobians.reshape(forces.size, self.config.robot.nv)
         return pushed
@@ -172,7 +173,7 @@ class ContactKinematics:
         derivative is with respect to displacements in the order of qvel.
 
         Args:
-            forces: Contact forces, shape (n, 3) [N], in the ground frame; constant in the
+            forces: Contact forces, shape (n, 3) [N], in the contact frame; constant in the
                 derivative.
             held: Of w welds: Jacobians (w, 6, nv) and constant wrenches (w, 6) [N, N m].
         """
@@ -197,7 +198,7 @@ class ContactKinematics:
 Array = NDArray[np.float64]
 
 GROUND_NORMAL = (0.0, 0.0, 1.0)
-"""Unit normal of the ground in the ground frame, whose z axis is the normal."""
+"""Unit normal of the ground in the contact frame, whose z axis is the normal."""
 
 _MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
 """Upper bounds of a Newton step: rotation of base or joints [rad] and displacement of the base
@@ -409,7 +410,7 @@ class SagEquilibrium:
         """Return the penetrations at which the ground exerts the given normal forces, (n,) [m].
 
         Args:
-            forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames. Only
+            forces: Forces on the n touching contacts, shape (n, 3) [N], in the contact frames. Only
                 the normal component is used.
         """
         normal_forces = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
@@ -466,7 +467,7 @@ class SagEquilibrium:
 
         Args:
             qpos: Configuration, shape (nq,).
-            forces: Contact forces, shape (n, 3) [N], in the ground frames.
+            forces: Contact forces, shape (n, 3) [N], in the contact frames.
 
         Returns:
             Shape (n, 3) [m].
@@ -498,7 +499,7 @@ class SagEquilibrium:
         The first nv elements are the balance of generalised forces [N, N m]; then two slip
         equations and one depth equation [m] per touching contact. A slip equation is in N if the
         contact slips or ``feet="sliding"``, else in m. ``forces`` are the forces on the n touching
-        contacts, shape (n, 3) [N], in the ground frames.
+        contacts, shape (n, 3) [N], in the contact frames.
         """
         touch, places = self.contacts_at(qpos), self.slips(qpos, forces)
         balance = touch.config.static_load() - touch.generalized_force(forces)
@@ -552,7 +553,7 @@ class SagEquilibrium:
 
         Args:
             qpos: Configuration, shape (nq,).
-            forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames.
+            forces: Forces on the n touching contacts, shape (n, 3) [N], in the contact frames.
         """
         n, touch, size = self.robot.nv, self.contacts_at(qpos), len(forces)
         whole = np.zeros((n + 3 * size, n + 3 * size))
@@ -616,10 +617,11 @@ class SagEquilibrium:
         """Find the touching contacts whose augmented tangential force exceeds mu f_n.
 
         This force is f_t - rho s, with the slip s [m] and the ``friction_penalty`` rho [N/m]. The
-        result is empty with ``feet="sliding"``.
+        result is empty if feet are assumed to slide without friction (``feet="sliding"``).
 
         Args:
-            forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames.
+            forces: Forces on the n touching contacts in their contact frames (two tangents, then
+                the normal), shape (n, 3) [N].
             places: Slips along the two tangents and penetration, shape (n, 3) [m], from `slips`.
 
         Returns:
@@ -679,7 +681,7 @@ class SagEquilibrium:
         return guess
 
     def stack_forces(self, solution: Solution) -> Array:
-        """Return a solution's forces on the touching contacts, (n, 3) [N], in ground frames."""
+        """Return a solution's forces on the touching contacts, (n, 3) [N], in contact frames."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
     def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:
@@ -966,7 +968,7 @@ def rigid_slips(
     Args:
         anchors: {touching contact point: pose at the first contact}.
         soles: {point: foot that has the point}.
-        frames: {point: rotation from the world to the ground frame, shape (3, 3)}.
+        frames: {point: rotation from the world to the contact frame, shape (3, 3)}.
 
     Returns:
         Projection of the n slips along the two ground tangents, shape (n, 2, n, 2). None if no foot

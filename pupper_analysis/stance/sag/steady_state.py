@@ -391,7 +391,10 @@ class HomotopyPath:
         return True
 
     def _switch_contact(self, foot: str, found: Solution) -> None:
-        """Release or add a contact; raise NoEquilibriumError after too many switches."""
+        """Release the foot if it is in contact in the solution ``found``, else put it in contact.
+
+        Raises NoEquilibriumError after too many switches.
+        """
         self._events += 1
         if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.contact_points)):
             raise NoEquilibriumError(
@@ -784,7 +787,11 @@ def _make_data(robot: Robot) -> mujoco.MjData:
 def _find_failures(
     system: SagEquilibrium, solution: Solution, stiffness: float
 ) -> tuple[Diagnostic, ...]:
-    """List the reasons for which the robot does not stay in an equilibrium."""
+    """List the reasons for which the robot does not stay in an equilibrium.
+
+    ``stiffness`` is the smallest eigenvalue of the robot's stiffness on its contacts, relative to
+    the mass matrix [1/s^2].
+    """
     robot, stand = system.robot, system.stand
     failures = []
     if not stiffness > 0:

@@ -100,14 +100,14 @@ class StanceSlack:
     penetration: float
 
     def to_vector(self, reduction: float) -> Array:
-        """Return all slacks of a stance as a vector for the nonlinear program.
+        """Return the slacks of a stance as a vector for the nonlinear program, shape (n,).
 
-        Lengths [m] are multiplied by 10, to have the magnitude of the other slacks.
+        Order: singular values, joints, edges, penetration. Lengths [m] are multiplied by 10, to have the magnitude of the other slacks.
 
         Args:
             reduction: Small number that is subtracted from the entries, so that the program ends
-                at stances without violations. Not subtracted from the last entry, the slack of
-                penetrations, which is zero for every allowed stance.
+                at stances without violations. Not subtracted from the last entry,
+                ``penetration``, which is zero for every allowed stance.
         """
         slacks = [
             self.singular_values - reduction,

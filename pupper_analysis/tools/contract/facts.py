@@ -339,7 +339,10 @@ class Node:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Texts of the node, a text or a list of texts; empty for other values and empty texts."""
+        """Value of this node of a data file, a text or a list of texts, as a tuple of texts.
+
+        Empty if the value or an item is no text, or an empty text.
+        """
         texts = tuple(item.value for item in self.items)
         return texts if all(isinstance(item, str) and item for item in texts) else ()
 

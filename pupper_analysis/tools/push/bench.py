@@ -90,9 +90,10 @@ since the measured speed of an oscillation may be small for a while. A robot at 
 motion below `_MAX_REMAINING_RATIO`. Chosen, not tuned."""
 
 _STILL_RATIO = 0.01
-"""Predicted motion of the base at the end of the longest simulation, relative to its bound
-(`_MAX_REMAINING_RATIO`), up to which the robot counts as at rest without a check of the modes, even
-if the speed does not decrease: rounding or creep. Chosen, not tuned."""
+"""Fraction of the bound `_MAX_REMAINING_RATIO`. If the predicted motion of the base is at most this
+fraction of its bound at the end of the longest simulation, the robot counts as at rest, even if the
+speed does not decrease (rounding or creep) and without a test for growing modes. Chosen, not
+tuned."""
 
 _MAX_BATCH_VALUES = 2**25
 """Largest number of 8-byte values (states and controls) of one batch of pushes, unless one push has

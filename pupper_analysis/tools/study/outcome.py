@@ -301,7 +301,7 @@ def _read_diagnostic(cell: object) -> Diagnostic | None:
 
 
 def _format_source(source: Any) -> str:
-    """Describe a robot source in a line: base with scales, or the names of the files."""
+    """Describe a study's robot source in a line: variant and scale factors, or file names."""
     if not isinstance(source, Mapping):
         return reprlib.repr(source)
     if "base" in source:

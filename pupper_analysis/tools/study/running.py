@@ -462,7 +462,7 @@ class StudyRun:
     def _find_missing(
         self, blocks: Iterable[tuple[list[str], Array]]
     ) -> Iterator[tuple[list[str], Array]]:
-        """Yield the designs of each block that are not stored.
+        """Yield the designs of each block, hashes and variables, that the result store lacks.
 
         The designs are sorted by all variables except servo gains, so that neighbours share a
         robot.
