@@ -102,7 +102,8 @@ class StanceSlack:
     def to_vector(self, reduction: float) -> Array:
         """Return the slacks of a stance as a vector for the nonlinear program, shape (n,).
 
-        Order: singular values, joints, edges, penetration. Lengths [m] are multiplied by 10, to have the magnitude of the other slacks.
+        Order: singular values, joints, edges, penetration. Lengths [m] are multiplied by 10, to
+        have the magnitude of the other slacks.
 
         Args:
             reduction: Small number that is subtracted from the entries, so that the program ends
