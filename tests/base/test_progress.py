@@ -12,12 +12,8 @@ import pytest
 from pupper_analysis.base.progress import ProgressClock, observe_progress, report_progress
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.shared import format_progress
-from pupper_analysis.robot.tool import find_tool
-from pupper_analysis.stance.posture import find_posture
-from pupper_analysis.tools.hold.worst import worst_postures
 from tests.support.commands import answer
 from tests.support.repository import ROOT
-from tests.support.variants import load
 
 
 class Time:
@@ -116,12 +112,3 @@ def test_commands_about_files_show_progress(
     result = answer(*(word.format(**files) for word in arguments), folder=tmp_path)
     assert result.returncode in (0, 1), result.stderr
     assert len(shown) == 1
-
-
-def test_hold_reports_the_completed_searches_of_the_motors() -> None:
-    """The number of parts is that of the motors whose torque depends on the posture."""
-    robot = load("v3", fixed_base=True)
-    posture = find_posture(robot)
-    with observe_progress() as clock:
-        worst_postures(robot, posture, find_tool(robot))
-    assert 0 < clock.done == clock.total - 1 <= robot.nu - 1

@@ -13,6 +13,7 @@ import pytest
 from scipy import optimize, spatial
 
 import pupper_analysis as pa
+from pupper_analysis.base.progress import observe_progress
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import verify_stand
@@ -30,6 +31,7 @@ from pupper_analysis.tools.hold.worst import worst_postures
 from tests.support import arm as by_hand
 from tests.support.arm import MASSES, ORDER, RANGES, G, arm, load_arm
 from tests.support.engines import load_by_mujoco
+from tests.support.variants import load
 
 POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
 
@@ -349,3 +351,12 @@ def test_smallest_payload_of_postures_is_the_smallest_mass_whatever_its_joint() 
     mass, joint, qpos = _find_smallest_payload(robot, tool, postures)
     assert (mass, joint) == min(payloads)
     np.testing.assert_array_equal(qpos, postures[payloads.index((mass, joint))])
+
+
+def test_hold_reports_the_completed_searches_of_the_motors() -> None:
+    """The number of parts is that of the motors whose torque depends on the posture."""
+    robot = load("v3", fixed_base=True)
+    posture = find_posture(robot)
+    with observe_progress() as clock:
+        worst_postures(robot, posture, find_tool(robot))
+    assert 0 < clock.done == clock.total - 1 <= robot.nu - 1
