@@ -73,7 +73,10 @@ def _open_locked(place: str) -> int | None:
 
 
 def _lock(handle: int) -> bool:
-    """Lock an open file for this process; return False if another process holds the lock."""
+    """Lock an open file for this process; return False if another process holds the lock.
+
+    On systems without POSIX locks nothing is locked, and the result is True.
+    """
     try:
         import fcntl
     except ImportError:  # not POSIX

@@ -82,6 +82,8 @@ def get_loaded_robot(robot: Robot) -> Robot:
 def own_run(robot: Robot) -> OwnRun | None:
     """Return the simulation of the published file from its keyframe, cached per loaded robot.
 
+    Without a keyframe, the simulation starts at the nominal stand.
+
     Returns:
         Simulation result. None if the robot has no feet or a fixed base, if ``get_published_model``
         returns None, or if the file fixes the base. See ``simulate_model_from_keyframe`` for

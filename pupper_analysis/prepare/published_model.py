@@ -62,7 +62,7 @@ tuned."""
 
 _TRIAL_COMMAND = 1e-6
 """Step of ctrl, in its own unit, in the finite difference of `_measure_command_law`. Chosen small
-enough for each ctrlrange that contains zero."""
+enough for each ctrlrange that contains zero below its upper end."""
 
 _MIN_COMMAND_GAIN = 1e-9
 """Joint torque per unit of ctrl [N m or N] below which a command counts as without effect. The

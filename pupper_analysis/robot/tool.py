@@ -9,7 +9,9 @@ chain of joints.
 from __future__ import annotations
 
 import copy
+import functools
 import math
+import operator
 import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -393,11 +395,13 @@ def _change_payload_mass(loaded: Robot, name: str, mass: float) -> mujoco.MjMode
     mujoco.mj_fwdPosition(model, data)
     mass_matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass_matrix)
-    # Summed in the order of MuJoCo's compiler, so that the last digits are equal.
+    # Added one by one, as MuJoCo's compiler does, so that the last digits are equal: `sum` of
+    # Python 3.12 or newer compensates rounding errors.
     if math.isnan(statistic.meaninertia):
-        model.stat.meaninertia = sum(np.diag(mass_matrix).tolist()) / model.nv
+        model.stat.meaninertia = functools.reduce(operator.add, np.diag(mass_matrix)) / model.nv
     if math.isnan(statistic.meanmass):
-        model.stat.meanmass = sum(model.body_mass[1:].tolist()) / (model.nbody - 1)
+        total = functools.reduce(operator.add, model.body_mass[1:])
+        model.stat.meanmass = total / (model.nbody - 1)
     return model
 
 
