@@ -106,7 +106,7 @@ def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the effort of the mirrored joint in a URDF, if that of the joint is zero or negative."""
+    """Yield the effort of the mirrored joint, if that of a URDF joint is zero or negative."""
     effort = robot.joints[found.name].stated.get("effort")
     if not isinstance(robot, UrdfModel) or effort is None or effort > 0:
         return

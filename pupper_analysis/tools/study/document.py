@@ -225,7 +225,7 @@ def _format_share(value: float) -> doc.Number:
 
 
 def _make_design_table(outcome: StudyOutcome) -> doc.Table:
-    """Create the table of designs: at most `MAX_TABLE_ROWS`, and a note with the number of the rest."""
+    """Create the table of at most `MAX_TABLE_ROWS` designs, with a note about the others."""
     measured = [summary.metric for summary in outcome.measured]
     columns = [*outcome.variables, *measured]
     return replace(_make_row_table(text("designs-title"), outcome.table, columns), detail=True)
