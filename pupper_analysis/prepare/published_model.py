@@ -62,7 +62,7 @@ tuned."""
 
 _TRIAL_COMMAND = 1e-6
 """Step of ctrl, in its own unit, in the finite difference of `_measure_command_law`. Chosen small
-enough for each ctrlrange that contains zero below its upper end."""
+against commands that change a torque noticeably."""
 
 _MIN_COMMAND_GAIN = 1e-9
 """Joint torque per unit of ctrl [N m or N] below which a command counts as without effect. The
@@ -651,6 +651,9 @@ def _measure_command_law(
 ) -> tuple[int, float, float] | None:
     """Measure lever and offset of the joint torque of the first actuator, at zero velocity.
 
+    MuJoCo's clamping of ctrl is off during the measurement, since a ctrlrange may end at zero or
+    exclude it.
+
     Returns:
         Index of the control, lever [N m per unit of ctrl], offset [N m]. None without actuators, or
         if the torque does not depend on the command.
@@ -658,10 +661,15 @@ def _measure_command_law(
     if not actuators:
         return None
     index, trial, forces = int(model.actuator_ctrladr[actuators[0]]), mujoco.MjData(model), []
-    for command in (0.0, _TRIAL_COMMAND):
-        trial.qpos[:], trial.ctrl[index] = data.qpos, command
-        mujoco.mj_forward(model, trial)
-        forces.append(float(trial.qfrc_actuator[dof]))
+    flags = model.opt.disableflags
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    try:
+        for command in (0.0, _TRIAL_COMMAND):
+            trial.qpos[:], trial.ctrl[index] = data.qpos, command
+            mujoco.mj_forward(model, trial)
+            forces.append(float(trial.qfrc_actuator[dof]))
+    finally:
+        model.opt.disableflags = flags
     lever = (forces[1] - forces[0]) / _TRIAL_COMMAND
     return (index, lever, forces[0]) if abs(lever) > _MIN_COMMAND_GAIN else None
 

@@ -310,3 +310,21 @@ def test_an_external_servo_compensates_the_constant_torque_of_an_actuator() -> N
     assert data.qpos[0] == pytest.approx(0.3, abs=1e-6)
     assert low[0] == pytest.approx(0.0, abs=1e-5)
     assert high[0] == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("ctrlrange", ["-1 0", "0 1", "0.5 1", "-1 1"])
+def test_lever_of_a_motor_is_independent_of_its_ctrlrange(ctrlrange: str) -> None:
+    """Closed form: gear times gain = 6 N m per unit, also if the range excludes 0 or 1e-6."""
+    model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco>
+          <worldbody>
+            <body><joint name="turn" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0" mass="1"/></body>
+          </worldbody>
+          <actuator>
+            <general joint="turn" gear="2" gainprm="3" ctrllimited="true" ctrlrange="{ctrlrange}"/>
+          </actuator>
+        </mujoco>""")
+    flags = model.opt.disableflags
+    law = published_model._measure_command_law(model, mujoco.MjData(model), 0, [0])
+    assert law == pytest.approx((0, 6.0, 0.0))
+    assert model.opt.disableflags == flags
