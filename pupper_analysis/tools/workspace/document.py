@@ -13,7 +13,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 
 _ANGLE_DIRECTIONS = ("roll", "pitch", "yaw")
-"""Directions of a base workspace whose ranges are angles, which the report shows in degrees."""
+"""Directions of a base workspace with ranges in angles; the report shows these in degrees."""
 
 
 def _select_ranges(ranges: dict[str, doc.Text], *, angles: bool) -> list[doc.Text]:
