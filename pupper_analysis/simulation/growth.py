@@ -281,6 +281,8 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
         lost: Whether the simulation diverged, so that any growth counts; with few doublings, the
             result is then the mean time of a doubling.
     """
+    if not math.isfinite(maxima[0]):
+        return window  # diverged within the first window: an upper bound of the doubling time
     least = np.minimum.accumulate(maxima)
     grown = np.flatnonzero(maxima >= 2.0**DOUBLINGS * least)
     if not maxima.min() > 0 or not (lost or len(grown)):

@@ -99,3 +99,8 @@ def test_nudge_of_a_growing_mode_has_the_unit_of_its_joint(kind: str, expected: 
     (mode,) = judge_stability(model, mujoco.MjData(model)).unstable
     assert mode.nudge == pytest.approx(1e-4)
     assert f"a deviation of 0.1 {expected} doubles" in str(describe_growth(mode))
+
+
+def test_divergence_within_the_first_window_is_growth() -> None:
+    """The deviation doubled within the window of 0.5 s, as all later values are infinite."""
+    assert _doubling_time_of(np.array([np.inf, np.inf]), 0.5, lost=True) == 0.5
