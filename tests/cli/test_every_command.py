@@ -68,6 +68,9 @@ PAIRS = [(name, command) for name in KINDS for command in COMMANDS
 PAIRS += [("a keyframe's ctrl of zeros", command) for command in sorted(SEARCHES)]
 """With this edit the file falls in MuJoCo, and stands with the commands of the package: a search
 that ignores the verdict, but not its own simulations, would pass it."""
+PAIRS += [("one iteration", "study")]
+"""With this edit the file shakes: the linearised step has growing modes that no simulation
+confirms, and a metric that uses the linearised step alone would pass it."""
 
 
 @pytest.mark.slow
