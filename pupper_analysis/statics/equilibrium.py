@@ -330,8 +330,7 @@ def balance_load(
             return problem.solve(friction, problem.joint_rows, problem.joint_load)
         return _solve_minimum_tangential(robot, problem, carrying, friction)
 
-    distributions = map(distribute, _list_balances(robot, problem))
-    forces = next((found for found in distributions if found is not None), None)
+    forces = _distribute_with_passive_joints(robot, problem, distribute)
     if forces is None:
         point = config.center_of_mass() if point is None else point
         raise explain_infeasibility(config, point, problem, carrying, tipping)
@@ -341,21 +340,31 @@ def balance_load(
     return _make_result(config, remainder, load, carrying, forces, point)
 
 
-def _list_balances(robot: Robot, problem: Balance) -> list[Balance]:
-    """Return the equations of balance in the order in which they are tried.
+def _distribute_with_passive_joints(
+    robot: Robot, problem: Balance, distribute: Callable[[Balance], Array | None]
+) -> Array | None:
+    """Return contact forces with which passive joints need no torque, or else any feasible forces.
 
-    For a robot with passive joints, the first equations include the condition that these joints
-    have no torque. The last equations are ``problem`` itself.
+    Args:
+        robot: Robot; `Description.passive_joints` are its passive joints.
+        problem: Equations of balance.
+        distribute: Function that returns forces that satisfy equations of balance; None if no
+            forces are feasible.
+
+    Returns:
+        Forces, as from ``distribute``. None if no forces satisfy ``problem``.
     """
-    passive = [robot.joint_names.index(name) for name in robot.description.passive_joints]
-    if not passive:
-        return [problem]
-    relieved = replace(
-        problem,
-        base_rows=np.vstack([problem.base_rows, problem.joint_rows[passive]]),
-        base_load=np.concatenate([problem.base_load, problem.joint_load[passive]]),
-    )
-    return [relieved, problem]
+    if robot.description.passive_joints:
+        passive = [robot.joint_names.index(name) for name in robot.description.passive_joints]
+        relieved = replace(
+            problem,
+            base_rows=np.vstack([problem.base_rows, problem.joint_rows[passive]]),
+            base_load=np.concatenate([problem.base_load, problem.joint_load[passive]]),
+        )
+        forces = distribute(relieved)
+        if forces is not None:
+            return forces
+    return distribute(problem)
 
 
 def distribute_loads(
@@ -376,13 +385,14 @@ def distribute_loads(
     """
     transposed = config.transfer_to_motors(carrying.transposed_jacobian(config))
     forces, torques = [], []
+
+    def distribute(problem: Balance) -> Array | None:
+        """Return the minimum-tangential forces; None if no forces are feasible."""
+        return _solve_minimum_tangential(config.robot, problem, carrying, carrying.friction)
+
     for load in map(config.transfer_to_motors, loads):
         problem = carrying.balance(transposed, load)
-        distributions = (
-            _solve_minimum_tangential(config.robot, balance, carrying, carrying.friction)
-            for balance in _list_balances(config.robot, problem)
-        )
-        found = next((force for force in distributions if force is not None), None)
+        found = _distribute_with_passive_joints(config.robot, problem, distribute)
         if found is None:
             com, tipping = config.center_of_mass(), Infeasibility.COM_OUTSIDE
             raise explain_infeasibility(config, com, problem, carrying, tipping)
