@@ -288,18 +288,23 @@ def test_commands_of_several_controls_are_compared_by_their_first(
     assert _is_ctrl_angles(model, 0) is are_angles
 
 
-def test_an_external_servo_compensates_the_constant_torque_of_an_actuator() -> None:
-    """Without gravity a hinge rests at its target, with no torque: closed form."""
-    model = mujoco.MjModel.from_xml_string("""
+def compile_geared_hinge(attributes: str) -> mujoco.MjModel:
+    """Compile a hinge without gravity, with an actuator of 6 N m per unit of ctrl."""
+    return mujoco.MjModel.from_xml_string(f"""
         <mujoco>
           <option gravity="0 0 0"/>
           <worldbody>
             <body><joint name="turn" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0" mass="1"/></body>
           </worldbody>
           <actuator>
-            <general joint="turn" gear="2" gainprm="3" biastype="affine" biasprm="0.4 0 0"/>
+            <general joint="turn" gear="2" gainprm="3" {attributes}/>
           </actuator>
         </mujoco>""")
+
+
+def test_an_external_servo_compensates_the_constant_torque_of_an_actuator() -> None:
+    """Without gravity a hinge rests at its target, with no torque: closed form."""
+    model = compile_geared_hinge('biastype="affine" biasprm="0.4 0 0"')
     data = mujoco.MjData(model)
     motor_laws = {0: published_model._measure_command_law(model, data, 0, [0])}
     assert motor_laws[0] == pytest.approx((0, 6.0, 0.8))
@@ -315,15 +320,7 @@ def test_an_external_servo_compensates_the_constant_torque_of_an_actuator() -> N
 @pytest.mark.parametrize("ctrlrange", ["-1 0", "0 1", "0.5 1", "-1 1"])
 def test_lever_of_a_motor_is_independent_of_its_ctrlrange(ctrlrange: str) -> None:
     """Closed form: gear times gain = 6 N m per unit, also if the range excludes 0 or 1e-6."""
-    model = mujoco.MjModel.from_xml_string(f"""
-        <mujoco>
-          <worldbody>
-            <body><joint name="turn" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0" mass="1"/></body>
-          </worldbody>
-          <actuator>
-            <general joint="turn" gear="2" gainprm="3" ctrllimited="true" ctrlrange="{ctrlrange}"/>
-          </actuator>
-        </mujoco>""")
+    model = compile_geared_hinge(f'ctrllimited="true" ctrlrange="{ctrlrange}"')
     flags = model.opt.disableflags
     law = published_model._measure_command_law(model, mujoco.MjData(model), 0, [0])
     assert law == pytest.approx((0, 6.0, 0.0))
