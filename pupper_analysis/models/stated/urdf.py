@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
@@ -35,8 +34,6 @@ from pupper_analysis.models.stated.model import (
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, origin_of
 from pupper_analysis.models.xml import parse_numbers
-
-Array = NDArray[np.float64]
 
 _JOINT_KINDS = {
     "revolute": HINGE_JOINT,
@@ -220,7 +217,9 @@ def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
         _changed: Modification time [ns]; only a part of the cache key.
     """
     try:
-        points, faces = _read_triangles(path)
+        mesh = _load_mesh(path, merge=False)
+        points = np.asarray(mesh.vertices, dtype=float)
+        faces = np.asarray(mesh.faces)
     except Exception as error:  # parsers raise various exceptions for broken meshes
         return diagnose("no-mesh", problem=one_line(error) or type(error).__name__)
     if not len(points) or not len(faces):
@@ -230,29 +229,6 @@ def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     if faces.min() < 0 or faces.max() >= len(points):
         return diagnose("mesh-vertex-unknown", vertex=int(faces.max()) + 1, vertices=len(points))
     return Mesh(points, faces).hull()
-
-
-_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""Triangle of a binary STL file: 50 bytes."""
-
-_STL_HEADER_SIZE = 84
-"""Size of the header of a binary STL file [bytes]: a text, then the number of triangles."""
-
-
-def _read_triangles(path: Path) -> tuple[Array, NDArray[np.int64]]:
-    """Read the vertices, shape (n, 3), and the faces, shape (m, 3), of an STL or OBJ file.
-
-    Vertices of adjacent triangles are not merged. A binary STL file, whose size follows from the
-    number of triangles, is read without trimesh: the import takes 0.3 s.
-    """
-    if path.suffix.lower() == ".stl":
-        content = path.read_bytes()
-        count = int.from_bytes(content[_STL_HEADER_SIZE - 4 : _STL_HEADER_SIZE], "little")
-        if count and len(content) == _STL_HEADER_SIZE + count * _STL_TRIANGLE.itemsize:
-            corners = np.frombuffer(content, _STL_TRIANGLE, offset=_STL_HEADER_SIZE)["corners"]
-            return corners.reshape(-1, 3).astype(float), np.arange(3 * count).reshape(-1, 3)
-    mesh = _load_mesh(path, merge=False)
-    return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
 
 
 def _load_mesh(path: Path, *, merge: bool) -> Any:

@@ -12,10 +12,9 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import mujoco
-import numpy as np
 from lxml import etree
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
@@ -462,25 +461,14 @@ def _convert_content(data: bytes, ending: str) -> bytes:
         _check_count(count, MAX_MESH_VERTICES)
         for shape in scene.geometry.values():
             shape.visual = None  # otherwise textures of all parts are merged: 200 MB per mesh
-        return _write_obj(scene.to_mesh()).encode()
+        text: str = trimesh.exchange.obj.export_obj(
+            scene.to_mesh(), include_color=False, include_texture=False, include_normals=False
+        )
+        return text.encode()
     except UnreadableError:
         raise
     except Exception as error:  # the readers raise many types for broken files
         raise UnreadableError(diagnose("mesh-broken")) from error
-
-
-def _write_obj(mesh: Any) -> str:
-    """Return the text of an OBJ file with the vertices and faces of a mesh of trimesh.
-
-    The text equals that of ``trimesh.exchange.obj.export_obj``, which takes 2.4 times as long.
-    """
-    objects = ["# https://github.com/mikedh/trimesh"]
-    if "name" in mesh.metadata:
-        objects.append(f"\no {mesh.metadata['name']}")
-    for row, values in (("v %.8f %.8f %.8f", mesh.vertices), ("f %d %d %d", mesh.faces + 1)):
-        rows = "\n".join([row] * len(values)) or row[:2]
-        objects.append(rows % tuple(np.ravel(values).tolist()))
-    return "\n".join([*objects, "\n"])
 
 
 def read_mesh(path: Path) -> bytes:

@@ -285,16 +285,3 @@ def test_part_that_is_instanced_in_nested_nodes_is_written_each_time(tmp_path: P
     )
     whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
     assert whole.volume == pytest.approx(8 * BOX.volume)
-
-
-@pytest.mark.parametrize("name", [None, "link-mesh"])
-def test_obj_text_equals_that_of_trimesh(name: str | None) -> None:
-    """Reference: ``trimesh.exchange.obj.export_obj``, also for a mesh without triangles."""
-    for mesh in (trimesh.creation.icosphere(subdivisions=1), trimesh.Trimesh()):
-        mesh.visual = None
-        if name is not None:
-            mesh.metadata["name"] = name
-        expected = trimesh.exchange.obj.export_obj(
-            mesh, include_color=False, include_texture=False, include_normals=False
-        )
-        assert meshes._write_obj(mesh) == expected
