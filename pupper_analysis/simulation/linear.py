@@ -35,11 +35,10 @@ class LinearStep:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self._model, self._derivative = model, step_derivative(model, data)
-        self._timestep = float(model.opt.timestep)
+        self._model, self._timestep = model, float(model.opt.timestep)
         # Number of steps between two evaluated displacements, a power of two.
         self._stride = 1
-        power, total = self._derivative, self._derivative
+        power = total = step_derivative(model, data)
         while 2 * self._stride * self._timestep <= _MAX_SAMPLE_TIME:
             total = total + power @ total
             power, self._stride = power @ power, 2 * self._stride
