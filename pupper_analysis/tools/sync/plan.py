@@ -12,13 +12,15 @@ import math
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import OutputError
+from pupper_analysis.base.files import describe_os_error
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -421,10 +423,19 @@ def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
 
 @contextmanager
 def write_temporary_files(contents: Mapping[Path, bytes]) -> Iterator[Path]:
-    """Write {path: content} to a temporary folder, and yield the folder."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        for name, content in contents.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(content)
+    """Write {path: content} to a temporary folder, and yield the folder.
+
+    Raises:
+        OutputError: If the folder or a file cannot be written, for example on a full disk.
+    """
+    with ExitStack() as stack:
+        place = "temporary folder"  # until its name is known
+        try:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            for name, content in contents.items():
+                place = str(folder / name)
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(content)
+        except OSError as error:
+            raise OutputError(place, describe_os_error(error)) from error
         yield folder

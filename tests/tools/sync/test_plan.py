@@ -4,6 +4,7 @@ remaining differences.
 
 from __future__ import annotations
 
+import errno
 import math
 import random
 import re
@@ -17,7 +18,9 @@ from typing import Any
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.errors import ModelError, OutputError
 from pupper_analysis.models.git import refuse_uncommitted
+from pupper_analysis.tools.sync import models
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from tests.support.hidden_files import leave_hidden_file
 from tests.support.robots import (
@@ -536,3 +539,44 @@ def test_a_sum_of_inertias_that_no_body_can_have_is_not_written(tmp_path: Path) 
     assert not result.agree
     assert result.edits == ()
     assert files.urdf.read_bytes() == before
+
+
+def test_inertia_that_mujoco_refuses_is_not_written(tmp_path: Path) -> None:
+    """Reference: MuJoCo requires A + B >= C of the principal moments."""
+    files = pair(tmp_path)
+    replace_text(files.urdf, 'ixx="0.005" iyy="0.005"', 'ixx="0.5" iyy="0.005"')
+    before = files.mjcf.read_bytes()
+    (left,) = sync(files, "urdf").not_mended
+    assert left.reason.code == "file-refused-with-it"
+    assert "inertia must satisfy A + B >= C" in str(left.reason)
+    assert files.mjcf.read_bytes() == before
+
+
+def test_reason_of_a_refused_copy_names_no_temporary_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The engine refuses the copy in the temporary folder; the user knows the original only."""
+    files = pair(tmp_path, change_part(ROBOT, "base", mass=7.0))
+    compare = models._compare_files
+
+    def refuse_copies(copies: Any, tolerances: Any) -> Any:
+        if copies.mjcf == files.mjcf:
+            return compare(copies, tolerances)
+        raise ModelError(str(copies.mjcf), f"{copies.mjcf}:3: no such body")
+
+    monkeypatch.setattr(models, "_compare_files", refuse_copies)
+    (left,) = sync(files, "urdf").not_mended
+    assert str(left.reason).endswith(f" {files.mjcf.name}:3: no such body")
+
+
+def test_full_temporary_folder_is_an_output_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = pair(tmp_path, change_part(ROBOT, "base", mass=7.0))
+
+    def fail(path: Path, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", fail)
+    with pytest.raises(OutputError, match="No space left on device"):
+        sync(files, "urdf", dry_run=True)
