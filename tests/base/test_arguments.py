@@ -239,3 +239,18 @@ def test_fits_and_plans_check_their_arguments(tmp_path: Path) -> None:
         with pytest.raises(pa.PupperAnalysisError, match=f"^{name}: "):
             call()
     assert not list(tmp_path.iterdir())
+
+
+def test_numbers_above_the_accepted_range_are_refused_in_one_line() -> None:
+    """Python integers have no largest value, and 1e308 overflows in a product."""
+    robot, stand = load("v3"), stand_of("v3")
+    with pytest.raises(pa.VariantError, match="must be a finite number") as caught:
+        pa.pupper.VariantSpec("v3", leg_scale=10**400)
+    assert len(str(caught.value)) < 200
+    with pytest.raises(pa.ConfigurationError, match="is not accepted"):
+        pa.statics.inverse_dynamics(pa.Configuration(robot, stand.qpos), np.full(robot.nv, 1e308))
+    with pytest.raises(pa.ConfigurationError, match=r"between 0 and 1e\+09") as refused:
+        pa.payload_limit(robot, stand, kp=np.full(robot.nu, 1e308))
+    assert "\n" not in str(refused.value)
+    with pytest.raises(pa.ConfigurationError, match="not a mapping of names"):
+        pa.Ground(heights={"FL": 0.1}).steps({2: np.zeros(3)})  # type: ignore[dict-item]

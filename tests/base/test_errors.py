@@ -37,3 +37,44 @@ def test_unknown_name_of_many_lists_the_five_most_similar_names() -> None:
     assert "the most similar names are: panda_hand, " in str(error)
     assert str(error).endswith(" and 38 more")
     assert "there are: a, b" in str(pa.UnknownNameError("as if", "frame", "c", ["a", "b"]))
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            pa.VariantError("name", "v4", "known variants: v3"),
+            ["name", "'v4'", "known variants: v3"],
+        ),
+        (pa.ModelError("a/b.xml", "no joint x"), ["a/b.xml", "no joint x"]),
+        (pa.UnknownNameError("v3", "foot", "tail", ["FR", "FL"]), ["v3", "foot 'tail'", "FR, FL"]),
+        (pa.UnknownNameError("v3", "foot", "tail", []), ["there are: -"]),
+        (pa.ConfigurationError("kp", "-1 is negative"), ["kp", "-1 is negative"]),
+        (
+            StanceUnreachableError("height 1 m", {"FR": 0.0123}, {"knee": -2.6}),
+            ["height 1 m", "FR by 12.3 mm", "knee (-149.0 deg)"],
+        ),
+        (
+            StanceUnreachableError("height 1 m", {"FR/1": 0.001, "FR/2": 0.002, "x/y": 0.3}, {}),
+            ["targets: FR by 2 mm, x/y by 300 mm"],
+        ),
+        (
+            pa.StaticsInfeasibleError(
+                errors.Infeasibility.FRICTION,
+                "0.1, and 0.3 is needed",
+                margin=0.02,
+                friction_needed=0.3,
+            ),
+            ["no static balance", "friction too low", "0.3 is needed"],
+        ),
+        (pa.NoEquilibriumError(0.86, "it ends there"), ["no equilibrium", "it ends there"]),
+        (
+            pa.NoStiffnessError("v3", 8192.0, "a foot slides"),
+            ["v3", "8190 N m/rad", "a foot slides"],
+        ),
+        (pa.NotSettlingError(1e-6, "the depths do not settle"), ["the depths do not settle"]),
+    ],
+)
+def test_message_contains_each_argument_of_the_error(error: Exception, words: list[str]) -> None:
+    """Reference: the arguments, lengths in mm and angles in degrees (-2.6 rad = -149.0 deg)."""
+    assert [word for word in words if word not in str(error)] == []

@@ -5,6 +5,7 @@ files of their kind.
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import stat
@@ -51,6 +52,47 @@ def test_old_content_is_kept_if_a_write_fails(tmp_path: Path) -> None:
         fail()
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_old_content_is_kept_if_the_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+
+    class FullFile(io.BytesIO):
+        def write(self, data: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def open_full_file(handle: int, how: str) -> FullFile:
+        os.close(handle)
+        return FullFile()
+
+    monkeypatch.setattr(os, "fdopen", open_full_file)
+    with pytest.raises(OutputError, match="No space left"):
+        write(path)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_hard_link_keeps_the_old_content(tmp_path: Path) -> None:
+    """The new file replaces one name in one step: docs/how-to/output.md."""
+    path, link = tmp_path / "given", tmp_path / "link"
+    path.write_text("old")
+    link.hardlink_to(path)
+    write(path, text="new")
+    assert (path.read_text(), link.read_text()) == ("new", "old")
+
+
+def test_replaced_output_is_removed_from_the_outputs(tmp_path: Path) -> None:
+    """A later input may reuse the inode number of the replaced file."""
+    out = tmp_path / "out"
+    out.write_text("old")
+    with ensure_run() as run:
+        files.check_writable(out, OWN_KIND)
+        known = next(iter(run.outputs))
+        write(out)
+        assert known not in run.outputs
 
 
 def test_write_follows_symbolic_links(tmp_path: Path) -> None:

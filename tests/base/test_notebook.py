@@ -45,6 +45,10 @@ def test_a_table_states_each_field_with_its_unit() -> None:
     }
 
 
+def test_names_in_a_mapping_are_escaped() -> None:
+    assert format_value({"<script>": 1.0}) == "&lt;script&gt;: 1"
+
+
 def test_rounding_noise_of_an_array_is_shown_as_zero() -> None:
     assert format_value(np.array([1e-17, 2.0, -3e-18])) == "0, 2, 0"
     assert format_value(np.array([1e-6, 2.0])) == "0.000001, 2"

@@ -51,15 +51,17 @@ def test_analyze_writes_figures_json_and_models_of_its_own_variant(tmp_path: Pat
     common = {"torques.png", "heights.png", "gains.png", "variants.png"}
     assert figures == {f"pose_{name}.png", *common}
     content = json.loads((tmp_path / "all.json").read_text())
+    variant = pa.pupper.VariantSpec("v3", 1.2)
     (row,) = content["comparison"]
     assert row["thigh_ratio"] == pytest.approx(1.2)
+    mass, base_mass = (pa.load_variant(one).total_mass for one in (variant, "v3"))
+    assert row["mass_ratio"] == pytest.approx(mass / base_mass)
     analysed = content["variants"][name]
     assert analysed["verified"] is True
     task = analysed["stand"]["task"]
     assert (task["height"], task["roll"], task["pitch"]) == (0.15, 0.0, -0.05)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / f"models/mjcf/{name}.xml"))
-    assert model.body_mass.sum() == pytest.approx(pa.load_variant(
-        pa.pupper.VariantSpec("v3", 1.2)).total_mass)  # fmt: skip
+    assert model.body_mass.sum() == pytest.approx(mass)
 
 
 ANALYZE = ("analyze_variant.py", "--json", "all.json")

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,18 @@ def test_no_verdict_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> Non
     row = every_command.make_row(name, EDITS[name], tmp_path, ("python",))
     assert row.cells.keys() == {"python"}
     assert not row.wrong, row.cells["python"].word
+
+
+def test_report_that_is_better_than_the_simulation_has_an_objection() -> None:
+    """Control of the comparison: a passing report about each outcome of a simulation."""
+    good = every_command.Cell(
+        passed=True, refused=False, keyframe_run=True, added=False, word="HOLDS"
+    )
+    for truth in (Truth.FALLS, Truth.SHAKES, Truth.LIMP, Truth.REFUSED):
+        assert good.find_objection(truth), truth
+    assert not good.find_objection(Truth.STANDS)
+    assert replace(good, passed=False, keyframe_run=False).find_objection(Truth.FALLS)
+    assert not replace(good, refused=True).find_objection(Truth.FALLS)
 
 
 SEARCHES = {"best", "payload", "path"}

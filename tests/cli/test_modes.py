@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import click
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.cli import COMMAND_NAMES
+from pupper_analysis.cli import COMMAND_NAMES, find_command
 from pupper_analysis.cli.modes import refuse_unused
+from pupper_analysis.cli.robots import RobotOptions
+from pupper_analysis.stance.fields import FIELDS
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -36,6 +39,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("path", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("push", "v3", "v3-heavy"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("hold", "v3"): (("--as-is",),),
+    ("gains", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("best", "margin", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("best", "utilisation"): (("--payload-at", "0,0,1cm"),),
     ("sync", *V3): (("--partial",), ("--backup",)),
@@ -88,3 +92,53 @@ def test_unused_entries_of_a_stance_file_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "stance.toml").write_text("payload-at = '0,0,1cm'\nkp = 20\nheight = '17cm'\n")
     given = answer("workspace", "v3", "--stance", "stance.toml", folder=tmp_path)
     assert given.returncode == 0, given
+
+
+_OUTPUT = {"style", "everything", "force", "json_path", "report_path", "figure", "output", "csv"}
+_SERVO = {"kp", "kd", "integrator", "timestep", "cone", "impratio"}
+_POLICY = {"policy", "contract", "command_text", "seeds", "seconds"}
+_ROBOT = {one.name for one in fields(RobotOptions)}
+_LOAD = {"payload", "effort"}
+USED: dict[str, set[str]] = {
+    "analyze": {"no_figures", "write_folder"},
+    "audit": {"disabled", "list_rules", "fail_on", "fix", "confirmed"},
+    "best": _SERVO | _LOAD,
+    "check": {"config", "update_baseline", "since", "first"},
+    "contract": {"pairs", "unstood", "fail_on"},
+    "convert": set(),
+    "crosscheck": {"changes", "strict"},
+    "diff": {"changes"},
+    "fit": {
+        *("stands", "logs", "count", "added_at", "record", "bridge", "priors", "anyway", "kp"),
+    },
+    "gains": _SERVO | _LOAD | {"rate", "delay", "error", "encoder_bits"},
+    "hold": _SERVO | _LOAD | {"positions", "tool"},
+    "live": {*("language", "host", "no_browser", "viewer", "dropped"), *_POLICY} - {"seeds"},
+    "path": _SERVO | _LOAD | {"seconds"},
+    "payload": _SERVO | _LOAD | _POLICY | {"continuous", "payload_at"},
+    "push": _SERVO | _LOAD | _POLICY | {"directions", "resolution"},
+    "stand": _SERVO | _LOAD | {"minimum_stiffness", "explain"},
+    "study": {"folder", "workers", "minimise", "maximise", "numbers"},
+    "sync": {"dry_run", "changes"},
+    "walk": {"policy", "contract", "seconds", "orders"},
+    "workspace": _LOAD,
+}
+"""{command: options that are used whenever the command accepts these options}."""
+
+
+@pytest.mark.parametrize("name", COMMAND_NAMES)
+def test_each_option_is_always_used_or_has_a_case_in_which_it_is_refused(name: str) -> None:
+    """A new option needs an entry in ``USED``, or a command line in ``_IDLE`` that refuses it."""
+    known = USED[name] | _OUTPUT | _ROBOT | {"stance", *FIELDS}
+    refused = {more[0] for line, cases in _IDLE.items() if line[0] == name for more in cases}
+    options = [
+        option
+        for option in find_command(name).params
+        if isinstance(option, click.Option) and option.expose_value
+    ]
+    assert options
+    assert [
+        option.opts
+        for option in options
+        if option.name not in known and not refused & set(option.opts)
+    ] == []

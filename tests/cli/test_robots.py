@@ -89,6 +89,24 @@ def test_stand_of_one_file_converts_the_other_in_memory(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("stand --explain", "3.170 kg, free base, 12 joints, feet leg_front_r_3, leg_front_l_3"),
+        ("live --mujoco --headless", "nq=19"),
+        ("live --drop --headless", "stable)"),
+    ],
+)
+def test_modes_without_a_stance_accept_one_file(
+    capfd: pytest.CaptureFixture[str], line: str, text: str
+) -> None:
+    """Reference: mass [kg], feet and number of coordinates of v3."""
+    status, out, err = run_command(capfd, *line.split(), str(MJCF))
+    assert status == 0, err
+    assert text in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["analyze", "a.urdf", "--write", "out"], "it writes variants"),

@@ -60,6 +60,18 @@ def test_list_in_place_of_a_table_is_refused_with_the_valid_form(
         parse_options("--stance", str(file))
 
 
+def test_options_with_other_units_give_the_same_task() -> None:
+    """Reference: 0.1 rad = 18/pi deg, in SI units without a unit."""
+    si_units = ("--pitch", "0.1", "--height", "0.14", "--swing", "FL=0.01", "--offset", "0.01,0")
+    others = ("--pitch", f"{math.degrees(0.1)}deg", "--height", "14cm", "--swing", "FL=10mm",
+              "--offset", "1cm,0")  # fmt: skip
+    tasks = [parse_options(*words).task() for words in (si_units, others)]
+    expected = {"pitch": 0.1, "height": 0.14, "swing": {"FL": 0.01}, "offset": (0.01, 0.0)}
+    for task in tasks:
+        for field, value in expected.items():
+            assert getattr(task, field) == pytest.approx(value, rel=1e-12), field
+
+
 def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:
     file = tmp_path / "crouch.toml"
     file.write_text("height = 0.11\nroll = 0.1\n")

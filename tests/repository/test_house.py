@@ -11,6 +11,7 @@ from itertools import chain
 
 import pytest
 
+from pupper_analysis.base.tools import own_packages, own_tools
 from tests.support.repository import script
 from tests.support.rooms import trees
 
@@ -55,3 +56,17 @@ def test_tools_import_each_other_rarely_and_without_cycles() -> None:
     graph = drawing.tool_graph()
     assert sum(map(len, graph.values())) <= 12
     graphlib.TopologicalSorter(graph).prepare()
+
+
+def test_commands_are_defined_in_the_command_modules_of_tools_only() -> None:
+    """Reference: the decorator `shared.command` in the source code, and the discovered tools."""
+    found = {
+        path
+        for path, tree in trees().items()
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef)
+        and any("shared.command(" in ast.unparse(one) for one in node.decorator_list)
+    }
+    assert found == {f"tools/{name}/command.py" for name in own_tools()}
+    with_format = {path.parent.name for path in drawing.PACKAGE.glob("tools/*/format.toml")}
+    assert set(own_packages()) - with_format == set(own_tools())

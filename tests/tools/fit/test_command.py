@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
+from contextlib import nullcontext
+from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import click
 import numpy as np
 import pytest
 
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.cli import find_command
+from pupper_analysis.cli.robots import RobotOptions
 from tests.support.bar import MJCF, TRUE, URDF, log
 from tests.support.commands import check_refusal, run_command
 
@@ -118,3 +126,97 @@ def test_fit_of_a_plan_without_servo_deflection_is_not_written(
     assert not (tmp_path / "fitted").exists()
     if status == 1:
         assert json.loads(found.read_text())["explained"] is False
+
+
+MODES = {
+    "--plan": ("--plan", "2"),
+    "--stands": ("--stands", "stands.csv"),
+    "--log": ("--log", "log.csv"),
+}
+VALUES = {
+    **{"topics": "state=/a", "priors": "mass=0", "weight": "3kg", "hold_out": "0.3"},
+    **{"joints": "a,b", "kp": "5", "kd": "1", "added": "0.5kg", "added_at": "0,0,1cm"},
+    **{"style": "markdown", "report_path": "a.html"},
+}
+"""{parameter with a special form: valid value}."""
+EXPECTED = {"--plan": {"added", "added_at"}, "--stands": {"weight"},
+            "--log": {"hold_out", "kd", "topics", "joints"}}  # fmt: skip
+"""{mode: options that only this mode uses}."""
+
+
+def record_calls(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Run `fit` with functions that record their arguments, and return the calls."""
+    calls: list[str] = []
+
+    def replace(path: str, result: Any = None) -> None:
+        def record(*arguments: Any, **named: Any) -> Any:
+            calls.append(f"{path}{arguments}{sorted(named.items())}")
+            return result
+
+        monkeypatch.setattr(path, record)
+
+    command, fit = "pupper_analysis.tools.fit.command", "pupper_analysis.tools.fit"
+    shared = "pupper_analysis.cli.shared"
+    replace(f"{command}.print_notes")
+    monkeypatch.setattr(f"{command}.parse_gain", lambda name, words, robot: words)
+    replace(f"{command}.load_selected_robot", SimpleNamespace(name="robot"))
+    replace(f"{command}._select_next_step")
+    for name in ("show_results", "write_page", "confirm_written", "finish_command"):
+        replace(f"{shared}.{name}")
+    replace(f"{shared}.show_progress", nullcontext())
+    replace(f"{fit}.fit.fit", "a fit")
+    replace(f"{fit}.stands.plan.plan_stands", "a plan")
+    replace(f"{fit}.stands.plan.write_plan")
+    replace(f"{fit}.measurements.stands.read_stands", "stands")
+    replace(f"{fit}.measurements.log.read_log", "a log")
+    find_command("fit").main(args=["v3", *words], standalone_mode=False)
+    return calls
+
+
+NOT_TYPED = {one.name for one in fields(RobotOptions)} | {
+    *("stands", "logs", "count", "record"),  # the modes
+    *("anyway", "output", "force"),  # which need a result of the fit, or an existing file
+}
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_each_option_of_a_mode_reaches_a_function_or_is_refused(
+    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The arguments of the called functions differ from those without the option."""
+    monkeypatch.chdir(tmp_path)
+    used: set[str] = set()
+    refused: dict[str, tuple[str, str, str]] = {}
+    without_effect = []
+    for parameter in find_command("fit").params:
+        name = str(parameter.name)
+        if not isinstance(parameter, click.Option) or name in NOT_TYPED:
+            continue
+        load = ("--added", "1kg") if name == "added_at" and mode == "--plan" else ()
+        words = (*MODES[mode], *load)
+        value = VALUES.get(name, "a.json")
+        option = (max(parameter.opts, key=len), *(() if parameter.is_flag else (value,)))
+        try:
+            with monkeypatch.context() as patch:
+                after = record_calls((*words, *option), patch)
+        except ConfigurationError as error:
+            refused[name] = error.field, option[0], str(error)
+            continue
+        used.add(name)
+        with monkeypatch.context() as patch:
+            if record_calls(words, patch) == after:
+                without_effect.append(name)
+    assert without_effect == []
+    assert EXPECTED[mode] <= used
+    assert set().union(*EXPECTED.values()) - EXPECTED[mode] <= refused.keys()
+    for field, option_name, message in refused.values():
+        assert field == option_name
+        assert "\n" not in message
+    assert {"priors", "kp", "json_path", "report_path", "everything", "style"} <= used
+
+
+def test_refusal_of_an_option_names_the_modes_that_use_the_option(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    message = "--weight: it does nothing with --plan, it is of --stands; leave one of the two out"
+    check_refusal(capfd, tmp_path, ("fit", "v3", "--plan", "2", "--weight", "3kg"), message)

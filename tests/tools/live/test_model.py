@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.cli.shared import parse_place
 from pupper_analysis.models.shapes import Pose, Shape
 from pupper_analysis.present.scene import Contact
 from pupper_analysis.simulation.verdict import VerdictCode
@@ -44,6 +45,7 @@ from pupper_analysis.tools.live.scene import (
     triangulate_shape,
 )
 from pupper_analysis.tools.live.state import State, write_stance_file
+from tests.cli.test_stance_fields import parse_options
 from tests.support.commands import answer as run_command
 from tests.support.robots import arm, urdf_text
 from tests.support.variants import load
@@ -195,6 +197,35 @@ def test_saved_stance_file_gives_the_same_stand(tmp_path: Path) -> None:
     assert done.returncode in (0, 1), done.stderr
     saved = json.loads((tmp_path / "stance.json").read_text())
     assert saved["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"height": 120.0, "roll": 5.0, "swing": {"FL": 20.0}},
+        {"place": "inside", "heights": {"RR": 4.0}, "slope": 3.0, "uphill": 90.0},
+        {"place": "offset", "offset": (4.0, -3.0), "payload": 1.5, "payload_at": (0.0, 0.0, 80.0)},
+        {"kp": 20.0, "kd": 0.5},
+        {
+            "posture": {"*elbow*": -0.5, "neck": 0.0},
+            "payload": 1.0,
+            "payload_at": ("hand", 0, 0, 5),
+        },
+    ],
+)
+def test_commands_read_the_saved_stance_file_as_the_page(
+    tmp_path: Path, values: dict[str, Any]
+) -> None:
+    """Reference: task, payload [kg] and gains of the page's state."""
+    state, file = State(**values), tmp_path / "page.toml"
+    file.write_text(write_stance_file(state))
+    found = parse_options("--stance", str(file))
+    assert found.task() == state.task()
+    assert found.payload == state.payload
+    if state.payload:
+        assert parse_place("payload-at", found.payload_at or "") == state.payload_point()
+    gains = ((), ()) if state.kp is None else (("20.0",), ("0.5",))
+    assert (found.kp, found.kd) == gains
 
 
 def test_page_starts_with_a_stance_file(tmp_path: Path) -> None:
