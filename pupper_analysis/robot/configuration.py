@@ -87,6 +87,10 @@ class Configuration(Pictured):
         pin.computeJointJacobians(self._model, self._data, self._q)
         pin.updateFramePlacements(self._model, self._data)
 
+    def __reduce__(self) -> tuple[type[Configuration], tuple[Robot, Array, Array]]:
+        """Pickle robot, qpos and qvel: Pinocchio cannot load all models and data that it saves."""
+        return type(self), (self.robot, self.qpos, self.qvel)
+
     def __repr__(self) -> str:
         moving = "moving" if np.any(self.qvel) else "at rest"
         base = "fixed base"

@@ -182,6 +182,26 @@ def test_meshes_are_pickled_with_their_model(tmp_path: Path) -> None:
     assert_same_model(model, spec_from_data(state).compile(), REBUILT)
 
 
+@COPIES
+def test_results_are_equal_after_pickling(copied: Callable[[Any], Any]) -> None:
+    """All fields as JSON; a copied configuration computes the same mass matrix, to the last bit."""
+    robot, stand = load("v3"), stand_of("v3")
+    config = pa.Configuration(robot, stand.qpos)
+    for result in (
+        stand,
+        stand.task,
+        pa.gravity_compensation(config),
+        pa.verify_stand(robot, stand, duration=2.0, nudged=0),
+        pa.steady_state(robot, stand),
+        pa.matching.Tolerances(),
+        pa.VARIANTS["v3"],
+    ):
+        back = copied(result)
+        assert type(back) is type(result)
+        assert pa.results.to_json(back) == pa.results.to_json(result)
+    np.testing.assert_array_equal(copied(config).mass_matrix(), config.mass_matrix())
+
+
 # -------------------------------------------------------------------------------------- processes
 
 
