@@ -184,13 +184,14 @@ class Difference(Stated, Result):
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Sort key of this difference (``tier``, effects, kind), most urgent repair first."""
+        """Sort key, most urgent repair first: ``tier``, effects, kind, change of a limit."""
         kind = KIND_ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
         return (
             self.tier,
             -self._max_ranked_effect,
             -self.relative_effects[1],
             kind,
+            -self._relative_limit_difference,
             KIND_ORDER.index(self.kind),
         )
 
@@ -218,6 +219,26 @@ class Difference(Stated, Result):
         """Difference between the masses in URDF and MJCF, relative to the larger mass."""
         first, second = (float(value) for value in (self.urdf, self.mjcf))  # type: ignore[arg-type]
         return abs(second - first) / max(abs(first), abs(second), 1e-300)
+
+    @property
+    def _relative_limit_difference(self) -> float:
+        """Difference between the limits in URDF and MJCF, from 0 to 1; 0 for other kinds.
+
+        In full turns for a hinge and in m for a slide; relative to the larger value for an effort.
+        1 if a file has no limit.
+        """
+        if self.kind not in LIMIT_KINDS:
+            return 0.0
+        first, second = (
+            math.inf if value is None else float(value)  # type: ignore[arg-type]
+            for value in (self.urdf, self.mjcf)
+        )
+        if not (math.isfinite(first) and math.isfinite(second)):
+            return 1.0
+        scale = math.tau if self.unit == "rad" else 1.0
+        if self.kind == "effort":
+            scale = max(abs(first), abs(second), 1e-300)
+        return min(abs(second - first) / scale, 1.0)
 
     @property
     def tier(self) -> int:

@@ -191,6 +191,21 @@ def test_effect_of_a_shifted_joint_equals_the_shift_of_its_subtree(tmp_path: Pat
         assert difference.effects[quantity].deviation == pytest.approx(expected, rel=1e-9)
 
 
+def test_limits_are_ordered_by_the_part_of_the_range_that_differs(tmp_path: Path) -> None:
+    """Reference: changes of 1.5, 0.41 and 0.1 rad; efforts of a tenth (20 to 2 N m) and 34/35."""
+    mjcf = change_part(quadruped(), "thigh0", upper=0.8)
+    mjcf = change_part(mjcf, "shank2", lower=-1.0)
+    mjcf = change_part(mjcf, "thigh1", lower=-0.6, effort=2.1)
+    mjcf = change_part(mjcf, "shank0", effort=34.0)
+    assert list_differences(explain_parts(tmp_path, quadruped(), mjcf)) == [
+        ("lower limit", "knee2"),
+        ("lower limit", "hip1"),
+        ("upper limit", "hip0"),
+        ("effort", "hip1"),
+        ("effort", "knee0"),
+    ]
+
+
 # ------------------------------------------------------------------------------------- completeness
 
 
@@ -258,6 +273,24 @@ def test_explanation_is_incomplete_if_mass_differences_are_ignored(
     assert not explanation.complete
     assert explanation.residual["gravity"] == pytest.approx(0.3 * GRAVITY / WEIGHT, rel=1e-9)
     assert explanation.residual["gravity"] == explanation.deviations["gravity"]
+
+
+def test_ignored_damping_leaves_the_explanation_of_a_light_link_incomplete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A hand of 1e-6 kg has large accelerations, but a damping of 1e-7 N m s/rad is no rounding."""
+    hand = Part(
+        "hand", "column", "roll", "continuous", (0.3, 0.0, 0.4), axis=(0.0, 0.6, 0.8),
+        mass=1e-6, inertia=(1e-9, 1e-9, 1e-9, 0.0, 0.0, 0.0), armature=0.0, damping=0.0,
+    )  # fmt: skip
+    light = {**arm(), "hand": hand}
+    monkeypatch.setattr(explain_module, "_compare_joint_parameters", lambda *_: iter(()))
+    damped = change_part(light, "hand", damping=1e-7)
+    explanation = explain_parts(tmp_path, light, damped, free=False)
+    assert explanation.differences == ()
+    assert not explanation.complete
+    heavy = change_part(light, "hand", mass=0.5, inertia=(2e-3, 2e-3, 2e-3, 0.0, 0.0, 0.0))
+    assert explain_parts(tmp_path, heavy, light, free=False).complete
 
 
 # ------------------------------------------------------------------------------------- tolerances
@@ -436,3 +469,11 @@ def test_armature_that_differs_between_left_and_right_is_reported(
     )
     assert (difference.kind, difference.element) == ("armature", wrong)
     assert (difference.mjcf, "but 0.02 kg m^2 on" in difference.message) == (0.2, True)
+    assert (difference.urdf, difference.unit) == (None, "kg m^2")
+    assert difference.effects["mass matrix"].deviation == pytest.approx(0.18, rel=1e-9)
+    slides = {
+        name: replace(part, kind="prismatic", lower=-0.1, upper=0.1) if "shank" in name else part
+        for name, part in parts.items()
+    }
+    slide = get_difference(explain_parts(tmp_path, slides, change_part(slides, odd, armature=0.2)))
+    assert (slide.unit, "armature 0.2 kg in" in slide.message) == ("kg", True)
