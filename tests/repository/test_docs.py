@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import importlib
 import re
+import tarfile
 import tomllib
+import zipfile
 from pathlib import Path
 
 import click
@@ -175,6 +177,82 @@ def test_release_check_requires_one_version_in_all_files(tmp_path: Path) -> None
     release.main(f"v{pa.__version__}")
     with pytest.raises(SystemExit, match=r"CHANGELOG\.md has"):
         release.main("v99.0.0")
+
+
+def test_release_check_reports_each_fault_of_a_distribution(tmp_path: Path) -> None:
+    """A complete wheel and source distribution have no fault; then one fault is made at a time."""
+    release = script("scripts/check_release.py")
+    root, dist = tmp_path / "root", tmp_path / "dist"
+    for folder in (root / "pupper_analysis", root / "urdf", dist):
+        folder.mkdir(parents=True)
+    (root / "pyproject.toml").write_text(
+        '[project]\nname = "some-robot"\nversion = "1.2.3"\nreadme = "README.md"\n'
+        'requires-python = ">=3.11"\nclassifiers = ["Typing :: Typed"]\n'
+        "[project.optional-dependencies]\nlive = []\n"
+    )
+    (root / "README.md").write_text("# Robot\n")
+    (root / "pupper_analysis/words.toml").touch()
+    (root / "urdf/a.urdf").touch()
+    stem = "some_robot-1.2.3"
+    names = ("pupper_analysis/words.toml", "pupper_analysis/pupper/urdf/a.urdf")
+    metadata = (
+        "Metadata-Version: 2.4\nName: some-robot\nVersion: 1.2.3\nRequires-Python: >=3.11\n"
+        "Classifier: Typing :: Typed\nProvides-Extra: live\n\n# Robot\n"
+    )
+
+    def list_faults(text: str = metadata, files: tuple[str, ...] = names) -> list[str]:
+        with zipfile.ZipFile(dist / f"{stem}-py3-none-any.whl", "w") as wheel:
+            wheel.writestr(f"{stem}.dist-info/METADATA", text)
+            for name in files:
+                wheel.writestr(name, "")
+        return list(release.list_faults(dist, root))
+
+    with tarfile.open(dist / f"{stem}.tar.gz", "w:gz") as source:
+        for name in ("README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "pyproject.toml"):
+            source.addfile(tarfile.TarInfo(f"{stem}/{name}"))
+    assert list_faults() == ["the source distribution lacks tests"]
+    with tarfile.open(dist / f"{stem}.tar.gz", "w:gz") as source:
+        for name in (
+            *("README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "pyproject.toml"),
+            "tests/test_a.py",
+        ):
+            source.addfile(tarfile.TarInfo(f"{stem}/{name}"))
+    assert list_faults() == []
+    release.check_distributions(dist, root)
+    for name in names:
+        rest = tuple(file for file in names if file != name)
+        assert list_faults(files=rest) == [f"the wheel lacks {name}"]
+    assert list_faults(files=(*names, "tests/a.py")) == ["the wheel has tests/a.py"]
+    for old, new, word in (
+        ("# Robot", "# Old", "README"),
+        (">=3.11", ">=3.10", "Requires-Python"),
+        ("Provides-Extra: live\n", "", "Provides-Extra"),
+        ("Typed", "Untyped", "Classifier"),
+        ("Version: 1.2.3", "Version: 1.2.2", "Version"),
+    ):
+        (fault,) = list_faults(metadata.replace(old, new))
+        assert word in fault
+    (dist / "some_robot-1.2.2.tar.gz").touch()
+    with pytest.raises(SystemExit, match=r"1\.2\.2"):
+        release.check_distributions(dist, root)
+
+
+def test_generated_pages_escape_markup_and_simplify_templates() -> None:
+    """Cases by hand: markup outside of code is escaped; a template shows the names of its values
+    and the plural."""
+    pages = script("docs/pages.py")
+    assert pages._escape_markdown("a_b *c* [d] `e_f` $g") == r"a\_b \*c\* \[d\] `e_f` \$g"
+    template = "{name!r}[limit? beyond {limit:.2f}], {n|foot|feet}: write {{values = [1]}}"
+    assert pages._simplify_template(template) == (
+        "⟨name⟩ beyond ⟨limit⟩, feet: write {values = [1]}"
+    )
+    lines = ["least |f_t| of name_, ``a_``", "code::", "", "    x_ = *y", "so *it*"]
+    pages.escape_docstring(lines)
+    assert lines == [
+        r"least \|f_t\| of name\_, ``a_``",
+        *("code::", "", "    x_ = *y"),
+        r"so \*it\*",
+    ]
 
 
 def test_links_of_the_released_readme_point_to_its_tag() -> None:

@@ -40,9 +40,27 @@ SEEN: dict[str, tuple[tuple[object, ...], object, tuple[str, ...]]] = {
     ),
     "own_robot": ((), None, ("holds in MuJoCo: True",)),
     "path_to_csv": ((), None, ("zero-moment point:",)),
-    "payload": ((), None, ("by the servos",)),
+    "payload": (
+        (),
+        None,
+        (
+            r"^motors +16\.\d\d kg: a motor saturates$",
+            r"^servos +6\.0\d kg: ",
+            r"^limit +6\.0\d kg, by the servos$",
+            r"^half of it takes 3\d% of the motors$",
+        ),
+    ),
     "pink_and_mink": ((), None, (r"^Pink: \de-(09|1\d) rad", r"^Mink: \de-(09|1\d) rad")),
-    "push": ((), None, (r"270 deg: [\d.]+ N s \([\d.]+ if rigid\), then: \S", "weakest:")),
+    # Left and right are equal; the weakest is that of 180 deg.
+    "push": (
+        (),
+        None,
+        (
+            r"^ +0 deg: 2\.\d\d N s \(2\.46 if rigid\), then: \S",
+            r"^ +90 deg: (\S+) N s \((\S+) if rigid\)(.*\n)+ 270 deg: \1 N s \(\2 if rigid\)",
+            r"^ 180 deg: (\S+) N s \(2\.46 if rigid\)(.*\n)+weakest: \1 N s$",
+        ),
+    ),
     "reach": (
         (),
         None,

@@ -38,3 +38,17 @@ def test_blocks_that_are_not_run_need_a_network_or_another_program() -> None:
         "g1.xml",
     )
     assert all(any(words in line for words in unreachable) for line in left), left
+
+
+def test_wrong_output_and_exit_status_of_a_block_are_found(tmp_path: Path) -> None:
+    """The example of the pages is checked only if a wrong number and a wrong status fail."""
+    block = pages.Block(
+        "page", 1, "python", "print('height 0.1315 m')\n", output=["height ... m\n"]
+    )
+    assert pages.run_page([block], tmp_path) == {"python": 1}
+    block.output.append("height 0.1316 m\n")
+    with pytest.raises(AssertionError, match=r"0\.1316"):
+        pages.run_page([block], tmp_path)
+    exits = pages.Block("page", 1, "sh", "pupper-analysis nothing  # exits 2\nfalse\n")
+    with pytest.raises(AssertionError, match="exit status 1, not 0"):
+        pages.run_page([exits], tmp_path)

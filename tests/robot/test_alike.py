@@ -8,7 +8,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.robot.alike import report_limbs_without_feet
+from pupper_analysis.robot.alike import list_limbs, report_limbs_without_feet
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.support.conversions import write_standing_urdf
 from tests.support.legged import edited_by
@@ -44,6 +44,19 @@ def test_leg_without_a_foot_shape_is_named(tmp_path: Path) -> None:
     robot = pa.load_robot(write_slip(tmp_path, '<sphere radius="0.02"/>', ""))
     [message] = report_limbs_without_feet(robot)
     assert "RR_calf has none" in str(message)
+
+
+def test_limbs_of_different_masses_are_similar_by_their_dimensions(tmp_path: Path) -> None:
+    """The calves have 0.2, 0.3, 0.4 and 0.5 kg, and equal lengths; the last leg has no foot."""
+    path = write_slip(tmp_path, '<sphere radius="0.02"/>', "")
+    before, *legs = path.read_text().split('_calf">')
+    calves = [leg.replace('mass value="0.2"', f'mass value="{0.2 + 0.1 * number}"', 1)
+              for number, leg in enumerate(legs)]  # fmt: skip
+    path.write_text('_calf">'.join([before, *calves]))
+    robot = pa.load_robot(path)
+    assert len({round(float(limb.masses[-1]), 3) for limb in list_limbs(robot)}) == 4
+    [message] = report_limbs_without_feet(robot)
+    assert (message.values["feet"], message.values["alike"]) == (3, 4)
 
 
 def test_named_feet_are_used_without_a_report(tmp_path: Path) -> None:

@@ -66,6 +66,41 @@ def test_differences_point_at_the_lines_of_both_files(what: str, tmp_path: Path)
     assert all(text in line for text, line in zip(expected, shown, strict=True))
 
 
+CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
+    "mass": ({"mass": 0.33}, '<mass value="0.22', '<inertial pos="0.0'),
+    "com": ({"com": (0.0, 0.0, -0.13)}, '<origin xyz="0.004 0.001', '<inertial pos="0.0'),
+    "inertia": (
+        {"inertia": (0.003, 0.003, 3e-4, 0, 0, 0)},
+        '<inertia ixx="0.0015"',
+        'fullinertia="0.003 ',
+    ),
+    "position": ({"position": (0, 0.08, -0.21)}, '<origin xyz="0.0 0.08 -0.2"', '"shank2" pos="0.'),
+    "lower limit": ({"lower": -2.0}, '<limit lower="-2.5"', '<joint name="knee2"'),
+    "upper limit": ({"upper": -0.6}, '<limit lower="-2.5"', '<joint name="knee2"'),
+    "effort": ({"effort": 30.0}, '<limit lower="-2.5"', '<motor name="m_knee2"'),
+    "damping": ({"damping": 0.3}, '<dynamics damping="0.1"', '<joint name="knee2"'),
+    "friction": ({"friction": 0.3}, '<dynamics damping="0.1"', '<joint name="knee2"'),
+}
+"""{kind of difference: (change of the third leg's shank in the MJCF, part of the line in the URDF,
+part of the line in the MJCF)}."""
+
+
+def test_each_changed_number_points_at_its_line_of_the_right_leg(tmp_path: Path) -> None:
+    """Reference: the lines that the test writes; four legs have lines with the same text."""
+    values = {key: value for change, *_ in CHANGES.values() for key, value in change.items()}
+    parts = change_part(quadruped(), "shank2", **values)
+    files = write_parts(tmp_path, quadruped(), parts)
+    comparison = compare_files(files)
+    text = files.urdf.read_text().splitlines()
+    link = text.index('<link name="shank2">') + 1
+    for kind, (_, *expected) in CHANGES.items():
+        difference = first_of(comparison, kind)
+        shown = lines_of(difference, files)
+        assert all(part in line for part, line in zip(expected, shown, strict=True)), (kind, shown)
+        line = int(str(difference.urdf_place).rpartition(":")[2])
+        assert link < line < link + 15, kind
+
+
 def test_the_place_of_an_effort_without_a_motor(tmp_path: Path) -> None:
     """The joint's actuatorfrcrange limits it; there is no actuator to point at."""
     text = mjcf_text(quadruped())
