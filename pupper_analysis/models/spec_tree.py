@@ -275,7 +275,9 @@ class SpecTree:
     ) -> mujoco.MjsEquality:
         """Couple a joint to another: q_follower = offset + multiplier q_leader."""
         # MuJoCo's polynomial uses coordinates relative to ``ref``.
-        follower_ref, leader_ref = (float(self.spec.joint(name).ref) for name in (follower, leader))
+        follower_ref, leader_ref = (
+            _reference_position(self.spec.joint(name)) for name in (follower, leader)
+        )
         constant = float(offset) - follower_ref + float(multiplier) * leader_ref
         equality = self.spec.add_equality(
             type=mujoco.mjtEq.mjEQ_JOINT, name1=follower, name2=leader
@@ -468,6 +470,12 @@ def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diag
         delete_joint(spec, joint)
     base.add_freejoint()
     return diagnose("base-joints-joined", subject=("body", base.name))
+
+
+def _reference_position(joint: mujoco.MjsJoint) -> float:
+    """Return ``ref`` of a hinge or slide joint [rad, m]; a spec can contain angles in degrees."""
+    in_degrees = joint.type == JointKind.HINGE and joint.compiler.degree
+    return math.radians(joint.ref) if in_degrees else float(joint.ref)
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:

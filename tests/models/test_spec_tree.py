@@ -49,3 +49,22 @@ def test_new_inertia_replaces_each_form_of_the_old_one(stated: str, products: fl
     made = axes @ np.diag(model.body_inertia[1]) @ axes.T
     np.testing.assert_allclose(made, tensor, atol=1e-15)
     np.testing.assert_allclose(model.body_ipos[1], [0.1, 0.0, 0.2])
+
+
+@pytest.mark.parametrize(("angle", "ref"), [("radian", 0.1), ("degree", 20.0)])
+def test_coupled_joints_stay_on_their_line_in_a_simulation(angle: str, ref: float) -> None:
+    """Reference: q2 = 0.25 - 0.5 q1 in MuJoCo after 0.6 s; ``ref`` of q2 is in rad or degrees."""
+    rod = '<geom type="capsule" fromto="0 0 0 0 0 -.1" size=".02"/>'
+    spec = mujoco.MjSpec.from_string(
+        f'<mujoco><compiler angle="{angle}"/><worldbody><body><joint name="q1" axis="0 1 0"/>{rod}'
+        f'<body pos="0 0 -.1"><joint name="q2" axis="0 1 0" ref="{ref}"/>{rod}</body></body>'
+        "</worldbody></mujoco>"
+    )
+    SpecTree(spec).add_coupling("q2", "q1", -0.5, 0.25)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.8, 0.25 - 0.5 * 0.8
+    for _ in range(300):
+        mujoco.mj_step(model, data)
+    assert abs(data.qpos[0] - 0.8) > 0.01
+    assert data.qpos[1] == pytest.approx(0.25 - 0.5 * data.qpos[0], abs=1e-3)
