@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.conversion import pinocchio_from_mujoco, pinocchio_from_urdf
 
 # Every feature that Pupper has not: joints off the frame's origin, two joints in a body, a slide
@@ -73,6 +74,15 @@ def test_odd_model_has_the_same_dynamics_in_pinocchio() -> None:
         mass = pin.crba(converted, pin_data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
         np.testing.assert_allclose(mass[6:, 6:], full[6:, 6:], rtol=1e-11, atol=1e-14)
+
+
+def test_ball_joint_is_refused_by_name() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint type="ball" name="hip"/><geom size="0.1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    with pytest.raises(ModelError, match=r"hip.*ball"):
+        pinocchio_from_mujoco(model)
 
 
 def test_negative_masses_of_a_urdf_add_up_exactly() -> None:

@@ -84,6 +84,13 @@ def test_base_joints_are_not_joined_if_held_or_driven(
     assert len(spec.joints) == count
 
 
+def test_base_joints_are_not_joined_if_the_urdf_has_one_of_them(tmp_path: Path) -> None:
+    pair = replace_free_joint(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
+    spec = mujoco.MjSpec.from_file(str(pair.mjcf))
+    assert not join_free_base(spec, stated={"tilt"})
+    assert join_free_base(spec, stated={"FL_knee"})
+
+
 def test_slide_is_not_locked_without_limits(tmp_path: Path) -> None:
     """A cart on two slides and a hinge, as TidyBot's, whose URDF had limits of 0 to 0 m."""
     path = tmp_path / "cart.xml"

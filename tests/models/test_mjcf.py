@@ -12,11 +12,15 @@ import mujoco
 import numpy as np
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import compile_spec, to_xml
 from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.tools.audit.audit import audit_model
+from pupper_analysis.tools.convert.model import convert_model
 from pupper_analysis.tools.crosscheck.crosscheck import compare_models
+from pupper_analysis.tools.diff.compare import diff_models
 from tests.support.robots import mjcf_text, quadruped, urdf_text, write
 
 FRAMES = """<mujoco><worldbody>
@@ -82,6 +86,32 @@ def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, said: s
         assert said in str(refusal.value)
     audit = audit_model(files.mjcf)
     assert any(said in finding.message for finding in audit.findings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("function", ["crosscheck", "diff", "sync", "convert", "load"])
+def test_joint_far_away_gives_no_warning_of_mujoco(
+    function: str, tmp_path: Path, mujoco_log: Path
+) -> None:
+    """Reference: MuJoCo warns that an inertia is almost singular. Warnings are errors in tests."""
+    far = mjcf_text(quadruped()).replace('pos="0.0 0.08 -0.2"', 'pos="1e21 0.08 -0.2"', 1)
+    files = write(tmp_path, urdf_text(quadruped()), far)
+    with pytest.warns(UserWarning, match="too close to singular"):
+        mujoco.MjSpec.from_string(far).compile()
+    mujoco_log.unlink(missing_ok=True)
+    if function == "crosscheck":
+        assert "1e+24 mm apart" in compare_models(*files).differences[0].message
+    elif function == "diff":
+        assert not diff_models(files.mjcf, files.mjcf).changes
+    elif function == "sync":
+        assert pa.sync_models(*files, take="urdf").not_mended
+    elif function == "convert":
+        with pytest.raises(ModelError, match="<= 10000"):
+            convert_model(files.mjcf, tmp_path / "other.urdf")
+    else:
+        with pytest.raises(ModelError, match="<= 10000"):
+            load_robot(urdf=files.urdf, mjcf=files.mjcf)
+    assert not mujoco_log.exists()
 
 
 @pytest.mark.parametrize("word", ["%s%n", "a%20s", "%-5.3ls"])

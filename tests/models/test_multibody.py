@@ -8,10 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
 
+import pupper_analysis as pa
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.robot.compare.differences import changes_between
+from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from tests.support.engines import to_pinocchio
@@ -25,6 +31,7 @@ from tests.support.robots import (
     urdf_text,
     write,
 )
+from tests.support.states import random_state
 from tests.support.variants import load
 
 
@@ -44,7 +51,82 @@ def test_damping_and_armature_of_a_free_joint_are_kept(tmp_path: Path) -> None:
     assert again.armature[6:].tolist() == [0.01, 0.02] * 4
 
 
+def rebuild_by_tree(robot: pa.Robot) -> pa.Robot:
+    """Return the robot with its URDF's model converted to a tree and back."""
+    frames = {foot: foot for foot in robot.contact_frames}
+    values = multibody.from_pinocchio(
+        robot.pin_model, robot.base, robot.joint_names, robot.contact_frames
+    )
+    model = to_pinocchio(values)
+    convention = PinocchioConvention.from_model(model, robot.joint_names)
+    return replace(robot, pin_model=model, pin_convention=convention, contact_frames=frames)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+@pytest.mark.parametrize("fixed", [False, True], ids=["free", "fixed"])
+def test_tree_of_a_pinocchio_model_has_its_dynamics(name: str, fixed: bool) -> None:
+    """Reference: Pinocchio with the original model, at a random state."""
+    robot = load(name, fixed_base=fixed)
+    qpos, qvel = random_state(robot)
+    first, second = (pa.Configuration(one, qpos, qvel) for one in (robot, rebuild_by_tree(robot)))
+    force = np.linspace(-1, 1, robot.nv)
+    pairs = [
+        (first.mass_matrix(), second.mass_matrix()),
+        (first.bias_forces(), second.bias_forces()),
+        (first.gravity(), second.gravity()),
+        (first.center_of_mass(), second.center_of_mass()),
+        (first.forward_dynamics(force), second.forward_dynamics(force)),
+        *zip(first.foot_positions().values(), second.foot_positions().values(), strict=True),
+    ]
+    for joint in robot.joint_names:
+        pairs.append((first.joint_position(joint), second.joint_position(joint)))
+        pairs.append((first.joint_axis(joint), second.joint_axis(joint)))
+    for expected, found in pairs:
+        scale = max(1.0, float(np.abs(expected).max()))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * scale)
+
+
+def test_tree_keeps_limits_and_inertias_of_continuous_and_sliding_joints(tiny: pa.Robot) -> None:
+    """Reference: each number of Pinocchio's model; a continuous joint has no position limits."""
+    model, again = tiny.pin_model, rebuild_by_tree(tiny).pin_model
+    assert set(again.names) - {"__free__"} == set(model.names) - {"root_joint"}
+    for name in tiny.joint_names:
+        first, second = model.getJointId(name), again.getJointId(name)
+        old, new = model.joints[first], again.joints[second]
+        assert model.inertias[first].isApprox(again.inertias[second], 1e-15)
+        assert model.jointPlacements[first].isApprox(again.jointPlacements[second], 1e-15)
+        for field in ("effortLimit", "velocityLimit", "armature", "damping", "friction"):
+            assert getattr(model, field)[old.idx_v] == getattr(again, field)[new.idx_v], field
+        limits = again.lowerPositionLimit[new.idx_q], again.upperPositionLimit[new.idx_q]
+        if old.nq == 1:
+            assert limits[0] == model.lowerPositionLimit[old.idx_q]
+            assert limits[1] == model.upperPositionLimit[old.idx_q]
+        else:
+            assert limits == (-np.inf, np.inf)
+
+
 # ------------------------------------------------------------------------------------- alignment
+
+
+def test_random_frames_of_the_generator_keep_the_dynamics(tmp_path: Path) -> None:
+    """Control of `turned_frames`: all frames rotate by more than 0.1 rad; mass matrix and bias
+    forces of Pinocchio are unchanged.
+    """
+    files = write(tmp_path, urdf_text(quadruped()), mjcf_text(quadruped()))
+    model = read_mjcf(files.mjcf).model
+    files.mjcf.write_text(turned_frames(quadruped(), seed=1))
+    turned = read_mjcf(files.mjcf).model
+    for body in range(2, model.nbody):
+        before, after = (
+            Rotation.from_quat(one.body_quat[body], scalar_first=True) for one in (model, turned)
+        )
+        assert (before.inv() * after).magnitude() > 0.1
+    first, second = pinocchio_from_mujoco(model), pinocchio_from_mujoco(turned)
+    q = pin.integrate(first, pin.neutral(first), np.linspace(-1, 1, first.nv))
+    v = np.linspace(1, -1, first.nv)
+    for compute in (pin.crba, lambda *state: pin.nonLinearEffects(*state, v)):
+        expected, found = (compute(one, one.createData(), q) for one in (first, second))
+        np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_product_of_inertia_is_compared_with_the_largest_moment() -> None:

@@ -28,6 +28,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.models.loading import read_model
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from tests.support.repository import ROOT, benchmark
@@ -399,3 +400,25 @@ def test_stand_names_links_that_push_on_each_other() -> None:
         assert set(touching) == {
             (f"{side}_hip_yaw_link", f"{side}_wrist_yaw_link") for side in pairs
         }
+
+
+@pytest.mark.slow
+def test_public_robots_are_read_and_two_broken_files_are_refused() -> None:
+    """References: the missing name of the URDF, and the missing included file of the MJCF."""
+    models, descriptions, laboratory = file(MJCF, "."), file(URDF, "."), file(LAB, ".")
+    paths = [
+        *models.glob("*/*.xml"),
+        *models.glob("*/*.urdf"),
+        *descriptions.glob("*/*/*.urdf"),
+        *laboratory.glob("*/xmls/*.xml"),
+    ]
+    assert len(paths) >= 100
+    refused = {}
+    for path in sorted(paths):
+        try:
+            read_model(path)
+        except pa.ModelError as error:
+            refused[path.name] = str(error)
+    assert refused.keys() == {"ur3.urdf", "scene_rough.xml"}, refused
+    assert "the robot has no name" in refused["ur3.urdf"]
+    assert "hyqreal.xml'>: no such file" in refused["scene_rough.xml"]

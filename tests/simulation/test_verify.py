@@ -365,10 +365,10 @@ def test_force_error_of_an_unloaded_foot_is_relative_to_the_weight() -> None:
 
 @pytest.mark.parametrize("act", ["verify", "sweep"])
 def test_divergence_is_reported_without_a_log_file(
-    act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    act: str, mujoco_log: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """MuJoCo would print warnings and write MUJOCO_LOG.TXT."""
-    monkeypatch.chdir(tmp_path)
+    mujoco_log.unlink(missing_ok=True)
 
     def stiff(model: mujoco.MjModel) -> None:
         model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_EULER, 0.02
@@ -384,7 +384,7 @@ def test_divergence_is_reported_without_a_log_file(
             robot, stand, kp=[1e9], kd=[0.0], duration=2.0, integrator="Euler"
         )
         assert swept.fell.all()
-    assert not [*tmp_path.iterdir()]
+    assert not mujoco_log.exists()
     assert "WARNING" not in capfd.readouterr().err
 
 
