@@ -275,6 +275,7 @@ class Match:
             bodies=self.mjcf_body,
             frames={name: site for name, (_, site) in frames.items()},
             base=base,
+            renumbered=bool(self.only_mjcf),
         )
         return urdf_sources, mjcf_sources
 

@@ -129,6 +129,8 @@ class MjcfSources:
         bodies: {base or joint: moved body}.
         frames: {frame: site, body or geom}, if different.
         base: Names of the base in the comparison.
+        renumbered: Whether elements without a name have other numbers than in the file, because
+            joints were removed.
     """
 
     file: MjcfFile
@@ -136,6 +138,7 @@ class MjcfSources:
     bodies: Mapping[str, str]
     frames: Mapping[str, str]
     base: tuple[str, ...]
+    renumbered: bool = False
 
     def place(self, kind: str, element: str) -> Place:
         """Return the location of a value in the MJCF; the file without line if not recorded.
@@ -147,8 +150,11 @@ class MjcfSources:
         """
         file, body = self.file, self.bodies.get(element, "")
         if kind in _MJCF_SECTIONS:
-            has_name = not element.startswith("#")
-            return file.place(_MJCF_SECTIONS[kind], element) if has_name else Place(file.path)
+            if not element.startswith("#"):
+                return file.place(_MJCF_SECTIONS[kind], element)
+            if self.renumbered:
+                return Place(file.path)
+            return file.place_by_number(_MJCF_SECTIONS[kind], int(element[1:].split()[0]))
         if kind in _GLOBAL_OPTIONS:
             words = set(_GLOBAL_OPTIONS[kind]) or {element}
             tag = "flag" if kind == "flag" else "option"

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
+from pupper_analysis.robot.compare import mjcf_only as mjcf_only_module
 from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.differences import Effect
@@ -26,6 +27,7 @@ from tests.support.robots import (
     all_changed,
     arm,
     compare_files,
+    line_at,
     list_differences,
     match_files,
     mjcf_text,
@@ -362,6 +364,57 @@ def test_attribute_without_effect_on_acceleration_is_still_a_difference(
         assert comparison.differences[0].effects == {}
 
 
+FINDERS = {
+    "of_joints": "spring",
+    "of_bodies": "gravity compensation",
+    "of_tendons": "spatial spring",
+    "of_actuators": "motor damping polynomial",
+    "find_fluid": "density",
+}
+"""{function that finds elements: kind in ``PASSIVE``}."""
+
+
+@pytest.mark.parametrize("finder", FINDERS)
+def test_force_of_an_element_that_is_not_found_leaves_a_deviation_unexplained(
+    finder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: MuJoCo's own dynamics, which do not depend on the functions that find elements."""
+    monkeypatch.setattr(mjcf_only_module, finder, lambda _: iter(()))
+    comparison = pair(tmp_path, add_acting_element(FINDERS[finder], "5", MJCF))
+    assert comparison.differences == ()
+    assert not comparison.agree
+    assert not comparison.complete
+    assert comparison.explained < 0.5
+    (objection,) = comparison.objections
+    assert objection.code == "deviation-unexplained"
+    assert comparison.engines == ()
+
+
+def test_flex_between_bodies_of_the_robot_is_no_agreement(tmp_path: Path) -> None:
+    """A URDF has no flex: the deviation of the accelerations is not explained."""
+    rope = (
+        '<deformable><flex name="rope" dim="1" body="shank0 shank1 shank2" '
+        'vertex="0 0 0 0 0 0 0 0 0" element="0 1 1 2"><edge stiffness="50" damping="2"/></flex>'
+        "</deformable>"
+    )
+    comparison = pair(tmp_path, mjcf_text(quadruped(), extra=rope))
+    assert not comparison.agree
+    assert not comparison.complete
+    assert {message.code for message in comparison.objections} == {"deviation-unexplained"}
+    assert comparison.engines == ()
+
+
+def test_spring_of_a_slide_of_a_fixed_robot_is_the_only_difference(tmp_path: Path) -> None:
+    text = replace_once(
+        mjcf_text(arm(), free=False),
+        **{'<joint name="push"': '<joint name="push" stiffness="30"'},
+    )
+    comparison = pair(tmp_path, text, urdf_text(arm()))
+    assert list_differences(comparison) == [("spring", "push")]
+    assert "stiffness 30" in comparison.differences[0].message
+    assert comparison.complete
+
+
 def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
     """A com is off by 9 um, within the tolerance; but the pendulum is 1 mm long."""
     tiny = {"com": (0.0, 0.0, -1e-3), "inertia": (1e-9, 1e-9, 1e-9, 0, 0, 0), "armature": 0.0}
@@ -399,15 +452,21 @@ MIMIC = {KNEE: f'{KNEE}<mimic joint="hip0" multiplier="2" offset="0.1"/>'}
 def test_mimic_without_equal_equality_is_a_difference(
     tmp_path: Path,
 ) -> None:
-    """An equality with the same polynomial agrees; five different ones do not."""
+    """An equality with the same polynomial agrees; six different ones do not, with both lines."""
     urdf = replace_once(URDF, **MIMIC)
+    places = {"robot.urdf": tmp_path / "robot.urdf", "robot.xml": tmp_path / "robot.xml"}
     assert list_differences(pair(tmp_path, MJCF, urdf)) == [("mimic", "knee0")]
     for name, equality in {"": SAME, **OTHER}.items():
         text = replace_once(
             MJCF, **{"</worldbody>": f"</worldbody><equality>{equality}</equality>"}
         )
-        kinds = {kind for kind, _ in list_differences(pair(tmp_path, text, urdf))}
-        assert kinds == ({"mimic", "equality"} if name else set()), name
+        comparison = pair(tmp_path, text, urdf)
+        by_kind = {difference.kind: difference for difference in comparison.differences}
+        assert set(by_kind) == ({"mimic", "equality"} if name else set()), name
+        if name:
+            assert line_at(by_kind["mimic"].urdf_place, places) == MIMIC[KNEE]
+            assert equality in line_at(by_kind["equality"].mjcf_place, places)
+            assert by_kind["equality"].effects["forward dynamics"].relative > 1e-3
 
 
 def test_the_offset_of_an_equality_is_about_the_rest_position(tmp_path: Path) -> None:
