@@ -110,3 +110,40 @@ def test_checks_of_a_stand_detect_errors_of_1e_5_and_of_a_thousandth() -> None:
         assert not stances.check_forces(demand, statics)
         pushed = {foot: 1.001 * force for foot, force in statics.contact_forces.items()}
         assert stances.check_forces(demand, replace(statics, contact_forces=pushed))
+
+
+@pytest.mark.slow
+def test_checks_reach_the_stands_that_the_solver_reaches() -> None:
+    """Least squares find eight random stands of the solver; otherwise no refusal is confirmed."""
+    robot, random = load("original"), np.random.default_rng(5)
+    found = 0
+    while found < 8:
+        task = stances.random_task(robot, random)
+        try:
+            pa.solve_stand(robot, task, explain=False)
+        except (pa.StanceUnreachableError, pa.ConfigurationError):
+            continue
+        found += 1
+        error = stances.Demand(robot, task).search_smallest_error(random)
+        assert error < stances.REACHED_FOOT_ERROR, task
+
+
+def test_checks_of_balance_equal_closed_forms() -> None:
+    """CoM 74 mm and 76 mm from the centre of feet 75 mm ahead; slopes of 0.98 and 1.02 times the
+    friction angle.
+    """
+    robot = load("v3")
+    demand = stances.Demand(robot, pa.StandTask())
+    ahead = max(place[0] for place in demand.contacts.values()) - demand.centre[0]
+    assert 0.074 < ahead < 0.076
+    for shift, balanced in ((0.0, True), (0.074, True), (0.076, False), (0.2, False)):
+        com = demand.centre + np.array([shift, 0.0, 0.12])
+        assert demand.has_balancing_forces(com, inner=True) is balanced
+        assert demand.has_balancing_forces(com, inner=False) is balanced
+    friction = min(contact.sliding_friction for contact in robot.contacts.values())
+    for factor, balanced in ((0.98, True), (1.02, False)):
+        slope = float(np.arctan(factor * friction))
+        demand = stances.Demand(robot, pa.StandTask(ground=pa.Ground(slope, 0.4)))
+        com = demand.centre + np.array([0.0, 0.0, 0.01])
+        assert demand.has_balancing_forces(com, inner=True) is balanced
+        assert demand.has_balancing_forces(com, inner=False) is balanced

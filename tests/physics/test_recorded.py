@@ -10,7 +10,7 @@ import numpy as np
 import orjson
 import pytest
 
-from tests.recorded import COARSE, ENGINES, FILE, JOBS, compute_numbers, setting
+from tests.recorded import COARSE, ENGINES, FILE, JOBS, compute_numbers, products, setting
 from tests.support.repository import ROOT
 from tests.support.variants import NAMES
 
@@ -42,6 +42,30 @@ def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -
         elif not np.abs(one - other).max() <= max(tolerance, *list_tolerances(where)) * scale:
             messages.append(f"{where} was {old}, and is {found[where]}")
     return messages
+
+
+def test_changed_numbers_are_found() -> None:
+    """Control of the comparison: changed, exchanged, missing, new and undefined numbers."""
+    before = {"a": 1.0, "b": [1.0, 2.0], "c": 3.0}
+    assert changes(dict(before), before, 1e-12) == []
+    assert changes(before | {"a": 1.0 + 1e-11}, before, 1e-12)
+    assert changes(before | {"b": [2.0, 1.0]}, before, 1e-12)
+    assert changes(before | {"b": [1.0]}, before, 1e-12)
+    assert changes(before | {"c": float("nan")}, before, 1e-12)
+    assert changes({"a": 1.0, "b": [1.0, 2.0]}, before, 1e-12) == ["c is gone"]
+    assert changes(before | {"d": 1.0}, before, 1e-12) == ["d is new"]
+
+
+def test_products_of_an_array_depend_on_each_element() -> None:
+    """Two elements change by 1e-9 in opposite directions."""
+    values = np.random.default_rng(0).normal(size=19)
+    for first in range(19):
+        for second in range(first):
+            changed = values.copy()
+            changed[first] += 1e-9
+            changed[second] -= 1e-9
+            after, before = ({"qpos": products(array)} for array in (changed, values))
+            assert changes(after, before, 1e-12), (first, second)
 
 
 def check(name: str, job: str) -> None:

@@ -90,6 +90,16 @@ def test_a_soft_foot_stays_the_contact_point_if_it_carries_more_than_its_shank(
 
 
 @pytest.mark.slow
+def test_shank_beside_a_soft_foot_does_not_touch_the_floor(tmp_path: Path) -> None:
+    """Reference: MuJoCo reaches the torques and forces that the feet alone give, within 1e-5."""
+    robot = _soft_footed(tmp_path, 0.003, time_constant=0.12)
+    assert "shapes-beside-feet-do-not-touch" in {note.code for note in robot.notes}
+    verification = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
+    assert verification.passed, verification.failures
+    assert max(verification.torque_error, verification.force_error) < 1e-5
+
+
+@pytest.mark.slow
 def test_of_two_equal_shanks_beside_a_soft_foot_the_chosen_one_carries_the_load(
     tmp_path: Path,
 ) -> None:

@@ -21,9 +21,13 @@ def prepare_pair(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
 
 
 def test_pass_names_are_distinct_and_files_are_unchanged(tmp_path: Path) -> None:
-    """The spec in memory and both files are equal to the last byte after preparation."""
+    """The spec in memory and both files are equal to the last byte after preparation.
+
+    The pass ``remove-free-joint-friction`` changes the dry friction of the robot's free joint only.
+    """
     assert len({each.name for each in PREPARATION_PASSES}) == len(PREPARATION_PASSES)
     pair = quadruped(tmp_path)
+    rewrite_file(pair.mjcf, ("<freejoint/>", '<joint type="free" frictionloss="0.3"/>'))
     before = (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
     mjcf = read_mjcf(pair.mjcf)
     bodies = mjcf.spec.to_xml()
@@ -54,6 +58,15 @@ def test_base_without_feet_is_held_as_in_the_file(tmp_path: Path) -> None:
     assert (held.code, held.values["why"].code) == ("base-kept-in-the-world", "no-feet-found")
     assert "build-with-fixed-base" in {run.name for run in runs}
     assert "find-feet" not in {run.name for run in runs}  # of a robot not to be
+
+
+def test_a_requested_fixed_base_gets_no_ground(tmp_path: Path) -> None:
+    """With a free base, the pass ``level-ground`` adds a floor to the same files."""
+    robot, runs = prepare_pair(quadruped(tmp_path), fixed_base=True)
+    names = {run.name for run in runs}
+    assert not robot.floating
+    assert "build-with-fixed-base" in names
+    assert "level-ground" not in names
 
 
 def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:

@@ -150,6 +150,21 @@ def test_soles_of_legs_with_five_joints_are_level_in_the_nominal_stand(
 
 
 @pytest.mark.slow
+def test_level_soles_have_the_requested_height_within_the_joint_limits(tmp_path: Path) -> None:
+    """Reference: Pinocchio's contact points at the found joint positions."""
+    robot = pa.load_robot(*biped(tmp_path))
+    for height in (0.9 * robot.stand_height, robot.stand_height):
+        joints = start._level_soles(robot, clip_to_limits(robot), height, 0.05)
+        assert joints is not None
+        places = pa.Configuration(robot, robot.make_qpos(joints)).foot_positions()
+        lowest = [place[2] - robot.contact_radius[point] for point, place in places.items()]
+        assert lowest == pytest.approx([-height] * len(lowest), abs=1e-4 * height)
+        assert (joints >= robot.lower_limits).all()
+        assert (joints <= robot.upper_limits).all()
+    assert start._level_soles(robot, clip_to_limits(robot), 9.0, 0.05) is None
+
+
+@pytest.mark.slow
 def test_level_soles_are_not_searched_for_wheels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

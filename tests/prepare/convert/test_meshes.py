@@ -12,11 +12,15 @@ import resource
 import struct
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trimesh
+from lxml import etree
 
 import pupper_analysis as pa
+from pupper_analysis.models.urdf_file import urdf_from
+from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.meshes import UnreadableError, convert_to_obj
 from pupper_analysis.tools.convert import Conversion
@@ -285,3 +289,28 @@ def test_part_that_is_instanced_in_nested_nodes_is_written_each_time(tmp_path: P
     )
     whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
     assert whole.volume == pytest.approx(8 * BOX.volume)
+
+
+def test_mesh_that_is_visual_and_collides_is_compiled_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo caches a mesh as it first occurs; without a hull, each later model computes one."""
+    file = tmp_path / "tetrahedron.obj"
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    compiled: list[tuple[str, bool]] = []
+    compile_mesh = meshes._test_compile
+
+    def record(content: Any, path: Path, scale: str, *, touches: bool, shell: bool) -> None:
+        compiled.append((path.name, touches))
+        compile_mesh(content, path, scale, touches=touches, shell=shell)
+
+    monkeypatch.setattr(meshes, "_test_compile", record)
+    element = f"<mesh filename='{file}'/>"
+    root = parse_text(
+        f"<robot name='r'><link name='a'><collision><geometry>{element}</geometry></collision>"
+        "</link></robot>"
+    )
+    made = meshes.MeshFiles(urdf_from(file, "", root, None), file)
+    names = [made.register_mesh(etree.fromstring(element), touches=way) for way in (False, True)]
+    assert names[0] == names[1]
+    assert compiled == [(file.name, True)]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.repair import find_nearest_moments, is_valid_inertia
+from pupper_analysis.tools.convert import model as conversion
 from tests.support.conversions import compare_dynamics, compile_file, convert_file
 from tests.support.robots import Part, Parts, arm, change_part, urdf_text
 
@@ -89,6 +92,25 @@ def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path)
     tensor = np.array([[0.02, 1e-3, 0.0], [1e-3, 0.04, 0.0], [0.0, 0.0, 0.08]])
     off = turn.T @ tensor @ turn
     assert np.abs(off - np.diag(np.diag(off))).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_repair_of_one_body_permits_no_difference_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The new MJCF has a rod of 0.6 kg, and the URDF 0.5 kg."""
+    draft_mjcf = conversion.draft_mjcf
+
+    def draft_with_heavier_rod(*arguments: Any) -> Any:
+        draft = draft_mjcf(*arguments)
+        assert 'mass="0.5"' in draft.text
+        return replace(draft, text=draft.text.replace('mass="0.5"', 'mass="0.6"'))
+
+    monkeypatch.setattr(conversion, "draft_mjcf", draft_with_heavier_rod)
+    urdf = write_parts(tmp_path, change_part(arm(), "boom", inertia=(0.02, 0.04, 0.08, 0, 0, 0)))
+    _, found = convert_file(urdf, "arm.xml", repair_inertia=True)
+    assert not found.agree
+    assert any("link rod: mass" in failure for failure in map(str, found.failures))
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import split_verdict_lines
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.rollout import STATE_SPEC, simulate_commands
+from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, simulate_commands
 from pupper_analysis.simulation.verdict import Question, Verdict
 from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.plan import stance_path
@@ -22,9 +23,10 @@ from pupper_analysis.tools.path.tracking import path_commands, study_path, track
 from tests.prepare.test_imported import four_legs
 from tests.prepare.test_own_run import codes, load_slip
 from tests.support.commands import check_refusal, run_command
-from tests.support.engines import evaluate_mujoco
+from tests.support.engines import change_model, evaluate_mujoco
+from tests.support.legged import biped
 from tests.support.repository import benchmark
-from tests.support.variants import load
+from tests.support.variants import load, stand_of
 from tests.tools.path.test_plan import path_of, stances
 
 # What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
@@ -154,6 +156,37 @@ def fast_sway() -> pa.stance.StancePath:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
+    """Reference: a range from -1 to 2 N m, and a command 10 N m beyond either end."""
+    stand, motor = stand_of("v3"), int(load("v3").mj_convention.actuator_index[4])
+
+    def limit_torque(model: mujoco.MjModel) -> None:
+        model.actuator_forcerange[motor] = (-1.0, 2.0)
+
+    robot = change_model(load("v3"), limit_torque)
+    drive = model_with_servos(robot)
+    data = mujoco.MjData(drive.model)
+    robot.mj_convention.set_state(data, stand.qpos, np.zeros(robot.nv))
+    start = full_state(drive.model, data)
+    goal = stand.joint_positions(robot).copy()
+    goal[4] += sign * 10 / drive.kp[4]
+    torques = np.zeros((3, robot.nu))
+    torques[:, 4] = 2.0 if sign > 0 else -1.0
+    plan = SimpleNamespace(
+        drive=drive,
+        robot=robot,
+        start=start,
+        ctrl=np.tile(drive.command(robot, goal), (3, 1)),
+        time=np.array([0.1, 0.2, 0.3]),
+        torques=torques,
+        path=SimpleNamespace(torques=torques),
+    )
+    (event,), error = tracking._compare_torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
+    assert robot.joint_names[4] in str(event)
+    assert error < 1e-9
+
+
 def test_tangential_and_rolling_friction_share_one_cone() -> None:
     """Reference: MuJoCo's contact forces, which are on the edge of the cone while a foot is pushed
     and rolls; those of the path must be within.
@@ -182,6 +215,15 @@ def test_tangential_and_rolling_friction_share_one_cone() -> None:
     # The push is that of the round before (`inverse_dynamics`).
     assert (np.linalg.norm(parts, axis=0) / up).max() < 1.05
     assert (parts[0] / up).max() > 0.7
+
+
+@pytest.mark.slow
+def test_a_biped_on_flat_feet_tracks_a_squat(tmp_path: Path) -> None:
+    """Reference: MuJoCo. Each foot has four contact points."""
+    robot = pa.load_robot(*biped(tmp_path))
+    squat = [pa.StandTask(), pa.StandTask(height=robot.stand_height - 0.05), pa.StandTask()]
+    tracking = track_path(robot, stance_path(robot, squat, 1.5))
+    assert tracking.passed, tracking.failures
 
 
 @pytest.mark.slow

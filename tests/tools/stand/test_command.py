@@ -12,7 +12,7 @@ import pytest
 from pupper_analysis import StandTask, load_variant, solve_stand
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.passes import LoadRequest, prepare_robot
+from pupper_analysis.prepare.passes import PREPARATION_PASSES, LoadRequest, prepare_robot
 from pupper_analysis.pupper import VariantSpec
 from pupper_analysis.stance import minimum_stiffness
 from pupper_analysis.tools.stand.stance import explain_loading, study_stance
@@ -152,6 +152,24 @@ def test_explanation_equals_the_loaded_robot(tmp_path: Path) -> None:
     assert explained.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
     _, runs = prepare_robot(*files, LoadRequest())
     assert [one.name for one in explained.passes] == [one.name for one in runs]
+
+
+@pytest.mark.slow
+def test_explain_prints_the_passes_in_their_order(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: ``PREPARATION_PASSES``."""
+    pair, path = quadruped(tmp_path), tmp_path / "passes.json"
+    words = ("stand", *map(str, pair), "--explain", "--json", str(path))
+    status, out, err = run_command(capfd, *words)
+    assert status == 0, err
+    passes = json.loads(path.read_text())["passes"]
+    names = [one["name"] for one in passes]
+    assert names == [one.name for one in PREPARATION_PASSES if one.name in names]
+    printed_names = [one["name"] for one in passes if one["done"]]
+    assert "add-servos" in printed_names
+    places = [out.index(f"\n{name} ") for name in printed_names]
+    assert places == sorted(places)
 
 
 @pytest.mark.slow

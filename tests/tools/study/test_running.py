@@ -536,3 +536,10 @@ def test_interrupted_study_can_be_resumed_and_leaves_no_process(tmp_path: Path) 
     assert "Traceback" not in err
     assert 0 < rows_of(folder) < 400
     assert left_over(process.pid) == []
+
+
+def test_remaining_time_follows_from_the_rate_of_this_run() -> None:
+    """Closed form: of 10 designs 4 are stored, and 2 take 1 s, so the other 4 take 2 s."""
+    assert running.Progress(10, num_stored=4, done=2, seconds=1.0).remaining_time == 2.0
+    assert running.Progress(10, num_stored=4).remaining_time == float("inf")
+    assert running.Progress(10, num_stored=10).remaining_time == 0.0
