@@ -345,6 +345,26 @@ def _read_assets(spec: mujoco.MjSpec) -> dict[str, bytes]:
     return contents
 
 
+def embed_meshes(spec: mujoco.MjSpec) -> None:
+    """Read the mesh files of a spec into its assets, in place, if the spec has assets.
+
+    MuJoCo prefixes all mesh files of a spec with assets when the spec is attached to another spec,
+    so that files outside of the assets would not be found.
+    """
+    if not spec.assets:
+        return
+    assets = dict(spec.assets)
+    for mesh in spec.meshes:
+        folder = Path(spec.modelfiledir) / mesh.compiler.meshdir
+        path = folder / (Path(mesh.file).name if spec.strippath else mesh.file)
+        if not mesh.file or mesh.file in assets or not path.is_file():
+            continue
+        name = make_unique_name(path.stem, {Path(asset).stem for asset in assets})
+        mesh.file = name + path.suffix
+        assets[mesh.file] = read_input(path, MAX_FILE_BYTES)
+    spec.assets = assets
+
+
 def fixed_mapping(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     """Return a read-only view of a dictionary."""
     return MappingProxyType(content)

@@ -5,6 +5,7 @@ The objects are not modified. Names of files and line numbers are unknown; a not
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ import pinocchio as pin
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.decompile import make_spec_of_model
-from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf import compile_spec, silence_mujoco, to_xml
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_spec
 from pupper_analysis.models.pinocchio_urdf import write_urdf_of_model
 from pupper_analysis.models.places import forget_lines, make_element_error, one_line
@@ -148,7 +149,7 @@ def _read_object(
     if isinstance(model, mujoco.MjSpec):
         name = f"MjSpec {model.modelname}"
         path = Path(model.modelfiledir) / f"<{name}>"
-        return mjcf_of_spec(path, model, (_make_memory_note(name),))
+        return _read_spec(path, model, name)
     if isinstance(model, mujoco.MjModel):
         spec = make_spec_of_model(model, "MjModel")
         name = f"MjModel {spec.modelname}"
@@ -165,6 +166,24 @@ def _read_object(
         raise ModelError(type(model).__name__, problem) from error
     name = f"{type(model).__module__.partition('.')[0]}.{type(model).__name__}"
     return _read_text(text.decode(), name, packages)
+
+
+def _read_spec(path: Path, spec: mujoco.MjSpec, name: str) -> MjcfFile:
+    """Return the model file of a spec.
+
+    MuJoCo cannot write the XML of a spec to which a model with other compiler settings is attached.
+    Such a spec is read from its compiled model, with a note.
+    """
+    note = _make_memory_note(name)
+    with silence_mujoco():
+        try:
+            to_xml(spec)
+        except (ValueError, RuntimeError, mujoco.FatalError) as unwritten:
+            with contextlib.suppress(ValueError, RuntimeError):
+                model = spec.copy().compile()
+                notes = (note, diagnose("spec-read-compiled", message=one_line(unwritten)))
+                return mjcf_of_spec(path, make_spec_of_model(model, name), notes)
+    return mjcf_of_spec(path, spec, (note,))
 
 
 def _make_memory_note(name: str) -> Diagnostic:

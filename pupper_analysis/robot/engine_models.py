@@ -18,6 +18,7 @@ from pupper_analysis.base.arguments import check_vector, real_array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.mjcf import embed_meshes
 from pupper_analysis.robot.coordinates import (
     MujocoConvention,
     PinocchioConvention,
@@ -60,11 +61,13 @@ class EngineModels:
         """Return a new MuJoCo spec of the robot with floor and servos; the caller may change it.
 
         ``mj_spec().compile()`` returns a model with the same values as ``mj_model``. Meshes keep
-        the paths of the file, or their contents if the robot was loaded from a spec in memory.
+        the paths of the file, or their contents if the robot was loaded from a spec in memory or
+        converted from a URDF. The spec can be attached to another spec.
         """
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)
         for joint in spec.joints:  # as in `mj_model`: gravity compensation is a passive force
             joint.actgravcomp = 0
+        embed_meshes(spec)
         return spec
 
     @cached_property

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 import pupper_analysis as pa
 from pupper_analysis.stance.clearance import ClearanceShapes
@@ -228,6 +229,30 @@ def test_spec_compiles_to_the_model_of_the_robot(robot: pa.Robot) -> None:
     for field in ("body_mass", "jnt_range", "geom_size", "actuator_gainprm", "dof_armature"):
         np.testing.assert_array_equal(getattr(model, field), getattr(robot.mj_model, field))
     assert model.signature == robot.mj_model.signature
+
+
+@pytest.mark.filterwarnings("ignore:(?s).*Attach conflict")  # the integrators differ
+def test_spec_of_urdf_with_meshes_is_attached_to_another_spec(tmp_path: Path) -> None:
+    """MuJoCo prefixes the mesh files of a spec with assets. Reference: mass of both robots."""
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.stl")
+    trimesh.creation.box((0.2, 0.1, 0.1)).export(tmp_path / "seen.glb")
+    meshes = {"collision": "box.stl", "visual": "seen.glb"}
+    shapes = "".join(
+        f'<{kind}><geometry><mesh filename="{file}"/></geometry></{kind}>'
+        for kind, file in meshes.items()
+    )
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    link = f'<inertial><mass value="2"/>{inertia}</inertial>{shapes}'
+    urdf = tmp_path / "tool.urdf"
+    urdf.write_text(f"""<robot name="tool"><link name="base"/><link name="arm">{link}</link>
+        <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/>
+        <limit lower="-1" upper="1" effort="9" velocity="1"/><axis xyz="0 0 1"/></joint></robot>""")
+    tool = pa.load_robot(urdf, fixed_base=True).mj_spec()
+    parent = load("v3").mj_spec()
+    parent.attach(tool, prefix="tool_", frame=parent.body("base_link").add_frame())
+    model = parent.compile()
+    assert model.body("tool_arm").mass == pytest.approx(2.0)
+    assert model.nmesh == load("v3").mj_model.nmesh + 2
 
 
 def test_change_of_spec_does_not_change_robot() -> None:

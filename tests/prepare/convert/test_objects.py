@@ -244,6 +244,25 @@ def test_xml_text_of_mjcf_is_loaded_with_fixed_base() -> None:
     assert not robot.floating
 
 
+def test_spec_with_other_compiler_settings_attached_is_read_from_its_model() -> None:
+    """MuJoCo cannot write such a spec. Reference: mass and mass matrix of MuJoCo's model."""
+    spec = read_spec()
+    arm = mujoco.MjSpec.from_string(ARM_MJCF.format(more=""))
+    arm.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    spec.attach(arm, prefix="arm_", frame=spec.body("base_link").add_frame(pos=[0, 0, 0.1]))
+    with pytest.raises(mujoco.FatalError):
+        to_xml(spec)
+    robot, model = pa.load_robot(spec), spec.copy().compile()
+    assert robot.joint_names[-1] == "arm_shoulder"
+    assert robot.total_mass == pytest.approx(model.body_mass.sum(), rel=1e-12)
+    [note] = [note for note in robot.notes if note.code == "spec-read-compiled"]
+    assert "inertiafromgeom" in str(note)
+    broken = read_spec()
+    broken.joints[1].range = (2.0, 1.0)
+    with pytest.raises(pa.ModelError, match="range"):
+        pa.load_robot(broken)
+
+
 def run_get_spec(package: Path) -> mujoco.MjSpec:
     """Run mjlab's own ``get_spec`` without importing mjlab, which needs torch."""
     [constants] = package.glob("*_constants.py")
