@@ -4,13 +4,14 @@
 joints (`stance.posture_tasks`) [m, rad]. Each iteration linearises all tasks and solves a quadratic
 program within the joint limits (Gauss-Newton). Feet that carry load keep their positions. The
 result contains the residual of each task by Pinocchio's kinematics of the URDF and by MuJoCo's of
-the MJCF.
+the MJCF. A posture on the contacts of a stand, or of a robot with a fixed base, contains a `Stand`
+for statics and simulations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -32,14 +33,23 @@ from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.stance.clearance import ClearanceShapes
+from pupper_analysis.stance.judge import Stand, attach_robot
+from pupper_analysis.stance.posture_contacts import (
+    KeptContact,
+    keep_contacts,
+    keep_points,
+    make_posture_stand,
+)
 from pupper_analysis.stance.posture_tasks import (
     JointsTask,
+    OrientationTask,
     PlacoTask,
     PositionTask,
     PostureTask,
     SelfClearanceTask,
 )
 from pupper_analysis.stance.solver import PooledPlacoRobot
+from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
@@ -75,6 +85,15 @@ _PREFERENCE_WEIGHT = 1e-4
 """Weight of the squared residuals of preferred joint positions, relative to required tasks. Chosen:
 small against required tasks, large against `_REGULARIZATION`. A second iteration without
 preferences removes the remaining residuals of required tasks."""
+
+_NEAR_BASE_WEIGHT = 1e-2
+"""Weight of the squared displacement of the base [m^2, rad^2] from the stand at which a posture
+starts, relative to required tasks. Chosen, not tuned: small against required tasks."""
+
+_NEAR_JOINTS_WEIGHT = 1e-6
+"""Weight of the squared displacement of the joints [rad^2, m^2] from the stand at which a posture
+starts, relative to required tasks. Chosen so that 1 rad of a joint costs as much as 1 cm of the
+base: with equal weights, Go2 with an arm lowered its base by 12 cm to bend the arm less."""
 
 _RADIUS_REDUCTION = 4
 """Factor by which the trust radius shrinks after a step that increases the error. Chosen, not
@@ -119,8 +138,11 @@ class SolvedPosture(Pictured, Tabular):
         mujoco_residuals: Residual of each task by MuJoCo's kinematics of the MJCF; different from
             ``residuals`` if the kinematics of the two files differ.
         units: Unit of the residual of each task.
-        contacts: Contact points that kept their positions.
+        contacts: Contact points and welded parts that kept their positions.
         iterations: Number of solved quadratic programs.
+        stand: Stand of the posture, for ``stand_statics``, ``verify_stand`` and other functions for
+            stands; None if the base is free and the start was no stand. Margins and clearances that
+            the posture violates are in ``stand.blocked``.
     """
 
     qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
@@ -130,6 +152,7 @@ class SolvedPosture(Pictured, Tabular):
     units: tuple[str, ...]
     contacts: tuple[str, ...]
     iterations: int
+    stand: Stand | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "_robot"}
@@ -155,7 +178,7 @@ def solve_posture(
     robot: Robot,
     tasks: Iterable[PostureTask],
     *,
-    start: ArrayLike | None = None,
+    start: Stand | ArrayLike | None = None,
     contacts: Iterable[str] | None = None,
 ) -> SolvedPosture:
     """Solve for a configuration that satisfies tasks within the joint limits.
@@ -164,23 +187,28 @@ def solve_posture(
     failure, at up to eight random postures. Links may collide without a ``SelfClearanceTask``. See
     ``examples/first_look.ipynb`` for pictures of the result (``posture.show()``).
 
-    Statics of the result: ``pa.gravity_compensation(pa.Configuration(robot, posture.qpos))``.
+    If ``start`` is a stand, its feet, hands and welds stay in place, and base and joints stay
+    near the stand if the tasks permit. ``posture.stand`` is then the stand of the posture:
+    ``pa.stance.stand_statics(robot, posture.stand)``. Otherwise the statics on level ground are
+    ``pa.gravity_compensation(pa.Configuration(robot, posture.qpos))``.
 
     Args:
-        robot: Robot without closed loops, couplings and welds.
+        robot: Robot without closed loops and couplings.
         tasks: Tasks, for example ``pa.stance.PositionTask("hand", (0.3, 0, 0.4))``.
-        start: Initial configuration (nq,). Default: ``robot.home``.
+        start: Initial configuration (nq,), or a stand, whose contacts are kept and whose joint
+            margin applies. Default: ``robot.home``.
         contacts: Contact points that keep their positions of ``start``, for a free base. Default:
-            ``robot.bearing_points``; with none, the base moves freely. A robot with a fixed base
-            has none.
+            those of the stand, or ``robot.bearing_points``; with none, the base moves freely. A
+            robot with a fixed base has none.
 
     Raises:
         PostureUnreachableError: If a residual exceeds `POSTURE_TOLERANCE`. The error states the
             task with the largest residual, and the joints at their limits.
         ConfigurationError: If there is no task, ``start`` is not valid, a task is not valid,
-            ``contacts`` are given for a fixed base, or the robot has closed loops, couplings or
-            welds; with a ``SelfClearanceTask`` also if the robot has a continuous joint, which
-            PlaCo's half-spaces do not support.
+            ``contacts`` are given for a fixed base or beside a stand, the stand belongs to another
+            robot, a lifted foot of the stand is not above the ground, or the robot has closed loops
+            or couplings; with a ``SelfClearanceTask`` also if the robot has a continuous joint,
+            which PlaCo's half-spaces do not support.
         UnknownNameError: If a link, joint or contact point is unknown.
     """
     robot.check_tree("a whole-body posture")
@@ -189,50 +217,148 @@ def solve_posture(
         check_type("tasks", task, PostureTask)
     if not requested:
         raise ConfigurationError("tasks", diagnose("no-posture-task"))
+    stand = start if isinstance(start, Stand) else None
+    if stand is not None and contacts is not None:
+        raise ConfigurationError("contacts", diagnose("stand-has-contacts"))
+    owner, robot = robot, robot if stand is None else stand.check(robot)
     _check_names(robot, requested)
     apart = any(isinstance(task, SelfClearanceTask) for task in requested)
     if apart and robot.pin_convention.unbounded.any():
-        names = [robot.joint_names[i] for i in np.flatnonzero(robot.pin_convention.unbounded)]
-        raise ConfigurationError("tasks", diagnose("clearance-of-continuous", joints=names))
-    initial = Configuration(robot, robot.home if start is None else start)
-    kept = tuple(robot.bearing_points if contacts is None else contacts)
-    if kept and not robot.floating:
+        joints = [robot.joint_names[i] for i in np.flatnonzero(robot.pin_convention.unbounded)]
+        raise ConfigurationError("tasks", diagnose("clearance-of-continuous", joints=joints))
+    if isinstance(start, Stand):
+        initial, kept = Configuration(robot, start.qpos), keep_contacts(robot, start)
+    else:
+        initial = Configuration(robot, robot.home if start is None else start)
+        kept = _keep_points_of(initial, contacts)
+    limits = _Limits.of(robot, stand.task.joint_margin if stand else 0.0)
+    problem = _Problem(robot, requested, kept, limits, near=_stay_near(initial) if stand else ())
+    solution = problem.solve(initial.qpos)
+    if not robot.floating:
+        stand = Stand(task=StandTask(), qpos=solution.qpos, robot=robot.fingerprint)
+    elif stand is not None:
+        stand = make_posture_stand(robot, stand, solution.qpos, solution.iterations)
+    posture = replace(solution, stand=stand and attach_robot(stand, owner))
+    vars(posture)["_robot"] = robot
+    return posture
+
+
+def _keep_points_of(
+    initial: Configuration, contacts: Iterable[str] | None
+) -> tuple[KeptContact, ...]:
+    """Return the tasks that keep contact points at their positions in a configuration.
+
+    Args:
+        initial: Configuration.
+        contacts: Contact points; None for all points that can bear contact forces.
+
+    Raises:
+        ConfigurationError: If contact points of a fixed base are named.
+        UnknownNameError: If the robot has no such contact point.
+    """
+    robot = initial.robot
+    points = tuple(robot.bearing_points if contacts is None else contacts)
+    if points and not robot.floating:
         problem = diagnose("fixed-base-carries", robot=robot.name)
         raise ConfigurationError("contacts", problem)
     positions = initial.foot_positions()
-    footholds = [
-        PositionTask(robot.contact_frames[robot.check_foot(point)], positions[point])
-        for point in kept
-    ]
-    every = (*requested, *footholds)
-    required = np.array([task.required for task in every])
-    collision = _LazyShapes(robot)
-    solver = _PostureSolver(robot, every, len(kept), collision)
-    best: tuple[float, Array] | None = None
-    for guess in _list_guesses(robot, initial.qpos):
-        qpos = solver.solve(guess)
-        residuals = _compute_residuals(every, _PinocchioBody(robot, qpos, collision))
-        largest = float(residuals[required].max(initial=0.0))
-        if best is None or largest < best[0]:
-            best = largest, qpos
-        if largest <= POSTURE_TOLERANCE:
-            break
-    assert best is not None
-    largest, qpos = best
-    residuals = _compute_residuals(every, _PinocchioBody(robot, qpos, collision))
-    if largest > POSTURE_TOLERANCE:
-        raise _explain_failure(robot, every, kept, residuals, qpos)
-    posture = SolvedPosture(
-        qpos=qpos,
-        tasks=_describe_tasks(every, kept),
-        residuals=residuals,
-        mujoco_residuals=_compute_residuals(every, _MujocoBody(robot, qpos, collision)),
-        units=tuple(task.unit for task in every),
-        contacts=kept,
-        iterations=solver.iterations,
+    return keep_points(robot, {robot.check_foot(point): positions[point] for point in points})
+
+
+def _stay_near(initial: Configuration) -> tuple[tuple[float, PostureTask], ...]:
+    """Return weighted tasks that keep base and joints near a configuration.
+
+    The weights are those of the squared errors, relative to required tasks.
+    """
+    robot = initial.robot
+    joints = initial.qpos[robot.nq - robot.nu :].tolist()
+    near = JointsTask(dict(zip(robot.joint_names, joints, strict=True)))
+    if not robot.floating:
+        return ((_NEAR_JOINTS_WEIGHT, near),)
+    position, rotation = initial.frame_position(robot.base), initial.frame_rotation(robot.base)
+    return (
+        (_NEAR_JOINTS_WEIGHT, near),
+        (_NEAR_BASE_WEIGHT, PositionTask(robot.base, position)),
+        (_NEAR_BASE_WEIGHT, OrientationTask(robot.base, rotation)),
     )
-    vars(posture)["_robot"] = robot
-    return posture
+
+
+class _Limits(NamedTuple):
+    """Joint limits of a posture.
+
+    Attributes:
+        lower: Lower limits plus margin, shape (nu,) [rad, m].
+        upper: Upper limits minus margin, shape (nu,) [rad, m].
+    """
+
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def of(cls, robot: Robot, margin: float) -> _Limits:
+        """Return the joint limits of a robot, narrowed by a margin [rad, m]."""
+        return cls(robot.lower_limits + margin, robot.upper_limits - margin)
+
+
+class _Problem:
+    """Tasks of a posture, with the contacts that it keeps and its joint limits.
+
+    Args:
+        robot: Robot, with the contacts of the stand.
+        requested: Tasks of the caller.
+        kept: Contacts that the posture keeps.
+        limits: Joint limits.
+        near: Weighted tasks that select among the postures that satisfy the other tasks.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        requested: Sequence[PostureTask],
+        kept: Sequence[KeptContact],
+        limits: _Limits,
+        near: Sequence[tuple[float, PostureTask]],
+    ) -> None:
+        self._near = near
+        self._robot, self._kept, self._limits = robot, kept, limits
+        self._tasks = (*requested, *(contact.task for contact in kept))
+        names = (_describe_task(task) for task in requested)
+        self._names = (*names, *(contact.description for contact in kept))
+
+    def solve(self, qpos: Array) -> SolvedPosture:
+        """Solve for a posture that satisfies the tasks, from an initial configuration (nq,).
+
+        Raises:
+            PostureUnreachableError: If no initial guess leads to such a posture.
+        """
+        robot, tasks = self._robot, self._tasks
+        required = np.array([task.required for task in tasks])
+        collision = _LazyShapes(robot)
+        solver = _PostureSolver(
+            robot, tasks, len(self._kept), collision, self._limits, near=self._near
+        )
+        best: tuple[float, Array, Array] | None = None
+        for guess in _list_guesses(robot, qpos, self._limits):
+            solved = solver.solve(guess)
+            residuals = _compute_residuals(tasks, _PinocchioBody(robot, solved, collision))
+            largest = float(residuals[required].max(initial=0.0))
+            if best is None or largest < best[0]:
+                best = largest, solved, residuals
+            if largest <= POSTURE_TOLERANCE:
+                break
+        assert best is not None
+        largest, solved, residuals = best
+        if largest > POSTURE_TOLERANCE:
+            raise _explain_failure(robot, tasks, self._names, residuals, solved, self._limits)
+        return SolvedPosture(
+            qpos=solved,
+            tasks=self._names,
+            residuals=residuals,
+            mujoco_residuals=_compute_residuals(tasks, _MujocoBody(robot, solved, collision)),
+            units=tuple(task.unit for task in tasks),
+            contacts=tuple(dict.fromkeys(contact.name for contact in self._kept)),
+            iterations=solver.iterations,
+        )
 
 
 def _check_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:
@@ -246,10 +372,10 @@ def _check_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:
                 raise UnknownNameError(robot.name, "joint", joint, robot.joint_names)
 
 
-def _list_guesses(robot: Robot, qpos: Array) -> Iterable[Array]:
+def _list_guesses(robot: Robot, qpos: Array, limits: _Limits) -> Iterable[Array]:
     """Yield initial guesses (nq,): ``qpos`` within the limits, then random joint positions."""
     first = robot.nq - robot.nu
-    lower, upper = robot.lower_limits, robot.upper_limits
+    lower, upper = limits
     start = qpos.copy()
     start[first:] = np.clip(start[first:], lower, upper)
     yield start
@@ -281,6 +407,8 @@ class _PostureSolver:
         tasks: Tasks, those of kept contacts last.
         num_contacts: Number of kept contacts.
         collision: Collision shapes.
+        limits: Joint limits.
+        near: Weighted tasks of the first stage, beside the preferred tasks among ``tasks``.
 
     Attributes:
         iterations: Number of solved quadratic programs.
@@ -292,37 +420,38 @@ class _PostureSolver:
         tasks: Sequence[PostureTask],
         num_contacts: int,
         collision: _LazyShapes,
+        limits: _Limits,
+        near: Sequence[tuple[float, PostureTask]],
     ) -> None:
         self._robot, self._placo_robot = robot, PooledPlacoRobot(robot)
         self._collision = collision
         self.iterations = 0
         wrapper = self._placo_robot.wrapper
         for joint in np.flatnonzero(~robot.pin_convention.unbounded):
-            low, high = robot.lower_limits[joint], robot.upper_limits[joint]
-            limits = max(low, -_UNLIMITED_POSITION), min(high, _UNLIMITED_POSITION)
-            wrapper.set_joint_limits(robot.joint_names[joint], *limits)
+            low = max(limits.lower[joint], -_UNLIMITED_POSITION)
+            high = min(limits.upper[joint], _UNLIMITED_POSITION)
+            wrapper.set_joint_limits(robot.joint_names[joint], low, high)
         # PlaCo bounds steps by velocity limit x dt.
         wrapper.set_velocity_limits(1.0)
-        required = [task for task in tasks if task.required]
-        self._stages = [
-            self._make_stage(chosen, num_contacts)
-            for chosen in (([tasks] if len(required) < len(tasks) else []) + [required])
-        ]
+        weights = [1.0 if task.required else _PREFERENCE_WEIGHT for task in tasks]
+        for index in range(len(tasks) - num_contacts, len(tasks)):
+            weights[index] = _CONTACT_WEIGHT
+        every = list(zip(weights, tasks, strict=True))
+        required = [(weight, task) for weight, task in every if task.required]
+        preferring = [*near, *every]
+        self._stages = [self._make_stage(required)]
+        if len(preferring) > len(required):
+            self._stages.insert(0, self._make_stage(preferring))
 
-    def _make_stage(self, tasks: Sequence[PostureTask], num_contacts: int) -> _Stage:
-        """Return a PlaCo solver of some tasks; the last ``num_contacts`` are kept contacts."""
+    def _make_stage(self, tasks: Sequence[tuple[float, PostureTask]]) -> _Stage:
+        """Return a PlaCo solver of tasks, each with the weight of its squared error."""
         solver = placo.KinematicsSolver(self._placo_robot.wrapper)
         solver.mask_fbase(not self._robot.floating)
         solver.enable_joint_limits(True)
         solver.enable_velocity_limits(True)
-        weighted = []
-        for index, task in enumerate(tasks):
-            weight = 1.0 if task.required else _PREFERENCE_WEIGHT
-            if index >= len(tasks) - num_contacts:
-                weight = _CONTACT_WEIGHT
-            weighted.append((weight, task.add_to(solver, weight)))
+        weighted = tuple((weight, task.add_to(solver, weight)) for weight, task in tasks)
         solver.add_regularization_task(_REGULARIZATION)
-        return _Stage(solver, tuple(weighted))
+        return _Stage(solver, weighted)
 
     def solve(self, qpos: Array) -> Array:
         """Minimise the weighted residuals of the tasks from an initial guess qpos (nq,).
@@ -335,10 +464,12 @@ class _PostureSolver:
         wrapper.state.q = np.concatenate([base, convention.q(qpos)])
         wrapper.update_kinematics()
         for stage in self._stages:
-            start = np.array(wrapper.state.q)
+            start, error = np.array(wrapper.state.q), self._evaluate(stage)
             if not self._take_full_steps(stage):
-                wrapper.state.q = start
-                wrapper.update_kinematics()
+                # Full steps converge slowly if errors of preferred tasks remain.
+                if stage is self._stages[-1] or self._evaluate(stage) > error:
+                    wrapper.state.q = start
+                    wrapper.update_kinematics()
                 self._iterate_trust_region(stage)
         return self._current_qpos()
 
@@ -526,21 +657,19 @@ def _compute_residuals(tasks: Sequence[PostureTask], body: _PinocchioBody) -> Ar
     return np.array([task.residual(body) for task in tasks])
 
 
-def _describe_tasks(tasks: Sequence[PostureTask], kept: Sequence[str]) -> tuple[str, ...]:
-    """Return a description of each task; the last len(kept) are contact points."""
-    names = []
-    for task in tasks[: len(tasks) - len(kept)]:
-        subjects = task.positions if isinstance(task, JointsTask) else task.frames
-        names.append(" ".join([type(task).__name__, *subjects]))
-    return (*names, *(f"contact {point}" for point in kept))
+def _describe_task(task: PostureTask) -> str:
+    """Return a description of a task: its type, and its links or joints."""
+    subjects = task.positions if isinstance(task, JointsTask) else task.frames
+    return " ".join([type(task).__name__, *subjects])
 
 
 def _explain_failure(
     robot: Robot,
     tasks: Sequence[PostureTask],
-    kept: Sequence[str],
+    names: Sequence[str],
     residuals: Array,
     qpos: Array,
+    limits: _Limits,
 ) -> PostureUnreachableError:
     """Return the error of an unreachable posture.
 
@@ -550,20 +679,17 @@ def _explain_failure(
     Args:
         robot: Robot.
         tasks: Tasks of the posture.
-        kept: Contacts that the posture keeps, for the names of their tasks.
+        names: Description of each task.
         residuals: Residual of each task [m or rad].
         qpos: Configuration with these residuals, shape (nq,).
+        limits: Joint limits.
     """
     required = np.array([task.required for task in tasks])
     worst, first = int(np.where(required, residuals, -1.0).argmax()), robot.nq - robot.nu
     at_limit = {}
-    limits = zip(
-        robot.joint_names, qpos[first:], robot.lower_limits, robot.upper_limits, strict=True
-    )
-    for name, value, low, high in limits:
+    for name, value, low, high in zip(robot.joint_names, qpos[first:], *limits, strict=True):
         if min(value - low, high - value) < _AT_LIMIT:
             at_limit[name] = float(low if value - low < high - value else high)
-    names = _describe_tasks(tasks, kept)
     task, unit = tasks[worst], tasks[worst].unit
     if isinstance(task, JointsTask):
         positions = dict(zip(robot.joint_names, qpos[first:].tolist(), strict=True))

@@ -9,6 +9,7 @@ from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
+from pupper_analysis.simulation.verify import mujoco_balance_residual
 from pupper_analysis.stance import (
     AxisAlignTask,
     CoMTask,
@@ -148,6 +149,113 @@ def test_relative_position_orientation_and_single_axes_hold_in_mujoco() -> None:
     foot = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
     local = rotation.T @ (foot - data.xpos[base])
     np.testing.assert_allclose(local, [0.08, -0.1, -0.09], atol=1e-6)
+
+
+def test_posture_on_the_slope_of_a_stand_is_the_stand_of_its_base_pose() -> None:
+    """References: `solve_stand` for the same base pose, and MuJoCo's balance of forces [N, N m]."""
+    robot = load("v3")
+    task = pa.StandTask(ground=pa.Ground(slope=0.15, uphill=0.4), joint_margin=0.05)
+    start = pa.solve_stand(robot, task)
+    goal = start.qpos[:3] + np.array([0.01, -0.005, -0.008])
+    turn = Rotation.from_euler("xyz", [0.03, 0.06, -0.05])
+    tasks: list[PostureTask] = [
+        PositionTask(robot.base, goal),
+        OrientationTask(robot.base, turn.as_matrix()),
+    ]
+    posture = pa.solve_posture(robot, tasks, start=start)
+    stand = posture.stand
+    assert stand is not None
+    roll, pitch, yaw = turn.as_euler("xyz")
+    requested = pa.StandTask(
+        height=goal[2] - start.centre(robot)[2],
+        roll=roll,
+        pitch=pitch,
+        yaw=yaw,
+        ground=task.ground,
+        offset=tuple(goal[:2] - start.centre(robot)[:2]),
+    )
+    expected = pa.solve_stand(robot, requested)
+    np.testing.assert_allclose(stand.qpos, expected.qpos, atol=1e-8)
+    np.testing.assert_allclose(pa.solve_stand(robot, stand.task).qpos, stand.qpos, atol=1e-8)
+    assert stand.solved
+    assert stand.com_margin == pytest.approx(expected.com_margin, abs=1e-8)
+    statics = pa.stance.stand_statics(robot, stand)
+    assert mujoco_balance_residual(robot, stand, statics) < 1e-6
+
+
+def test_lifted_foot_of_a_stand_reaches_its_target() -> None:
+    """The stance feet keep their places, and the task of the new stand has the height of the foot
+    above the step [m]: a stand solved for this task is the posture.
+    """
+    robot = load("v3")
+    task = pa.StandTask(
+        swing={"FR": 0.02}, ground=pa.Ground(heights={"FR": 0.01}), com="inside", com_margin=0.01
+    )
+    start = pa.solve_stand(robot, task)
+    frame, place = robot.contact_frames["FR"], start.foot_targets["FR"]
+    goal = place + np.array([0.01, 0.01, 0.02])
+    posture = pa.solve_posture(robot, [PositionTask(frame, goal)], start=start)
+    stand = posture.stand
+    assert stand is not None
+    assert posture.contacts == start.stance_feet == stand.stance_feet
+    np.testing.assert_allclose(stand.foot_targets["FR"], goal, atol=1e-9)
+    assert stand.task.swing["FR"] == pytest.approx(0.04, abs=1e-8)
+    np.testing.assert_allclose(pa.solve_stand(robot, stand.task).qpos, posture.qpos, atol=1e-8)
+    with pytest.raises(pa.ConfigurationError, match=r"FR is 10.0 mm below the ground"):
+        pa.solve_posture(robot, [PositionTask(frame, place - np.array([0, 0, 0.03]))], start=start)
+
+
+def test_weld_and_wall_of_a_stand_stay_in_place() -> None:
+    """Reference: pose of the welded foot and position of the foot on the wall before; the weld
+    carries the robot in MuJoCo's balance of forces [N, N m].
+    """
+    robot = load("v3")
+    wall = pa.Slope(angle=0.6, uphill=-np.pi / 2, friction=0.8)
+    contacts = {"FL": pa.Weld(), "FR": pa.Contact(wall)}
+    start = pa.solve_stand(robot, pa.StandTask(contacts=contacts, com="inside"))
+    goal = start.qpos[:3] - np.array([0.0, 0.0, 0.01])
+    tasks = [PositionTask(robot.base, goal, axes="z")]
+    posture = pa.solve_posture(robot, tasks, start=start)
+    assert posture.contacts == ("FR", "RR", "RL", "FL")
+    assert posture.tasks[-2:] == ("weld FL", "orientation of weld FL")
+    before, after = pa.Configuration(robot, start.qpos), pa.Configuration(robot, posture.qpos)
+    frame = robot.contact_frames["FL"]
+    np.testing.assert_allclose(after.frame_rotation(frame), before.frame_rotation(frame), atol=1e-9)
+    for foot, place in before.foot_positions().items():
+        np.testing.assert_allclose(after.foot_positions()[foot], place, atol=1e-9)
+    assert posture.stand is not None
+    assert posture.stand.solved
+    statics = pa.stance.stand_statics(robot, posture.stand)
+    residual = mujoco_balance_residual(posture.stand.check(robot), posture.stand, statics)
+    assert residual < 1e-6
+
+
+def test_posture_near_a_stand_moves_no_joint_without_need() -> None:
+    """The base is at its target already, so that the posture is the stand, with any soft weight."""
+    robot, stand = load("v3"), stand_of("v3")
+    posture = pa.solve_posture(robot, [PositionTask(robot.base, stand.qpos[:3])], start=stand)
+    np.testing.assert_allclose(posture.qpos, stand.qpos, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_posture_of_an_arm_is_verified_as_a_stand() -> None:
+    """MuJoCo's simulated torques equal Pinocchio's static torques within 1 %."""
+    robot = by_hand.arm()
+    posture = pa.solve_posture(robot, [PositionTask("tip", by_hand.tip_position(0.4, -0.9, 1, 0))])
+    assert posture.stand is not None
+    np.testing.assert_array_equal(posture.stand.qpos, posture.qpos)
+    verified = pa.verify_stand(robot, posture.stand, kp=500.0, kd=20.0, duration=4.0)
+    assert verified.torque_error < 0.01
+
+
+def test_contacts_beside_a_stand_and_stands_of_other_robots_are_refused() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    tasks = [PositionTask("base_link", (0, 0, 0.1))]
+    with pytest.raises(pa.ConfigurationError, match="contacts: the start is a stand"):
+        pa.solve_posture(robot, tasks, start=stand, contacts=["FR"])
+    with pytest.raises(pa.ConfigurationError, match="stand"):
+        pa.solve_posture(load("original"), tasks, start=stand)
+    assert pa.solve_posture(robot, [PositionTask("base_link", (0, 0, 0.12))]).stand is None
 
 
 def test_target_out_of_reach_names_task_residual_and_joints_at_limits() -> None:

@@ -1,0 +1,186 @@
+"""Contacts of a stand that a whole-body posture keeps, and the stand of such a posture.
+
+`keep_contacts` lists the tasks that keep the contact points, welds and grips of a stand in place.
+`make_posture_stand` describes a solved posture as a stand on the same contacts, so that statics and
+simulations of stands apply to the posture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.frozen import freeze_arrays
+from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.joints import free_joints
+from pupper_analysis.robot.robot import Robot, borrow
+from pupper_analysis.stance.judge import Stand, evaluate_stand
+from pupper_analysis.stance.posture_tasks import OrientationTask, PositionTask, PostureTask
+from pupper_analysis.stance.problem import compute_foot_targets, make_goal
+from pupper_analysis.stance.solver import SearchContext
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+
+class KeptContact(NamedTuple):
+    """Contact point, weld or grip that a posture keeps in place.
+
+    Attributes:
+        name: Name of the contact point or of the welded part.
+        description: Text for results and messages, for example "contact FR" or "weld base".
+        task: Task that keeps the position or the orientation of the link.
+    """
+
+    name: str
+    description: str
+    task: PostureTask
+
+
+def keep_points(robot: Robot, positions: dict[str, Array]) -> tuple[KeptContact, ...]:
+    """Return the tasks that keep contact points in place.
+
+    Args:
+        robot: Robot.
+        positions: {contact point: position of its centre in the world, shape (3,) [m]}.
+
+    Raises:
+        UnknownNameError: If the robot has no such contact point.
+    """
+    return tuple(
+        KeptContact(
+            point,
+            f"contact {point}",
+            PositionTask(robot.contact_frames[robot.check_foot(point)], position),
+        )
+        for point, position in positions.items()
+    )
+
+
+def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
+    """Return the tasks that keep the contacts of a stand in place.
+
+    Contact points and grips keep their positions; welded parts also keep their orientations.
+
+    Args:
+        robot: Robot with the contacts of the stand.
+        stand: Stand.
+    """
+    kept = [*keep_points(robot, {foot: stand.foot_targets[foot] for foot in stand.stance_feet})]
+    at = Configuration(robot, stand.qpos) if robot.welds else None
+    for name, point in robot.welds.items():
+        assert at is not None
+        frame = robot.base if point is None else robot.contact_frames[point]
+        kind = "grip" if name in robot.grips else "weld"
+        kept.append(
+            KeptContact(name, f"{kind} {name}", PositionTask(frame, at.frame_position(frame)))
+        )
+        if kind == "weld":
+            turned = OrientationTask(frame, at.frame_rotation(frame))
+            kept.append(KeptContact(name, f"orientation of weld {name}", turned))
+    return tuple(kept)
+
+
+def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int) -> Stand:
+    """Describe a posture on the contacts of a stand as a stand.
+
+    The task of the result requires the base orientation, height and CoM of the posture, the
+    positions of joints that move no foot, and the positions of lifted feet. The ground, the
+    contacts, the positions of the other feet, margins and clearances are those of the given stand.
+
+    Args:
+        robot: Robot with the contacts of the stand.
+        stand: Stand whose contacts the posture keeps.
+        qpos: Configuration of the posture, shape (nq,).
+        iterations: Number of solved quadratic programs.
+
+    Raises:
+        ConfigurationError: If a lifted foot is not above the ground.
+    """
+    at = Configuration(robot, qpos)
+    task = _place_lifted_feet(robot, stand, _require_base(robot, stand, at), at)
+    goal = make_goal(robot, task, stand.depths, checked=False)
+    targets = dict(stand.foot_targets)
+    for point in _list_lifted_points(robot, stand):
+        targets[point] = at.foot_positions()[point]
+    goal = replace(
+        goal,
+        targets=freeze_arrays(targets),
+        contact_by_foot=freeze_arrays(dict(stand.contact_points)),
+        normals=freeze_arrays(dict(stand.normals)),
+    )
+    with borrow(robot, SearchContext) as context:
+        return evaluate_stand(context.shapes, goal, at.qpos, iterations)
+
+
+def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
+    """Return the task of a stand with base pose, CoM and free joints of another configuration.
+
+    For an arm, which has hands only, the position of the base is required instead of the CoM.
+    """
+    roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(at.base_rotation()))
+    centre, first = stand.centre(robot), robot.nq - robot.nu
+    joints = dict(zip(robot.joint_names, at.qpos[first:].tolist(), strict=True))
+    values: dict[str, Any] = {
+        "height": float(at.qpos[2] - centre[2]),
+        "roll": roll,
+        "pitch": pitch,
+        "yaw": yaw,
+        "posture": {joint: joints[joint] for joint in free_joints(robot)},
+        "ik_seed": tuple(joints.values()),
+    }
+    if len(robot.hands) == len(robot.feet):
+        x, y = (at.qpos[:2] - centre[:2]).tolist()
+        return replace(stand.task, **values, offset=(x, y), com=None)
+    x, y, _ = at.center_of_mass().tolist()
+    return replace(stand.task, **values, offset=None, com=(x, y))
+
+
+def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
+    """Return the contact points that neither carry load nor are welded in a stand."""
+    fixed = {point for name in robot.welds for point in robot.feet.get(name, ())}
+    return tuple(
+        point
+        for point in robot.contact_points
+        if point not in fixed and point not in stand.stance_feet
+    )
+
+
+def _place_lifted_feet(robot: Robot, stand: Stand, task: StandTask, at: Configuration) -> StandTask:
+    """Return a task that requires the positions and heights of the lifted feet at a configuration.
+
+    The place of a foot whose contact states a place is not changed.
+
+    Raises:
+        ConfigurationError: If a lifted foot is not above its ground.
+    """
+    feet = robot.feet_with(_list_lifted_points(robot, stand))
+    positions = at.foot_positions()
+    places = {
+        foot: tuple(np.mean([positions[point][:2] for point in robot.feet[foot]], axis=0).tolist())
+        for foot in feet
+        if foot not in robot.hands
+        and (foot not in task.contacts or task.contacts[foot].place is None)
+    }
+    offsets = {foot: by for foot, by in task.foot_offsets.items() if foot not in places}
+    placed = replace(task, feet={**task.feet, **places}, foot_offsets=offsets)
+    if not feet:
+        return placed
+    goal = make_goal(robot, placed, stand.depths, checked=False)
+    targets = compute_foot_targets(robot, goal.task)
+    heights = dict(placed.swing)
+    for foot in feet:
+        out = goal.task.ground.normal(foot) if foot in goal.task.ground.planes else UP
+        apart = [positions[point] - targets[point] for point in robot.feet[foot]]
+        heights[foot] = heights.get(foot, 0.0) + float(np.mean(apart, axis=0) @ out)
+        if heights[foot] <= 0.0:
+            depth = Quantity(-heights[foot], "m")
+            problem = diagnose("lifted-foot-in-ground", foot=foot, depth=depth)
+            raise ConfigurationError("tasks", problem)
+    return replace(placed, swing=heights)
