@@ -2,7 +2,7 @@
 
 ``Result._repr_html_`` and the same method of ``Robot`` and ``Configuration`` use this module.
 Jupyter calls ``_repr_html_`` to display the value of a cell. Long arrays are summarised; the page
-of a command (``pa.report.write_html``) shows each number.
+of a result (``pa.report.write_report``) shows longer arrays.
 """
 
 from __future__ import annotations

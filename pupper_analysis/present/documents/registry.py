@@ -10,11 +10,14 @@ document of a result without a builder lists all fields with their meanings.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
+from enum import Enum
 from functools import singledispatch
 from importlib import import_module
 from importlib.util import find_spec
+
+import numpy as np
 
 from pupper_analysis.base.diagnostics import LANGUAGES, meaning
 from pupper_analysis.base.results import Result, shorten
@@ -35,17 +38,50 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.robot.robot import Robot
 
+MAX_SHOWN_ENTRIES = 24
+"""Largest number of entries of a list, mapping or array that a cell shows. Chosen, not tuned: the
+joints of a humanoid without hands."""
+
+MAX_CELL_LENGTH = 600
+"""Largest number of characters of a cell; a longer value is replaced by its size. Chosen, not
+tuned."""
+
 
 def value_cell(value: object) -> Cell:
     """Create a table cell with the value of a result's field, numbers with six digits.
 
-    A long list or array is replaced by its size or shape.
+    A list, mapping or array is written out up to `MAX_SHOWN_ENTRIES` and `MAX_CELL_LENGTH`; a
+    longer one is replaced by its size or shape.
     """
     if hasattr(value, "phrase"):  # as a stand's task says what it asks for
         return diagnostic_text(value.phrase())
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number_cell(float(value), ".6g")
-    return Name(str(value) if isinstance(value, str) else shorten(value))
+    words = _write_value(value)
+    return Name(words if len(words) <= MAX_CELL_LENGTH else shorten(value))
+
+
+def _write_value(value: object) -> str:
+    """Return the text of a value with all entries of short containers, also of nested ones."""
+    if isinstance(value, str) and not isinstance(value, Enum):
+        return value
+    if isinstance(value, float):
+        return number_cell(value, ".6g").text
+    if isinstance(value, np.ndarray):
+        is_short = value.size <= MAX_SHOWN_ENTRIES and 0 < value.ndim <= 2
+        return _write_value(value.tolist()) if is_short else shorten(value)
+    if isinstance(value, Mapping):
+        entries = [f"{_write_value(key)}: {_write_value(item)}" for key, item in value.items()]
+        return "; ".join(entries) if 0 < len(entries) <= MAX_SHOWN_ENTRIES else shorten(value)
+    if isinstance(value, tuple | list):
+        if not 0 < len(value) <= MAX_SHOWN_ENTRIES:
+            return shorten(value) if value else "-"
+        is_nested = any(isinstance(item, tuple | list) for item in value)
+        return f"({('; ' if is_nested else ', ').join(map(_write_value, value))})"
+    if isinstance(value, Result):
+        names = [field.name for field in fields(value)]  # type: ignore[arg-type]
+        return ", ".join(f"{name} {_write_value(getattr(value, name))}" for name in names)
+    return shorten(value)
 
 
 def make_fields_document(result: Result) -> doc.Document:
