@@ -152,8 +152,10 @@ def make_plots_figure(
         _draw_marks(drawing, axes, size)
         title_panel(axes, name)
         if legend:
-            axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2,
-                        fontsize=size, frameon=False)  # fmt: skip
+            entries = axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0),
+                                  ncols=2, fontsize=size, frameon=False)  # fmt: skip
+            for entry in entries.get_texts():
+                entry.set_parse_math(False)
     return figure
 
 

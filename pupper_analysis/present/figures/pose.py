@@ -202,7 +202,8 @@ def make_pose_figure(
     title, height = f"{robot.name}: how it stands", 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure(title, height, create=create)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
-    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT_SIZE, va="top")
+    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT_SIZE, va="top",
+                parse_math=False)  # fmt: skip
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
         axes = figure.add_axes((place, 0.09, 0.57 if place < 0.5 else 0.39, 0.74))
         _draw_stand(axes, projection, lines, stand, seen)

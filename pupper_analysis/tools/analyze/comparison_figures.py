@@ -83,7 +83,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             axes.annotate(f"{predicted[peak]:.3f} N m{share}", (1, row), ha="right", va="center",
                           xycoords=axes.get_yaxis_transform(), size=drawing.FONT_SIZE - 1,
                           xytext=(0, 0), textcoords="offset points")  # fmt: skip
-        axes.set_yticks(range(len(rows)), [name for name, _ in rows])
+        axes.set_yticks(range(len(rows)), [name for name, _ in rows], parse_math=False)
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_xlabel("torque (% of the limit)", size=drawing.FONT_SIZE)
         axes.grid(axis="x", color=drawing.GRID_COLOUR)
@@ -247,7 +247,8 @@ def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
     for leg in reversed(range(len(feet))):
         axes.annotate(feet[leg], (1, 1), xycoords="axes fraction", xytext=(-right, 4),
                       textcoords="offset points", ha="right", va="bottom", weight="bold",
-                      size=drawing.FONT_SIZE - 1, color=_get_leg_colour(leg))  # fmt: skip
+                      size=drawing.FONT_SIZE - 1, color=_get_leg_colour(leg),
+                      parse_math=False)  # fmt: skip
         right += (len(feet[leg]) + 1) * _LETTER_WIDTH * (drawing.FONT_SIZE - 1)
 
 
@@ -286,7 +287,7 @@ def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> N
     lines = [*links[:2], f"and {len(links) - 2} more"] if len(links) > 2 else links
     axes.annotate("\n".join([*lines, f"touch the ground at {time:.2f} s"]), (time, height),
                   xytext=(-4, 34), textcoords="offset points", ha="center", va="bottom",
-                  size=drawing.FONT_SIZE - 1,
+                  size=drawing.FONT_SIZE - 1, parse_math=False,
                   arrowprops={"arrowstyle": "-", "lw": 0.6})  # fmt: skip
 
 
