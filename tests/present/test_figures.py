@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +14,13 @@ import pytest
 from matplotlib.figure import Figure
 
 import pupper_analysis as pa
-from pupper_analysis.present.document import get_english
+from pupper_analysis.base.errors import OutputError
+from pupper_analysis.present.document import Axis, LinePlot, Name, Series, get_english
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
     compute_skeleton,
+    hull_corners,
     write_pose_figure,
 )
 from pupper_analysis.present.scene import describe_scene
@@ -46,6 +51,26 @@ def test_skeleton_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
     for foot, leg in legs.items():
         assert leg.shape == (4, 3)  # three joints and the foot
         np.testing.assert_allclose(leg[-1], feet[foot], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "thigh", "calf"), [("original", 0.08, 0.11), ("long-leg", 0.12, 0.165)]
+)
+def test_skeleton_legs_have_the_lengths_of_the_model(name: str, thigh: float, calf: float) -> None:
+    """Reference: the tutorial's lengths [m], times 1.5 for the long legs; no distance between the
+    two hip axes.
+    """
+    leg = compute_skeleton(load(name), stand_of(name).qpos).legs["FL"]
+    lengths = np.linalg.norm(np.diff(leg, axis=0), axis=1)
+    np.testing.assert_allclose(lengths, (0.0, thigh, calf), atol=1e-12)
+
+
+def test_hull_corners_are_those_of_a_polygon_a_line_or_a_point() -> None:
+    """Reference: by hand; the point (1, 0.5) is inside the triangle."""
+    points = [np.array(point, float) for point in ((0, 0, 1), (2, 0, 0), (2, 2, 0), (1, 0.5, 0))]
+    assert {tuple(corner) for corner in hull_corners(points)} == {(0, 0), (2, 0), (2, 2)}
+    assert len(hull_corners(points[:2])) == 2
+    assert len(hull_corners(points[:1])) == 1
 
 
 @pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
@@ -84,6 +109,36 @@ def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
     for axes in figure.axes:
         arrows = [text for text in axes.texts if text.arrow_patch is not None]  # type: ignore[attr-defined]
         assert len(arrows) == 3
+
+
+FORMULA = "a$b_c$ $\\frac$ ^"
+"""Name that Matplotlib refuses as a formula."""
+
+
+def test_names_in_a_pose_figure_and_a_legend_are_not_formulas(tmp_path: Path) -> None:
+    """A task and the entry of a legend contain such a name."""
+    robot, stand = load("v3"), stand_of("v3")
+    statics = pa.stance.stand_statics(robot, stand)
+    named = replace(stand, task=pa.StandTask(foot_offsets={FORMULA: (0.01, 0.0)}))
+    write_pose_figure(robot, named, statics, tmp_path / "pose.png")
+    axes = Axis(Name("time"), "s", ".1f"), Axis(Name("height"), "mm", ".1f")
+    lines = [Series(Name(f"{FORMULA}{number}"), [0, 1], [number, 1.0]) for number in range(2)]
+    drawing.write_plots([LinePlot(Name("t"), *axes, lines)], tmp_path / "plot.png")
+    for path in tmp_path.iterdir():
+        assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_figure_that_cannot_be_written_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(figure: Figure, target: io.BytesIO, **_: Any) -> None:
+        target.write(b"half of it")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(OutputError, match="No space left"):
+        drawing.save_figure(Figure(), tmp_path / "heights.png")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

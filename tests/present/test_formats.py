@@ -83,6 +83,10 @@ def test_junit_cases_fail_unless_notice_or_in_the_baseline() -> None:
     ]
     assert (suite[0].get("file"), suite[0].get("line")) == ("go1.urdf", "7")
     assert suite[0][0].get("message") == "5 % < 4 & more"
+    assert suite[0][0].get("type") == "mass"
+    with_code = Annotation("error", "feet", "off", diagnostic=problem("off"))
+    (failure,) = ElementTree.fromstring(write_junit([with_code]).encode()).iter("failure")
+    assert failure.get("type") == "problem"
     assert ElementTree.fromstring(write_junit([]).encode()).get("tests") == "1"
 
 

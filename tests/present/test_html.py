@@ -7,6 +7,8 @@ from __future__ import annotations
 import base64
 import json
 import re
+import subprocess
+import sys
 import tempfile
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,9 +18,10 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from pupper_analysis.present import document
+from pupper_analysis.present import document, scene
 from pupper_analysis.present.document import (
     Axis,
     Column,
@@ -34,7 +37,7 @@ from pupper_analysis.present.document import (
     View,
     diagnostic_text,
 )
-from pupper_analysis.present.documents import sources
+from pupper_analysis.present.documents import registry, sources
 from pupper_analysis.present.html import plots, write
 from pupper_analysis.present.html.write import serialise_scene
 from pupper_analysis.present.scene import collect_visible_shapes, describe_scene
@@ -181,6 +184,71 @@ def audit() -> pa.analysis.Audit:
         return found
 
 
+@pytest.mark.slow
+def test_each_text_of_a_page_is_in_both_languages() -> None:
+    """Each English element is followed by its Chinese one; labels have both languages, too."""
+    count = 0
+    for page in (page_of(analysis()), page_of(comparison()), page_of(audit()), page_of(stance())):
+        texts = [e for e in page.root.iter() if "en" in (e.get("class") or "").split()]
+        assert texts
+        count += len(texts)
+        for element in texts:
+            other = element.getnext()
+            assert other.get("class").split()[0] == "zh"
+            assert other.get("lang") == "zh-Hans"
+            assert read_text(other, "zh")
+        for element in page.root.iter():
+            if element.get("data-en") is not None:
+                assert element.get("data-zh")
+                assert element.get("aria-label") in (None, element.get("data-en"))
+    assert count > 200
+
+
+@pytest.mark.slow
+def test_text_in_one_language_has_no_words_of_the_other() -> None:
+    """Except names of the model and texts of results, which are removed here."""
+    root = Page(write_page(analysis())).root.find("body")
+    for element in [e for e in root.iter() if (e.get("class") or "") in ("name", "said")]:
+        element.clear(keep_tail=True)
+    button = root.find(".//button[@id='language']")
+    assert button.text == "中文"
+    button.text = ""
+    assert not re.search(r"[\u4e00-\u9fff]", read_text(root, "en"))
+    titles = [read_text(h, "zh") for tag in ("h1", "h3", "summary") for h in root.iter(tag)]
+    assert sum(map(bool, titles)) > 5
+    assert [title for title in titles if title and not re.search(r"[\u4e00-\u9fff]", title)] == []
+
+
+@pytest.mark.slow
+def test_failures_and_notes_are_in_the_summary() -> None:
+    failed = replace(analysis(), verified=False, failures=(problem("knees: it fell"),))
+    page = page_of(failed)
+    summary = read_text(page.root.get_element_by_id("summary"))
+    assert "v3 ✗ FAILED knees: it fell" in summary
+    assert "Notes: 2" in summary
+    assert "leg_*_1 turns about y" in read_text(page.root.get_element_by_id("n1"))
+    both = page_of(failed, replace(analysis(), name="other"))
+    summary = read_text(both.root.get_element_by_id("summary"))
+    assert summary.index("v3 ✗ FAILED") < summary.index("other ✓ VERIFIED")
+
+
+def test_fields_of_a_result_without_a_page_are_written_out() -> None:
+    """Reference: the fields of the stand and of its statics, with six digits."""
+    stand = stand_of("v3")
+    statics = pa.stance.stand_statics(load("v3"), stand)
+    tables = page_of(stand, statics).tables()
+    rows = {row["field"]: row for name in ("Stand", "GravityCompensation") for row in tables[name]}
+    assert rows["stance_feet"]["value"] == "(FR, FL, RR, RL)"
+    assert rows["task"]["value"].startswith("height 131.5 mm")
+    place = ", ".join(f"{value:.6g}" for value in stand.foot_targets["FR"])
+    assert rows["foot_targets"]["value"].startswith(f"FR: ({place}); FL: (")
+    torques = ", ".join(f"{value:.6g}" for value in statics.joint_torques)
+    assert rows["joint_torques"]["value"] == f"({torques})"
+    assert rows["joint_torques"]["meaning and unit"] == "Motor torques, shape (nu,) (N m)."
+    assert rows["ground_clearance"]["value"].startswith("distance 0.0")
+    assert registry.value_cell(np.zeros(25)) == Name("<array 25>")
+
+
 # What nobody's names can do
 
 
@@ -310,6 +378,62 @@ def test_scene_positions_are_correct_on_a_slope_with_a_step_and_a_pit() -> None:
         config = pa.Configuration(robot, stand.qpos)
         assert joint.world_anchor == pytest.approx(config.joint_position(joint.name))
         assert joint.torque is None
+
+
+@pytest.mark.slow
+def test_view_contains_forces_masses_com_and_support_polygon() -> None:
+    """References: weight, mass, and statics of v3; the polygon is on the ground."""
+    robot = load("v3")
+    drawn = drawn_of(StandScene(robot, stand_of("v3"), analysis().statics))
+    load_sum = sum(contact["force"][2] for contact in drawn["contacts"])
+    assert load_sum == pytest.approx(9.81 * robot.total_mass, rel=1e-4)
+    assert sum(body["mass"] for body in drawn["bodies"]) == pytest.approx(robot.total_mass)
+    assert drawn["com"] == pytest.approx(analysis().statics.center_of_mass, abs=1e-5)
+    assert drawn["joints"][1]["torque"] == pytest.approx(-0.2)
+    assert drawn["joints"][1]["motion"] == "roll"
+    polygon = np.array(drawn["polygon"])
+    points = np.array([contact["point"] for contact in drawn["contacts"]])
+    assert polygon[:, :2].min(axis=0) == pytest.approx(points[:, :2].min(axis=0), abs=1e-5)
+    assert not polygon[:, 2].any()
+    assert "mesh" in {geom["shape"] for geom in drawn["geoms"]}  # visual shapes
+
+
+@pytest.mark.slow
+def test_page_of_six_variants_is_smaller_than_three_megabytes(tmp_path: Path) -> None:
+    results = [replace(analysis(), name=name, stand=stand_of(name)) for name in pa.VARIANTS]
+    path = tmp_path / "report.html"
+    pa.report.write_report(results, path, robots=[load(name) for name in pa.VARIANTS])
+    assert path.stat().st_size < 3e6
+    assert path.read_text(encoding="utf-8").count('class="canvas"') == 6
+
+
+@pytest.mark.slow
+def test_template_engine_is_imported_only_for_a_report() -> None:
+    """Reference: the modules of a new process."""
+    code = (
+        "import sys, pupper_analysis.cli, pupper_analysis.present.html.write, "
+        "pupper_analysis.tools.analyze.document; print('jinja2' in sys.modules)"
+    )
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    run = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert run.stdout.strip() == "False"
+
+
+def test_coarse_sphere_is_a_sphere() -> None:
+    """Closed form: volume 4/3 pi, positive for faces that are turned outwards, within 5 %."""
+    around, down = np.meshgrid(np.arange(64), np.arange(1, 40), indexing="ij")
+    azimuth, polar = 2 * np.pi * around.ravel() / 64, np.pi * down.ravel() / 40
+    places = np.column_stack(
+        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
+    )
+    triangles = ConvexHull(places).simplices
+    a, b, c = (places[triangles[:, index]] for index in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
+    triangles = np.where(inward[:, None], triangles[:, ::-1], triangles).astype(np.int64)
+    coarse = scene.coarsen_mesh(scene.Mesh(places, triangles), 16)
+    assert len(coarse.faces) < 0.6 * len(triangles)
+    assert np.abs(np.linalg.norm(coarse.vertices, axis=1) - 1).max() < 0.03
+    assert volume(coarse.vertices, coarse.faces) == pytest.approx(4 / 3 * np.pi, rel=0.05)
 
 
 def decode_mesh(mesh: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]

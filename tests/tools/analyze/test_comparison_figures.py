@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -76,6 +77,59 @@ def test_a_figure_of_three_robots_is_written_with_white_edges(name: str, tmp_pat
     assert pixels.shape[1] == pytest.approx(drawing.PAGE_WIDTH * drawing.FIGURE_DPI, abs=1)
     for edge in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]):
         assert (edge[:, :3] == 1.0).all()  # nothing is cut off
+
+
+FORMULA = "a$b_c$ $\\frac$ ^"
+"""Name that Matplotlib refuses as a formula."""
+
+
+@pytest.mark.slow
+def test_names_of_joints_and_feet_are_written_without_formulas(tmp_path: Path) -> None:
+    analysis = analysis_of("v3")
+    joints = [SimpleNamespace(name=f"{FORMULA}{one.name}", effort=one.effort)
+              for one in analysis.joints]  # fmt: skip
+    jacobians = {
+        f"{FORMULA}{foot}": SimpleNamespace(joints=[f"{FORMULA}{name}" for name in one.joints])
+        for foot, one in analysis.foot_jacobians.items()
+    }
+    named = change_analysis(analysis, name=FORMULA, joints=joints, foot_jacobians=jacobians)
+    FIGURES["torques.png"]([named], tmp_path / "torques.png")
+    assert (tmp_path / "torques.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_figure_of_a_sweep_in_which_all_gains_fall_states_no_height(
+    figures: list[Figure],
+) -> None:
+    analysis = analysis_of("v3")
+    shape = analysis.sweep.height_deviation.shape
+    sweep = change_analysis(
+        analysis.sweep, height_deviation=np.full(shape, np.inf), lasts=np.zeros(shape, bool)
+    )
+    FIGURES["gains.png"]([change_analysis(analysis, sweep=sweep)], Path("unused.png"))
+    (axes,) = panels(figures[0])
+    assert {text.get_text() for text in axes.texts} == {"falls"}
+
+
+def test_figures_leave_the_settings_of_matplotlib_unchanged(figures: list[Figure]) -> None:
+    before = dict(matplotlib.rcParams)
+    for write_figure in FIGURES.values():
+        write_figure([analysis_of("v3")], Path("unused.png"))
+    assert len(figures) == len(FIGURES)
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_height_figure_shows_the_loss_without_feed_forward_below_the_task(
+    figures: list[Figure],
+) -> None:
+    """Reference: signs of the simulated heights less the height of the stand [mm]."""
+    FIGURES["heights.png"]([analysis_of("v3")], Path("unused.png"))
+    (axes,) = panels(figures[0])
+    final = {str(line.get_label()).split(":")[0]: float(np.asarray(line.get_ydata())[-1])
+             for line in axes.lines if ":" in str(line.get_label())}  # fmt: skip
+    (held,) = (end for label, end in final.items() if label != "position commands only")
+    assert final["position commands only"] < -1.0
+    assert abs(held) < 0.5 * abs(final["position commands only"])
+    assert axes.get_ylim()[0] < axes.get_ylim()[1]
 
 
 def test_torque_figure_draws_the_share_of_the_limit_in_a_row_per_joint_of_a_leg(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from pupper_analysis.present.formats import write_junit
 from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.crosscheck.document import (
@@ -14,6 +15,7 @@ from pupper_analysis.tools.crosscheck.document import (
 )
 from tests.support.printing import printed
 from tests.support.robots import (
+    FEET,
     Files,
     all_changed,
     change_part,
@@ -81,9 +83,35 @@ def test_annotations_have_the_given_path_and_line(
     assert "robot.xml:7" in annotation.message
 
 
-def test_no_error_is_annotated_within_the_tolerance(tmp_path: Path) -> None:
-    """A mass of 6.3 kg instead of 6 kg, with a tolerance of 10 %."""
-    files = write_parts(tmp_path, quadruped(), change_part(quadruped(), "base", mass=6.3))
-    comparison = compare_files(files, tolerances=Tolerances().with_values({"mass": 0.1}))
+@pytest.mark.parametrize("kind", ["mass", "limit"])
+def test_no_error_is_annotated_within_the_tolerance(tmp_path: Path, kind: str) -> None:
+    """A mass of 6.3 kg instead of 6 kg, with a tolerance of 10 %; or a limit that is 0.9 mrad off.
+
+    JUnit has no failure, as the exit status is 0.
+    """
+    narrow = all_changed(quadruped(), lower=-0.4, upper=0.4)
+    if kind == "mass":
+        mjcf, changed = change_part(narrow, "base", mass=6.3), {"mass": 0.1}
+    else:
+        mjcf, changed = change_part(narrow, "shank0", lower=-0.4009), {}
+    tolerances = Tolerances().with_values(changed)
+    files = write(tmp_path, urdf_text(narrow, FEET), mjcf_text(mjcf, FEET))
+    comparison = compare_files(files, tolerances=tolerances)
+    found = list(make_comparison_annotations(comparison))
     assert comparison.agree
-    assert not [note for note in make_comparison_annotations(comparison) if note.level == "error"]
+    assert not [note for note in found if note.level == "error"]
+    assert ' failures="0"' in write_junit(found)
+
+
+def test_springs_of_the_mjcf_alone_are_printed_with_their_effect(tmp_path: Path) -> None:
+    """Reference: stiffness of 20 N m/rad at the hips of two legs; all of the deviation."""
+    text = mjcf_text(quadruped())
+    for leg in (0, 2):
+        text = text.replace(f'<joint name="hip{leg}"', f'<joint name="hip{leg}" stiffness="20"')
+    out = printed(compare_files(write(tmp_path, urdf_text(quadruped()), text)))
+    spring = "stated in the MJCF alone: stiffness 20, springref 0"
+    assert out.startswith("DISAGREE robot.urdf and robot.xml: joint hip")
+    assert f": {spring}\n" in out
+    assert "   likewise on 1 more: hip" in out
+    assert "explained: 100 % of the deviation" in out
+    assert "engines differ" not in out
