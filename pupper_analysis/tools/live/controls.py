@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import Term, term
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import PupperAnalysisError
@@ -107,8 +108,8 @@ class Controls:
             self.posture = JointSliders(gui, robot, free, home, self._set_joint)
 
     def _set_joint(self, joint: str, position: float) -> None:
-        """Set the position of a joint in the posture [rad or m]."""
-        with self._lock:
+        """Set the position of a joint in the posture [rad or m], if the position is finite."""
+        with self._lock, suppress(PupperAnalysisError):
             self._state = self._state.with_values(posture={**self._state.posture, joint: position})
         self._changed()
 
@@ -163,7 +164,7 @@ class Controls:
     def _apply_slider(self, control: Control, state: State) -> State:
         """Return the state with the value of a slider."""
         field = control.field
-        value = float(self.sliders[control.name].value)
+        value = check_finite(control.name, float(self.sliders[control.name].value))
         # A typed value may exceed the range of the slider and would be clipped later.
         self._move_slider(control.name, value)
         if control.name == LIFT_SLIDER:  # setting the height lifts the foot

@@ -42,6 +42,10 @@ def test_joint_motions_follow_from_their_axes() -> None:
     """The names of the tutorial mean roll, pitch, pitch; the axes of v3 are pitch, roll, pitch."""
     v3 = summarise_joints(pa.load_variant("v3"))
     assert [joint.motion for joint in v3] == ["pitch", "roll", "pitch"] * 4
+    for joint in v3:
+        side = 1.0 if "_l_" in joint.name else -1.0
+        expected = [-1, 0, 0] if joint.motion == "roll" else [0, side, 0]
+        np.testing.assert_allclose(joint.axis, expected, atol=1e-9)
     skeleton = summarise_joints(pa.load_variant("original"))
     assert [joint.motion for joint in skeleton] == ["roll", "pitch", "pitch"] * 4
 

@@ -142,8 +142,22 @@ def measure_difference(one: np.ndarray, other: np.ndarray) -> float:  # type: ig
     return float((np.abs(one - other).max(axis=-1) > 25).mean())
 
 
-def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
-    """Reference: torques and height loss of the Python functions for the same task."""
+def drag_slider(opened: Opened, label: str, fraction: float) -> None:
+    """Drag a slider with the mouse, from its middle by a fraction of its length."""
+    track = opened.row(label).locator(".mantine-Slider-track").first
+    track.scroll_into_view_if_needed()
+    box = track.bounding_box()
+    y = box["y"] + box["height"] / 2
+    opened.page.mouse.move(box["x"] + box["width"] / 2, y)
+    opened.page.mouse.down()
+    for share in np.linspace(0.0, fraction, 12)[1:]:
+        opened.page.mouse.move(box["x"] + box["width"] * (0.5 + share), y)
+    opened.page.mouse.up()
+
+
+def test_a_slider_moves_the_robot_and_the_torques(opened: Opened, served: Page) -> None:
+    """Reference: torques and height loss of the Python functions for the same task; the slider is
+    typed, and dragged."""
     before = opened.pixels()
     yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
     assert yellow.mean() > 0.005
@@ -162,6 +176,15 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     assert "120.0\tmm" in opened.words()
     opened.button("Reset all")
     opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
+
+    drag_slider(opened, "pitch (°)", 0.11)
+    (session,) = served.sessions.values()
+    controls = session._panels.controls
+    wait_for(lambda: controls.state.pitch > 8.0, "the dragged slider has no effect")
+    time.sleep(0.2)  # viser holds messages back for some milliseconds
+    state = controls.state
+    assert 8.0 < state.pitch < 12.0
+    opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), state.task()))
 
 
 GUIDE = ROOT / "docs" / "how-to" / "live.md"

@@ -23,6 +23,7 @@ from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.command import read_stance
 from pupper_analysis.tools.live.documents import (
     failure_document,
+    refusal_document,
     stance_document,
 )
 from pupper_analysis.tools.live.model import (
@@ -42,9 +43,10 @@ from pupper_analysis.tools.live.scene import (
     choose_utilisation_colour,
     make_body_meshes,
     make_force_arrows,
+    to_css,
     triangulate_shape,
 )
-from pupper_analysis.tools.live.state import State, write_stance_file
+from pupper_analysis.tools.live.state import State, parse_length, write_stance_file
 from tests.cli.test_stance_fields import parse_options
 from tests.support.commands import answer as run_command
 from tests.support.robots import arm, urdf_text
@@ -112,6 +114,58 @@ def test_answer_of_a_page_equals_the_python_functions() -> None:
     same = pa.steady_state(robot, stand, kp=20.0)
     assert isinstance(settled, SteadyState)
     assert settled.height_loss == pytest.approx(same.height_loss, abs=1e-9)
+
+
+def test_panel_shows_the_numbers_of_the_stance() -> None:
+    """Reference: stand, statics and steady state of the answer, in mm, N m and %; the bars are as
+    long as the utilisation."""
+    found = model_of().solve_state(State(height=120.0))
+    assert found.stand is not None
+    assert found.statics is not None
+    settled = predict_sag(found)
+    assert isinstance(settled, SteadyState)
+    verdict = predict_stance_verdict(found, closely=True)
+    html = render_panel(stance_document(found, settled, verdict), ENGLISH)
+    assert ">120.0</td><td>mm<" in html
+    assert f">{1e3 * found.stand.com_margin:.1f}</td><td>mm<" in html
+    assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in html
+    for torque in found.statics.joint_torques:
+        assert f">{torque:+.4f}<" in html
+    for share in found.statics.motor_utilisation:
+        colour = to_css(choose_utilisation_colour(share))
+        assert f"width:{3 * share:.2f}em;background:{colour}" in html
+    assert "being worked out" not in html
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("state", "name"), [(State(height=250.0), "height"), (State(roll=35.0), "roll")]
+)
+def test_panel_of_a_refusal_states_the_limit_in_mm_or_degrees(state: State, name: str) -> None:
+    """Reference: limits [m, rad] of the error that explains the refusal."""
+    found = model_of().solve_state(state)
+    error = explain_unreachable(found)
+    assert error is not None
+    (limit,) = error.limits[name].values()
+    unit, factor = ("mm", 1e3) if name == "height" else ("deg", np.degrees(1.0))
+    html = render_panel(refusal_document(found, error, pending=False), ENGLISH)
+    assert f"Possible with all else as asked: {name} {factor * limit:.1f} {unit}." in html
+
+
+@pytest.mark.parametrize("length", [0.1, 131.51, 120.0, 1e-7, -33.3, 1e20])
+def test_length_in_millimetres_is_the_nearest_number_in_metres(length: float) -> None:
+    """2.1 / 1000 is 0.0021000000000000003 in floating point, and the typed length is 0.0021."""
+    assert parse_length(length) == pytest.approx(length / 1000, rel=1e-15)
+    assert parse_length(2.1) == 0.0021 != 2.1 / 1000
+
+
+def test_robot_of_the_last_payload_is_reused() -> None:
+    model = model_of()
+    loaded = model.load_robot(State(payload=0.3))
+    assert model.load_robot(State(payload=0.3, roll=3.0)) is loaded
+    assert model.load_robot(State(roll=3.0)) is load("v3")
+    assert model.load_robot(State(payload=0.4)) is not loaded
+    assert model.load_robot(State(payload=0.3)) is not loaded  # one loaded robot is kept
 
 
 def test_offset_of_the_page_is_that_of_the_base_from_the_feet() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -15,6 +15,7 @@ from pupper_analysis.cli import GC_THRESHOLDS
 from pupper_analysis.tools.live import server
 from pupper_analysis.tools.live.command import PYTHON_THRESHOLDS, _serve
 from pupper_analysis.tools.live.server import Page
+from pupper_analysis.tools.live.state import State
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 websockets = pytest.importorskip("websockets.asyncio.client")
@@ -56,6 +57,71 @@ def test_connection_after_closing_gets_no_session(
     page._on_connect(object())
     assert made == []
     assert page.sessions == {}
+
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1.0, 0.0, 0.0, 0.0],
+    "position": [1.0, 1.0, 1.0],
+    "fov": 1.0,
+    "near": 0.01,
+    "far": 100.0,
+    "image_height": 600,
+    "image_width": 800,
+    "look_at": [0.0, 0.0, 0.0],
+    "up_direction": [0.0, 0.0, 1.0],
+}
+"""First message of viser's page."""
+
+
+def test_browsers_have_separate_sessions(page: Page) -> None:
+    """A slider of one browser changes the other's state neither before nor after the end of that
+    browser, whose threads end."""
+    pack = pytest.importorskip("msgspec").msgpack.encode
+
+    async def wait_for(condition: Callable[[], object]) -> None:
+        for _ in range(6000):
+            if condition():
+                return
+            await asyncio.sleep(0.02)
+        raise AssertionError("nothing changes")
+
+    def connect() -> Any:
+        return websockets.connect(
+            page.address.replace("http", "ws"),
+            origin=f"http://{urlsplit(page.address).netloc}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
+        )
+
+    async def open_session(socket: Any) -> Any:
+        known = set(page.sessions)
+        await socket.send(pack(CAMERA))
+        await wait_for(lambda: set(page.sessions) - known)
+        return page.sessions[(set(page.sessions) - known).pop()]
+
+    async def type_value(socket: Any, session: Any, slider: str, value: float) -> None:
+        uuid = session._panels.controls.sliders[slider]._impl.uuid
+        update = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}}
+        await socket.send(pack(update))
+
+    async def use_two_browsers() -> None:
+        async with connect() as one:
+            first = await open_session(one)
+            async with connect() as two:
+                second = await open_session(two)
+                await type_value(two, second, "pitch", 6)
+                await type_value(one, first, "roll", 4)
+                await wait_for(lambda: second._panels.controls.state == State(pitch=6.0))
+                await wait_for(lambda: first._panels.controls.state == State(roll=4.0))
+                assert second._panels.controls.state == State(pitch=6.0)
+            await wait_for(lambda: second not in page.sessions.values())
+            await wait_for(lambda: not any(thread.is_alive() for thread in second.threads))
+            await type_value(one, first, "roll", 5)
+            await wait_for(lambda: first._panels.controls.state == State(roll=5.0))
+            assert all(thread.is_alive() for thread in first.threads)
+
+    asyncio.run(use_two_browsers())
 
 
 @pytest.mark.slow

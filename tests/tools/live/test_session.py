@@ -27,6 +27,9 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 PATIENCE = 180.0
 
+HAN = re.compile("[\u4e00-\u9fff]")
+"""Chinese character."""
+
 
 def wait_for(condition: Callable[[], object], what: str) -> None:
     end = time.monotonic() + PATIENCE
@@ -49,10 +52,10 @@ class Browser:
 class Open:
     """Session with access to the texts of its page."""
 
-    def __init__(self, server: Any) -> None:
+    def __init__(self, server: Any, language: str = "en") -> None:
         self.browser = Browser(server)
         model = StanceSolver(load("v3"))
-        self.session = Session(self.browser, model, State(), Translator())
+        self.session = Session(self.browser, model, State(), Translator(language))
         self.controls = self.session._panels.controls
 
     def ask(self, state: State) -> None:
@@ -237,6 +240,51 @@ def test_typed_value_beyond_a_slider_is_kept(page: Open) -> None:
     asked = State(payload=12.0, roll=2.0)
     assert page.controls.state == asked
     wait_for(lambda: page.shows(asked), "not shown")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_value_that_is_not_finite_changes_no_state(page: Open, value: float) -> None:
+    """A browser may send any number; a later valid number is accepted."""
+    controls = page.controls
+    roll = controls.sliders["roll"]
+    move(roll, value)
+    controls._set_joint("leg_front_l_1", value)
+    assert controls.state == State()
+    assert (roll.min, roll.max) == (-45.0, 45.0)
+    move(roll, 2.0)
+    assert controls.state == State(roll=2.0)
+
+
+def test_stance_out_of_reach_is_not_simulated(page: Open) -> None:
+    page.ask(State(height=500.0))
+    wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
+    for request in (page.session.simulate, page.session.push):
+        request()
+        assert "no stance that could be simulated" in page.result
+        page.session._panels.clear_results()
+
+
+@pytest.mark.slow
+def test_chinese_page_has_no_english_text(server: Any) -> None:
+    """Only names, numbers, units and single letters are not Chinese."""
+    one = Open(server, "zh")
+    wait_for(one.settled, "nothing is solved")
+    one.session.simulate()
+    wait_for(lambda: "保持稳定" in one.result, "it is not simulated")
+    shown = [one.numbers, one.result]
+    one.ask(State(roll=35.0, swing={"FL": 10.0}, heights={"RR": 4.0}))
+    wait_for(lambda: "站姿不可达" in one.numbers, "it is in reach")
+    shown.append(one.numbers)
+    end(one.session)
+    for html in shown:
+        texts = re.sub(r"<style>.*?</style>|<[^>]*>", "|", html, flags=re.DOTALL)
+        for text in filter(None, (part.strip() for part in texts.split("|"))):
+            known = re.fullmatch(
+                r"(leg_\w+|FR|FL|RR|RL|v3, .* kg|[-+\d.e%/ ]*( ?(N|mm|m|rad|mm/s|s|°))*|0)", text
+            )
+            assert known or HAN.search(text), text
+    for slider in one.controls.sliders.values():
+        assert HAN.search(slider.label), slider.label
 
 
 @pytest.mark.slow

@@ -1,7 +1,9 @@
 """Printed view and drop of a robot, and the refusal without a display."""
 
 import math
+import os
 import re
+import subprocess
 import sys
 
 import mujoco
@@ -33,6 +35,14 @@ def test_a_dropped_robot_falls_lands_and_holds(dropped: viewer.Drop) -> None:
     assert dropped.height[-1] == pytest.approx(0.120, abs=5e-4)
     assert dropped.height_deviation < 5e-6
     assert dropped.stable
+
+
+def test_drop_report_states_height_deviation_and_contacts(dropped: viewer.Drop) -> None:
+    """References: nominal height 0.120 m of v3; bare MuJoCo tilts by 0.03 rad, at rest."""
+    assert viewer.format_drop(dropped) == (
+        "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)",
+        "tilt 1.7 deg, only the feet touch the ground",
+    )
 
 
 def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> None:
@@ -107,6 +117,20 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is Linux's display")
+def test_display_that_does_not_exist_raises_an_error() -> None:
+    """In a process of its own, which MuJoCo's viewer would end without a traceback."""
+    code = "from pupper_analysis.present import display; display.check_display()"
+    environment = {**os.environ, "DISPLAY": ":4711"}
+    environment.pop("WAYLAND_DISPLAY", None)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "DisplayError: MuJoCo's viewer is not available" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.usefixtures("no_screen")
