@@ -9,10 +9,16 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import list_file_remarks
-from pupper_analysis.simulation.trial import _free_joint_limits, is_near_limit, simulate_nudges
+from pupper_analysis.simulation.trial import (
+    BASE_NUDGE_SPEED,
+    _free_joint_limits,
+    is_near_limit,
+    make_nudge_velocities,
+    simulate_nudges,
+)
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped, rewrite_file
-from tests.support.variants import load
+from tests.support.variants import load, stand_of
 
 
 @pytest.mark.slow
@@ -69,3 +75,20 @@ def test_foot_with_negligible_load_may_lift_without_failure() -> None:
         stand = pa.solve_stand_as_simulated(robot, task)
         upset[tilt] = is_near_limit(robot, stand, stand_statics(robot, stand))
     assert upset == {0.0: False, 0.15: True}
+
+
+def test_nudges_of_the_base_enclose_a_circle_of_the_stated_speed() -> None:
+    """Closed form: the octagon of the velocities along the ground has an inscribed circle of 10
+    mm/s; up, down and both rotations follow, and all joints rest."""
+    robot, stand = load("v3"), stand_of("v3")
+    speeds = make_nudge_velocities(robot, stand)
+    assert speeds.shape == (12, robot.nv)
+    sides = (speeds[:8, :2] + np.roll(speeds[:8, :2], 1, axis=0)) / 2
+    np.testing.assert_allclose(np.linalg.norm(sides, axis=1), BASE_NUDGE_SPEED)
+    angles = np.sort(np.arctan2(speeds[:8, 1], speeds[:8, 0]))
+    np.testing.assert_allclose(np.diff(angles), np.pi / 4)
+    np.testing.assert_array_equal(speeds[8:10, 2], [BASE_NUDGE_SPEED, -BASE_NUDGE_SPEED])
+    height = pa.Configuration(robot, stand.qpos).center_of_mass()[2]
+    np.testing.assert_allclose(speeds[10:, 5] * height, [BASE_NUDGE_SPEED, -BASE_NUDGE_SPEED])
+    np.testing.assert_allclose(speeds.sum(axis=0), 0.0, atol=1e-15)
+    np.testing.assert_array_equal(speeds[:, 6:], 0.0)

@@ -24,9 +24,11 @@ def push_figure(results: Mapping[str, PushRecovery], path: str | Path) -> None:
         path: PNG file that is written.
 
     Raises:
-        ConfigurationError: If there are more than five robots.
+        ConfigurationError: If there is no robot, or there are more than five.
         OutputError: If the file cannot be written.
     """
+    if not results:
+        raise ConfigurationError("results", diagnose("no-robot-to-draw"))
     if len(results) >= NUM_SERIES_STYLES:  # one style is used by the tipping estimate
         raise ConfigurationError(
             "results", diagnose("too-many-to-tell-apart", most=NUM_SERIES_STYLES - 1)

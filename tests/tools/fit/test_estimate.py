@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import FitError
-from pupper_analysis.tools.fit.estimate import LinearisedResiduals, estimate_parameters
+from pupper_analysis.tools.fit.estimate import (
+    LinearisedResiduals,
+    Posterior,
+    estimate_parameters,
+)
 from pupper_analysis.tools.fit.motions.rollouts import MomentCoordinates
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
 
@@ -55,9 +59,22 @@ def test_estimate_of_linear_residuals_solves_the_normal_equations() -> None:
     assert found.variance_ratios == pytest.approx(np.diag(covariance) / given.width**2)
 
 
-def test_bounded_parameter_stops_at_zero_and_others_stay_optimal() -> None:
-    """Unbounded, friction is -3. Reference: the optimum of the offset with zero friction."""
-    given = table("friction", "offset")
+def test_estimate_without_measurements_is_the_prior() -> None:
+    """Reference: stated values and widths; half of the prior variance of the kp is common."""
+    given = table("kp", "kp", "mass")
+    found = estimate_parameters(given, lambda _, __: LinearisedResiduals.empty(3))
+    prior = Posterior.from_prior(given)
+    common = np.array([[1, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])
+    for one in (found, prior):
+        assert one.mean == pytest.approx(given.stated)
+        assert one.variance_ratios == pytest.approx([1, 1, 1])
+        assert one.covariance == pytest.approx(common * np.outer(given.width, given.width))
+
+
+@pytest.mark.parametrize("kind", ["mass", "kp", "friction", "damping", "armature", "delay", "lag"])
+def test_bounded_parameter_stops_at_zero_and_others_stay_optimal(kind: str) -> None:
+    """Unbounded, the value is -3. Reference: the optimum of the offset with a value of zero."""
+    given = table(kind, "offset")
     rows = np.array([[10.0, 6.0], [0.0, 5.0], [3.0, -4.0]])
     right = rows @ [-3.0, 2.0]
     found = estimate_parameters(

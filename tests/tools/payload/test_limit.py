@@ -226,6 +226,28 @@ def test_payload_is_zero_if_the_stand_fails_without_payload(
     assert limit.servos.mass > 5  # what servos would bear is told all the same
 
 
+def test_payload_of_a_stand_is_that_of_its_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stand is solved again with each payload; a stand of another robot is refused."""
+
+    class SearchBegunError(Exception):
+        """End of the test, in place of a search."""
+
+    seen: list[pa.StandTask] = []
+
+    def begin_search(_robot: pa.Robot, task: pa.StandTask, *_: object) -> None:
+        seen.append(task)
+        raise SearchBegunError
+
+    monkeypatch.setattr(payload, "_PayloadSearch", begin_search)
+    robot, task = load("v3"), pa.StandTask(height=0.12, pitch=0.05)
+    for stance in (task, pa.solve_stand(robot, task)):
+        with pytest.raises(SearchBegunError):
+            payload_limit(robot, stance, ON_TOP)
+    assert seen == [task, replace(task, com="centre")]
+    with pytest.raises(pa.ConfigurationError, match="stand"):
+        payload_limit(load("original"), stand_of("v3"))
+
+
 def bisect_bound(most: float, *, verdict: float = math.inf, nudged: float = math.inf) -> Bound:
     def tried(mass: float) -> Any:
         falls = mass > nudged
@@ -249,6 +271,7 @@ def test_failed_trial_load_is_bisected(most: float) -> None:
     assert bisect_bound(most).mass == math.inf
     nothing = bisect_bound(most, verdict=-1.0)
     assert (nothing.mass, nothing.failure) == (0.0, Failure.UNLOADED)
+    assert bisect_bound(most, verdict=0.0).mass == 0.0  # holds without payload only
 
 
 @pytest.mark.parametrize("largest", [2.0, 2.7, 9.0, math.inf])

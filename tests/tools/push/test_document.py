@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
 
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+import pupper_analysis as pa
+from pupper_analysis.present.figures import drawing
 from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.tools.push.document import push_document, push_plot
+from pupper_analysis.tools.push.figures import push_figure
 from tests.support import printing
 from tests.support.stubs import SERVOS, make_push_result, problem, pushes, run
 
@@ -44,3 +51,23 @@ def test_limits_are_drawn_over_the_direction_once_around() -> None:
     np.testing.assert_allclose(limits.y, [0.51, 0.62, 0.43, 0.51])
     assert (limits.marked_index, rigid.reference) == (2, True)
     np.testing.assert_allclose(rigid.y, [0.84, 0.75, 0.96, 0.84])
+
+
+def test_push_figure_is_written_with_white_edges(tmp_path: Path) -> None:
+    path = tmp_path / "push.png"
+    push_figure({"one": pushes(0.0), "two": pushes(0.1)}, path)
+    pixels = imread(path)
+    assert pixels.shape[1] == pytest.approx(drawing.PAGE_WIDTH * drawing.FIGURE_DPI, abs=1)
+    for edge in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]):
+        assert (edge[:, :3] == 1.0).all()  # nothing is cut off
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_push_figure_of_no_robot_or_too_many_robots_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(pa.ConfigurationError, match="no robot"):
+        push_figure({}, tmp_path / "push.png")
+    with pytest.raises(pa.ConfigurationError, match="more than 5 robots"):
+        push_figure({str(number): pushes(0.0) for number in range(8)}, tmp_path / "push.png")
+    (tmp_path / "file").touch()
+    with pytest.raises(pa.OutputError):
+        push_figure({"one": pushes(0.0)}, tmp_path / "file" / "push.png")

@@ -89,6 +89,27 @@ def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
     np.testing.assert_allclose(result.impulses / result.tipping_estimate, 1.03, atol=0.05)
 
 
+@pytest.mark.slow
+def test_push_directions_are_relative_to_the_base_and_numbers_follow_from_impulses() -> None:
+    """References: axes of a base that is yawed by 0.2 rad; impulse / mass; smallest impulse."""
+    robot = load("original")
+    stand = pa.solve_stand(robot, pa.StandTask(yaw=0.2))
+    found = push_recovery(robot, stand, **{**COARSE, "resolution": 0.3})  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.directions, np.radians([0, 90, 180, 270]))
+    world = found.directions + 0.2
+    axes = np.column_stack([np.cos(world), np.sin(world)])
+    estimate = tipping_impulses(pa.Configuration(robot, stand.qpos), found.point, axes)
+    np.testing.assert_allclose(found.tipping_estimate, estimate, rtol=1e-9)
+    assert (found.impulses > 1.0).all()
+    assert (found.bisected_impulses >= found.impulses).all()
+    np.testing.assert_allclose(found.velocity_steps, found.impulses / robot.total_mass)
+    weakest = int(np.argmin(found.impulses))
+    assert found.weakest_impulse == found.impulses[weakest]
+    assert found.weakest_direction == found.directions[weakest]
+    assert found.weakest_failure == found.failures[weakest]
+    assert (found.pulse, found.duration) == pytest.approx((0.02, 3.0))
+
+
 def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
     """Reference: MuJoCo's bodies and the parallel axis theorem, about the line between two feet."""
     robot, stand = load("heavy"), stand_of("heavy")
@@ -107,6 +128,24 @@ def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
     energy = robot.total_mass * 9.81 * (math.hypot(height, far) - height)
     expected = math.sqrt(2 * inertia * energy) / abs(lever[0])
     assert estimate == pytest.approx(expected, rel=1e-6)
+
+
+def test_table_of_push_limits_has_each_number_in_its_column() -> None:
+    """Fifteen different numbers in five fields of three directions."""
+    names = ("directions", "impulses", "velocity_steps", "tipping_estimate", "bisected_impulses")
+    fields = dict(zip(names, np.arange(15.0).reshape(5, 3), strict=True))
+    table: Any = object.__new__(PushRecovery)
+    for name, values in fields.items():
+        object.__setattr__(table, name, values)
+    object.__setattr__(table, "failures", ("a", "b", "c"))
+    frame = table.to_dataframe()
+    columns = {"direction", "impulse", "velocity_step", "tipping_estimate"}
+    assert set(frame.columns) == columns | {"failure"}
+    assert list(frame["failure"]) == ["a", "b", "c"]
+    for name, values in fields.items():
+        column = name.removesuffix("s")
+        if column in columns:
+            np.testing.assert_array_equal(frame[column], values)
 
 
 class Bench:
