@@ -25,6 +25,7 @@ from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.stance import soft_ground
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.payload import limit as payload
+from pupper_analysis.tools.payload import metrics
 from pupper_analysis.tools.payload.limit import (
     SIMULATION_RTOL,
     VERIFIED_FRACTION,
@@ -33,6 +34,7 @@ from pupper_analysis.tools.payload.limit import (
     simulate_payload,
 )
 from pupper_analysis.tools.stand.stance import study_stance
+from pupper_analysis.tools.study.design import DesignBuilder
 from tests.support.engines import with_efforts
 from tests.support.random_legged import draw_robot, irregular_biped, ring, write_robot
 from tests.support.variants import load, stand_of
@@ -246,6 +248,24 @@ def test_payload_of_a_stand_is_that_of_its_task(monkeypatch: pytest.MonkeyPatch)
     assert seen == [task, replace(task, com="centre")]
     with pytest.raises(pa.ConfigurationError, match="stand"):
         payload_limit(load("original"), stand_of("v3"))
+
+
+def test_payload_of_a_study_is_sought_at_its_payload_point(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Reference: the point [m] of the study, which the function of the command receives."""
+    seen: list[object] = []
+
+    def find_limit(_robot: pa.Robot, _stand: pa.Stand, point: object, **_: object) -> Any:
+        seen.append(point)
+        return SimpleNamespace(mass=1.5)
+
+    monkeypatch.setattr(metrics, "payload_limit", find_limit)
+    point = (0.0, 0.0, 0.08)
+    study = pa.Study("v3", {"kp": [5.0]}, ["payload_limit"], payload_point=point)
+    design = DesignBuilder(study.source, study.task, study.point).design({})
+    assert study.metrics[0].function(design) == 1.5
+    assert seen == [point]
 
 
 def bisect_bound(most: float, *, verdict: float = math.inf, nudged: float = math.inf) -> Bound:

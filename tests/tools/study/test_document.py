@@ -13,11 +13,14 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.present.document import LinePlot, Report, Table
+from pupper_analysis.present.documents.registry import build_report
+from pupper_analysis.present.html.write import render_page
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.outcome import compute_main_effects
+from tests.present.test_html import EVIL
 from tests.support.commands import answer
-from tests.support.html_page import Page
+from tests.support.html_page import Page, read_text
 
 VARY = {"leg_scale": [0.8, 1.0, 1.2], "kp": [5.0, 10.0], "height": [0.12, 0.15, 0.5]}
 ASKED = ["peak_utilisation", "servo_sag", "com_margin", "stands"]
@@ -94,6 +97,104 @@ def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.stud
 
 
 # The page
+
+
+@cache
+def outcome_page() -> Page:
+    """Return the page of the outcome."""
+    return Page(render_page(build_report([("", outcome())])))
+
+
+@pytest.mark.slow
+def test_page_has_the_numbers_of_the_table_in_their_columns() -> None:
+    """Reference: the table of the outcome. Metrics are in mm and %, variables as in the file."""
+    found, tables = outcome(), outcome_page().tables()
+    designs = tables["Designs"]
+    assert len(designs) == 18
+    for row, (_, design) in zip(designs, found.table.iterrows(), strict=True):
+        assert float(row["leg_scale"]) == design["leg_scale"]
+        assert float(row["height (m)"]) == design["height"]
+        if np.isfinite(design["servo_sag"]):
+            sag, share = 1e3 * design["servo_sag"], 100 * design["peak_utilisation"]
+            assert float(row["servo_sag (mm)"]) == pytest.approx(sag, rel=1e-4)
+            assert float(row["peak_utilisation (%)"]) == pytest.approx(share, rel=1e-4)
+        else:
+            assert row["servo_sag (mm)"] == "-"
+            assert row["failure"] == design["failure"]
+    failed = {row["failure"]: row for row in tables["What failed, by kind"]}
+    assert failed["unreachable"]["designs (–)"] == "6"
+    assert failed["unreachable"]["share (–)"].startswith("33.3%")
+    assert "18 designs, of which 6 failed" in outcome_page().shown()
+    values = {row["metric"]: row for row in tables["Metrics"]}
+    sags = 1e3 * found.table["servo_sag"].dropna()
+    for column, value in (("least", sags.min()), ("median", sags.median()),
+                          ("greatest", sags.max())):  # fmt: skip
+        assert float(values["servo_sag (mm)"][column]) == pytest.approx(value, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_page_has_each_main_effect_beside_its_variable() -> None:
+    found = outcome()
+    effects = next(
+        rows for title, rows in outcome_page().tables().items() if title.startswith("Sensitivity")
+    )
+    (sag,) = (one for one in found.measured if one.metric == "servo_sag")
+    assert len({f"{share:.1%}" for share in sag.main_effects.values()}) == len(sag.main_effects)
+    for name, share in sag.main_effects.items():
+        (row,) = (r for r in effects if (r["metric"], r["parameter"]) == ("servo_sag", name))
+        assert row["alone (–)"].startswith(f"{share:.1%}")
+
+
+@pytest.mark.slow
+def test_reason_of_a_failure_is_in_both_languages() -> None:
+    """The reason of an older version, which kept the English text only, stays as it is."""
+    found = outcome()
+    old = replace(found, failures=(replace(found.failures[0], diagnostic=None),))
+    for one, chinese in ((found, "站姿不可达"), (old, "stance out of reach")):
+        (row,) = (
+            row
+            for row in Page(render_page(build_report([("", one)]))).root.iter("tr")
+            if "stance out of reach" in read_text(row, "en")
+        )
+        assert chinese in read_text(row, "zh")
+
+
+@pytest.mark.slow
+def test_markup_in_the_names_of_a_study_is_escaped() -> None:
+    """Names of the robot, of variables and metrics, and reasons of failures."""
+    found = outcome()
+    names = {"leg_scale": EVIL[0], "kp": EVIL[1], "servo_sag": EVIL[2]}
+    evil = replace(
+        found,
+        robot=EVIL[0],
+        table=found.table.rename(columns=names),
+        front=found.front.rename(columns=names),
+        variables={names.get(name, name): given for name, given in found.variables.items()},
+        objectives={names.get(name, name): sense for name, sense in found.objectives.items()},
+        measured=tuple(
+            replace(one, metric=names.get(one.metric, one.metric)) for one in found.measured
+        ),
+        failures=tuple(replace(one, kind=EVIL[1], reason=EVIL[0]) for one in found.failures),
+    )
+    page = Page(render_page(build_report([("", evil)])))
+    assert len(page.strict.scripts) == len(outcome_page().strict.scripts)
+    assert "img" not in {tag for tag, _ in page.strict.tags}
+    assert not [a for _, a in page.strict.tags for name in a if name.startswith("on")]
+    for name in EVIL[:3]:
+        assert name in page.shown()
+
+
+@pytest.mark.slow
+def test_study_of_one_design_without_failure_has_a_page(tmp_path: Path) -> None:
+    """No spread, no objectives, no failures."""
+    study = pa.Study("v3", {"kp": [8.0]}, ["com_margin"])
+    with ThreadPoolExecutor(1) as thread:
+        study.run(tmp_path / "study", executor=thread)
+    one = pa.study.study_outcome(study, tmp_path / "study")
+    assert one.objectives == {}
+    page = Page(render_page(build_report([("", one)])))
+    assert "1 designs, of which 0 failed" in page.shown()
+    assert {*page.tables()} == {"Metrics", "Designs"}
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from pupper_analysis.tools.study.lengths import find_stretch, stretch_inertia
 from pupper_analysis.tools.study.parameters import scale_robot
 from tests.support.legged import quadruped
 from tests.support.random_legged import irregular_biped, write_robot
+from tests.support.variants import load
 
 
 def test_a_stretched_box_is_the_longer_box() -> None:
@@ -158,6 +159,12 @@ def test_engines_agree_on_a_stretched_robot(own: Robot) -> None:
         index = robot.mj_convention.qvel_index
         np.testing.assert_allclose(ours, dense[np.ix_(index, index)], atol=1e-9)
     assert longer.stand_height > own.stand_height
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("inf"), float("nan")])
+def test_length_factor_that_is_not_positive_and_finite_is_refused(factor: float) -> None:
+    with pytest.raises(pa.ConfigurationError):
+        scale_robot(load("v3"), {"length:*": factor})
 
 
 @pytest.mark.slow

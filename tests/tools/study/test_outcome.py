@@ -12,7 +12,11 @@ from scipy import stats
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Phrase, Quantity, Source, Term, Vector, diagnose
 from pupper_analysis.tools.study.design import from_record, to_record
-from pupper_analysis.tools.study.outcome import compute_main_effects, pareto_front
+from pupper_analysis.tools.study.outcome import (
+    _assign_cells,
+    compute_main_effects,
+    pareto_front,
+)
 
 
 def test_pareto_front_dominates_all_other_designs() -> None:
@@ -58,6 +62,19 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
     shares = compute_main_effects(sampled, ["x", "y"], "m")
     assert shares["x"] == pytest.approx(1 - 1 / 14**2, abs=3e-3)  # 14 cells: what is left in one
     assert shares["y"] < 0.05
+
+
+def test_cells_of_many_values_have_one_width_and_few_values_are_cells() -> None:
+    """400 values: sqrt(400 / 3) = 11 intervals; 48 values: four; up to 24 values: themselves."""
+    values = np.random.default_rng(0).uniform(2.0, 5.0, 400)
+    cells, width = _assign_cells(values), np.ptp(values) / 11
+    assert {*cells.tolist()} == {*range(11)}
+    assert (np.abs(values - values.min() - width * (cells + 0.5)) <= width / 2 * 1.000001).all()
+    even = _assign_cells(np.linspace(0.0, 1.0, 48)).astype(int)
+    assert np.bincount(even).tolist() == [12, 12, 12, 12]
+    few = np.array([1.0, 4.0, 1.0, 2.0])
+    np.testing.assert_array_equal(_assign_cells(few), few)
+    np.testing.assert_array_equal(_assign_cells(values[:24]), values[:24])
 
 
 def test_recorded_diagnostics_render_in_each_language() -> None:
