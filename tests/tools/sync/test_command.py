@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,32 @@ def test_sync_prints_the_written_values(folder: Path) -> None:
     assert result.returncode == 0
     assert "body base > inertial: mass: 7.5 -> 6" in result.stdout
     assert "joint hip1 > limit: effort: 21.0 -> 25" in result.stdout
+
+
+def test_all_values_of_one_file_are_written_and_reported(folder: Path) -> None:
+    """Mass 6 kg and effort 21 N m of the URDF; afterwards both files agree."""
+    output = folder / "all.json"
+    result = run(folder, "--take", "urdf", "--backup", "--json", str(output))
+    assert (result.returncode, result.stderr) == (0, "")
+    lines = result.stdout.splitlines()
+    assert lines[0] == "AGREE URDF and MJCF: attributes written: 2"
+    assert "robot.xml:7: body base > inertial: mass: 7.5 -> 6" in lines
+    assert any(line.endswith("motor m_hip1: ctrlrange: -25.0 25.0 -> -21 21") for line in lines)
+    assert any(line.startswith("the old file is kept as ") for line in lines)
+    assert lines[-1] == f"written: {output}"
+    content = json.loads(output.read_text())
+    assert content["edits"][0] == {
+        "file": "robot.xml",
+        "line": 7,
+        "element": "body base > inertial",
+        "attribute": "mass",
+        "old": "7.5",
+        "new": "6",
+    }
+    assert content["agree"] is True
+    again = run(folder)
+    assert again.returncode == 0
+    assert "no difference within the tolerances" in again.stdout
 
 
 @pytest.mark.parametrize(

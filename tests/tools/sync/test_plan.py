@@ -21,6 +21,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError, OutputError
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.tools.sync import models
+from pupper_analysis.tools.sync.digits import format_number, format_numbers
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from tests.support.hidden_files import leave_hidden_file
 from tests.support.robots import (
@@ -362,6 +363,27 @@ def test_joint_of_one_file_alone_is_not_changed(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------- writing
+
+
+def test_files_that_agree_are_not_changed(tmp_path: Path) -> None:
+    files = pair(tmp_path)
+    before = [file.read_bytes() for file in files]
+    result = sync(files, "urdf")
+    assert result.agree
+    assert (result.edits, result.not_mended, result.written, result.diff) == ((), (), (), "")
+    assert [file.read_bytes() for file in files] == before
+
+
+def test_written_numbers_have_the_fewest_digits_of_their_value() -> None:
+    """Rounding errors of 1e-16 are no digits; unchanged numbers keep their text."""
+    assert format_number(0.12345678901230004, 1.0) == "0.1234567890123"
+    assert format_number(-0.0025, 1.0) == "-0.0025"
+    assert format_number(0.30000000000000004, 1.0) == "0.3"
+    assert float(format_number(1 / 3, 1.0)) == pytest.approx(1 / 3, abs=1e-15)
+    assert format_number(1e-17, 1.0) == "0"
+    assert format_number(3.0, 1.0) == "3"
+    assert format_numbers(["1.50", "0"], [1.5, 2.0]) == "1.50 2"
+    assert format_numbers(["1.50", "2"], [1.5, 2.0]) is None
 
 
 def test_dry_run_shows_the_changes_without_writing(tmp_path: Path) -> None:

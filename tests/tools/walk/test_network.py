@@ -163,6 +163,20 @@ def test_onnx_graphs_equal_onnxruntime(kind: str, tmp_path: Path) -> None:
         assert found == pytest.approx(action, abs=ALIKE)  # theirs is of single precision
 
 
+def test_onnx_graph_equals_plain_loops(tmp_path: Path) -> None:
+    """Also without onnxruntime. Weights are rounded to single precision, as in the file."""
+    draw = np.random.default_rng(6)
+    layers = [
+        (draw.normal(size=(6, 8)), draw.normal(size=8)),
+        (draw.normal(size=(8, 5)), np.ones(5)),
+    ]
+    network, row = read_graph(made.dense_onnx(layers, "Elu"), tmp_path), rows(1, 6)[0]
+    one, two = [[part.astype(np.float32).astype(float) for part in layer] for layer in layers]
+    hidden = [BY_LOOPS["elu"](x) for x in product(row, *one)]
+    found, _ = network.forward(row[None])
+    assert found[0] == pytest.approx(product(hidden, *two), abs=ALIKE)
+
+
 def get_refusal(layers: list[dict[str, Any]]) -> str:
     with pytest.raises(ModelError) as caught:
         read(layers)
@@ -226,3 +240,35 @@ def test_torchscript_equals_plain_loops(torch: Any, tmp_path: Path) -> None:
         assert out == pytest.approx(row, abs=ALIKE)
     alone = network.forward(given[2:3])[0]
     assert np.array_equal(alone[0], found[2])
+
+
+@pytest.mark.slow
+def test_torchscript_with_a_state_or_without_a_network_is_refused(
+    torch: Any, tmp_path: Path
+) -> None:
+    """A counter between observations; a file of weights alone; a weight that is no number."""
+
+    class Counting(torch.nn.Module):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.out = torch.nn.Linear(3, 2)
+            self.register_buffer("h", torch.zeros(1))
+
+        def forward(self, x: Any) -> Any:
+            self.h.add_(1.0)
+            return self.out(x) + self.h
+
+    path = tmp_path / "counts.pt"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.jit.save(torch.jit.trace(Counting(), torch.zeros(1, 3), check_trace=False), str(path))
+    with pytest.raises(ModelError, match="keeps a state"):
+        policy.build_torchscript_network(path)
+    weights = tmp_path / "weights.pt"
+    torch.save(torch.nn.Linear(3, 2).state_dict(), str(weights))
+    with pytest.raises(ModelError, match="no network"):
+        policy.build_torchscript_network(weights)
+    bad = torch.nn.Linear(3, 2)
+    bad.weight.data[0, 0] = math.nan
+    with pytest.raises(ModelError, match="weight"):
+        policy.build_torchscript_network(_save_onnx(torch, bad, tmp_path / "nan.pt"))

@@ -51,6 +51,21 @@ def get_refusal(path: Path) -> str:
     return str(caught.value)
 
 
+def test_contract_is_read_from_a_toml_beside_the_policy(tmp_path: Path) -> None:
+    contract = Policy.load(onnx_policy(tmp_path)).contract
+    assert contract.joints == ("a", "b")
+    assert contract.kp is not None
+    assert contract.kp.tolist() == [20, 30]
+    assert contract.kd is not None
+    assert contract.kd.tolist() == [1, 1]
+    assert [term.name for term in contract.terms] == [
+        *("angular-velocity", "command", "joint-positions", "phase")
+    ]
+    assert (contract.terms[0].scale, contract.history) == (0.25, 2)
+    assert contract.latency == 0.01
+    assert contract.sources["kp"].endswith("made.toml")
+
+
 def test_toml_takes_precedence_over_onnx_metadata(tmp_path: Path) -> None:
     stated = {"joint_names": "left,right", "joint_stiffness": "40.0,41.0", "action_scale": "0.3"}
     toml = TOML.replace('joints = ["a", "b"]\n', "").replace("kp = [20, 30]\n", "")
