@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from tests.support.commands import run_command
+from tests.support.commands import check_refusal, run_command
 from tests.support.variants import load
 
 
@@ -49,3 +49,18 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     assert status == 1, err
     assert "largest payload 0.00 kg at (0, 0, 0) mm of base_link, on the simulated ground" in out
     assert "limiting failure: loses static stability" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--payload-at", "1,2"), "payload-at: '1,2' is not of the form X,Y,Z (10mm,0,0)"),
+        (("--slope", "0.8", "--pitch", "-0.8"), "the coefficient is 1.000, and 1.030 is needed"),
+        (("--json", "."), "it is a folder"),
+    ],
+)
+def test_invalid_input_is_refused_in_one_line(
+    arguments: tuple[str, ...], message: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    output = () if "--json" in arguments else ("--json", "all.json")
+    check_refusal(capfd, tmp_path, ["payload", "v3", *arguments, *output], message)

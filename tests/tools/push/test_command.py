@@ -10,7 +10,7 @@ import pytest
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from tests.support.commands import run_command
+from tests.support.commands import check_refusal, run_command
 from tests.support.variants import load
 
 COARSE = ("--directions", "4", "--resolution", "0.3")
@@ -65,3 +65,17 @@ def test_pushes_of_two_files_in_a_stance_equal_the_python_result(
     np.testing.assert_allclose(found["recovery"]["impulses"], alike.impulses, atol=1e-9)
     assert "FL_foot lifted 10 mm" in out
     assert imread(figure).std() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("v3", "--directions", "2"), "directions: 2 is not between 3 and 360"),
+        (("v3", "--resolution", "0"), "resolution: 0.0 N s is not between"),
+        (("v3", "--urdf", "a.urdf"), "a.urdf: there is no such file"),
+    ],
+)
+def test_invalid_input_is_refused_in_one_line(
+    arguments: tuple[str, ...], message: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    check_refusal(capfd, tmp_path, ["push", *arguments, "--json", "all.json"], message)

@@ -1,4 +1,4 @@
-"""The document of a walk."""
+"""Documents of walks and of orders of joints."""
 
 from __future__ import annotations
 
@@ -6,11 +6,48 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from pupper_analysis.tools.walk.document import _max_over_runs
+from pupper_analysis.tools.walk.orders import Candidate, Orders
+from tests.support.printing import printed
 
 
 def test_motor_table_contains_the_largest_value_of_all_runs_per_motor() -> None:
     runs = [SimpleNamespace(torque_peak=np.array(peak)) for peak in ([1.0, 5.0], [3.0, 2.0])]
     walk: Any = SimpleNamespace(gaits=runs)
     np.testing.assert_array_equal(_max_over_runs(walk, "torque_peak"), [3.0, 5.0])
+
+
+def make_orders(tracked: tuple[int, int]) -> Orders:
+    """Return two interpretations; the second is the stated one, with a cost of 1.05 of the first.
+
+    Args:
+        tracked: Number of tracked commands of each interpretation.
+    """
+    candidates = tuple(
+        Candidate(change, "", ("hip", "knee"), flipped, count, 0, 2.0, 0.0, cost)
+        for change, flipped, count, cost in (
+            ("sign", ("knee",), tracked[0], 2.0),
+            ("stated", (), tracked[1], 2.1),
+        )
+    )
+    lead = 1.05 if tracked[0] == tracked[1] else None
+    return Orders("v3", "still.json", np.zeros((3, 3)), candidates, 1, lead, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("tracked", "word", "passed"),
+    [
+        ((0, 0), "NONE WALKS", False),
+        ((3, 1), "ANOTHER INTERPRETATION WALKS BETTER", False),
+        ((3, 3), "NOT DETERMINED", True),
+    ],
+)
+def test_verdict_of_orders_depends_on_the_tracked_commands(
+    tracked: tuple[int, int], word: str, passed: bool
+) -> None:
+    """No interpretation walks; another one tracks more commands; both walk equally well."""
+    orders = make_orders(tracked)
+    assert (orders.passed, orders.determined) == (passed, tracked == (3, 1))
+    assert printed(orders).startswith(f"{word} v3")
