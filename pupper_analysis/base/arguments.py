@@ -196,7 +196,7 @@ def check_type(name: str, value: object, hint: Any) -> None:
         return
     message = diagnose(
         "of-another-type",
-        value=reprlib.repr(value),
+        value=" ".join(reprlib.repr(value).split()),
         wanted=[_describe_type(option) for option in _union_members(hint)],
     )
     raise ConfigurationError(name, message)

@@ -50,6 +50,20 @@ def is_object(model: object) -> bool:
     )
 
 
+def require_path(argument: str, model: object) -> None:
+    """Raise an error if a model is a robot in memory, which has no file that could be written.
+
+    Args:
+        argument: Name of the argument, for the message.
+        model: Model of the caller.
+
+    Raises:
+        ConfigurationError: If the model is an object or an XML text.
+    """
+    if is_object(model):
+        raise ConfigurationError(argument, diagnose("object-without-file"))
+
+
 @dataclass(frozen=True, eq=False)
 class ObjectFiles:
     """Model files of robots in memory.

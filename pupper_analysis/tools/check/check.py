@@ -19,6 +19,7 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.base.tools import find_tool_modules
+from pupper_analysis.models.objects import require_path
 from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.check.config import (
@@ -184,11 +185,12 @@ def check_repository(
         Result for each pair, and all remarks.
 
     Raises:
-        ConfigurationError: If there is no configuration.
+        ConfigurationError: If there is no configuration, or ``config`` is the text of a model.
         ModelError: If the configuration or the baseline is invalid (with the line), or git does not
             contain the revision.
         OutputError: If the baseline cannot be written.
     """
+    require_path("config", config)
     settings = read_config(Path(config) if config is not None else find_config())
     before = read_baseline(settings.baseline)
     if update_baseline:

@@ -10,8 +10,10 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import cast
 
 import mujoco
+import pinocchio as pin
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
@@ -28,6 +30,7 @@ from pupper_analysis.base.runs import ensure_run, register_input
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.objects import ModelObject, is_object
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
 from pupper_analysis.prepare.convert.repair import Repair
@@ -57,7 +60,7 @@ from pupper_analysis.tools.convert.draft import ConversionDraft, draft_mjcf, dra
 @silence_mujoco()
 @ensure_run()
 def convert_model(
-    source: str | Path,
+    source: str | Path | ModelObject,
     output: str | Path,
     *,
     feet: Feet | None = None,
@@ -80,14 +83,16 @@ def convert_model(
     cannot express are listed in ``not_converted``.
 
     Args:
-        source: Path of the URDF or MJCF. For an MJCF, only ``output``, ``packages`` and ``force``
+        source: Path of the URDF or MJCF, or a robot in memory, as for ``load_robot``. For an MJCF,
+            only ``output``, ``packages`` and ``force``
             may be passed in addition.
         output: Path of the new file.
         feet: Links of the feet, or the link for each foot name. Default: detected as by
             ``load_robot``.
         fixed_base: Fix the base in the world. Default: False for a base with two or more limbs that
             is not named ``world``.
-        armature: Rotor inertia [kg m^2] for each joint.
+        armature: Rotor inertia [kg m^2] for each joint. Default: that of a ``pin.Model``, otherwise
+            none.
         repair_inertia: Replace physically impossible inertias of moving links by the nearest
             possible inertias, and masses of zero by 1 g. Default: such links are refused.
         copy_meshes: Copy all meshes to the folder ``NAME_meshes`` beside the new file. Default: the
@@ -106,31 +111,32 @@ def convert_model(
         OutputError: If the output or a mesh exists, is an input file, has another suffix, is no
             regular file, or cannot be written.
     """
-    source, output = Path(source), Path(output)
-    register_input(source)
+    output = Path(output)
+    if not is_object(source):
+        register_input(Path(cast(str | Path, source)))
     check_writable(output, MODEL_KIND, force=force)
     if output.exists() and not output.is_file():
         raise OutputError(output, diagnose("output-not-regular"))
     file = read_model(source, packages)
+    name = str(file.path if is_object(source) else source)
+    if isinstance(source, pin.Model) and armature is None:
+        armature = _list_armatures(source)
     wanted = ".xml" if isinstance(file, UrdfFile) else ".urdf"
     if output.suffix.lower() != wanted:
-        made = diagnose(
-            "output-named-otherwise", source=source, ending=wanted, mjcf=wanted == ".xml"
-        )
+        made = diagnose("output-named-otherwise", source=name, ending=wanted, mjcf=wanted == ".xml")
         raise OutputError(output, made)
     options = MjcfOptions(feet, fixed_base, armature, repair_inertia, copy_meshes)
     if isinstance(file, UrdfFile):
         check_armatures(file, dict(armature or {}))
         draft = draft_mjcf(file, output, options)
-        urdf, mjcf = source, output
     else:
-        _refuse_mjcf_options(options, source)
+        _refuse_mjcf_options(options, name)
         draft = draft_urdf(file, output)
-        urdf, mjcf = output, source
         if draft.failure is None:
             check_simulable(file)  # before anything is written
     contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
     write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
+    urdf, mjcf = (source, output) if isinstance(file, UrdfFile) else (output, source)
     comparison = compare_files(urdf, mjcf, packages=packages, tolerances=Tolerances.fine()).result
     verification, kept = None, None
     failures = list(_list_disagreements(comparison, draft))
@@ -140,19 +146,23 @@ def convert_model(
     failures += draft.lost
     unlike: tuple[Diagnostic, ...] = ()
     if draft.failure is None:
-        pair = draft.urdf or read_urdf(urdf), read_mjcf(mjcf)
+        pair = (
+            (read_urdf(output), file)
+            if isinstance(file, MjcfFile)
+            else (draft.urdf or file, read_mjcf(output))
+        )
         robot = _make_converted_robot(draft, *pair, feet)
         unlike = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
         failures += [one for one in unlike if one.severity is Severity.ERROR]
     if draft.failure is None and draft.stands:
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
         failures += verification.failures
-        if mjcf == output:
-            kept = run_from_keyframe(mjcf)
+        if isinstance(file, UrdfFile):
+            kept = run_from_keyframe(output)
             why = [] if kept is None else kept.failures
             failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
     return Conversion(
-        source=str(source),
+        source=name,
         output=str(output),
         written=tuple(map(str, contents)),
         notes=(*(one for one in unlike if one.severity is not Severity.ERROR), *draft.notes),
@@ -181,7 +191,16 @@ def _make_converted_robot(
     return make_robot(urdf, mjcf, feet=feet, fixed_base=not draft.stands)
 
 
-def _refuse_mjcf_options(options: MjcfOptions, source: Path) -> None:
+def _list_armatures(model: pin.Model) -> dict[str, float]:
+    """Return {joint: rotor inertia [kg m^2]} of the joints with one velocity and an armature."""
+    return {
+        name: float(model.armature[joint.idx_v])
+        for name, joint in list(zip(model.names, model.joints, strict=True))[1:]
+        if joint.nv == 1 and model.armature[joint.idx_v]
+    }
+
+
+def _refuse_mjcf_options(options: MjcfOptions, source: str) -> None:
     """Raise an error if an option of new MJCFs is passed for a new URDF."""
     for field in fields(options):
         if getattr(options, field.name) != field.default:

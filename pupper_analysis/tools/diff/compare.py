@@ -26,6 +26,7 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
+from pupper_analysis.models.objects import ModelObject
 from pupper_analysis.models.places import Place
 from pupper_analysis.robot.compare.attribution import MAX_RESIDUAL
 from pupper_analysis.robot.compare.differences import (
@@ -127,21 +128,22 @@ class ModelDiff(Result):
 @check_arguments
 @silence_mujoco()
 def diff_models(
-    old: str | Path,
-    new: str | Path,
+    old: str | Path | ModelObject,
+    new: str | Path | ModelObject,
     *,
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
 ) -> ModelDiff:
-    """Compare two URDFs or two MJCFs: two versions of a file, or two files.
+    """Compare two URDFs or two MJCFs: two versions of a file, two files, or robots in memory.
 
     Equivalent descriptions (link frames, position of a hinge along the axis) are no changes.
     Collision shapes are compared by surface; in an MJCF also contact parameters, pairs, options,
     flags and keyframes. Visual shapes and sensors are ignored.
 
     Args:
-        old: Old file, or ``REVISION:PATH`` for a file in git.
-        new: New file, or ``REVISION:PATH``.
+        old: Old file, ``REVISION:PATH`` for a file in git, or a robot in memory, as for
+            ``load_robot``. Changes of a robot in memory have no lines.
+        new: New version, in one of these forms.
         packages: {ROS package: folder}, for ``package://`` paths.
         tolerances: Largest ignored changes; by default rounding errors.
 
@@ -157,6 +159,10 @@ def diff_models(
         old_version, new_version = (
             read_version(source.read(lambda path: read_model(path, packages)))
             for source in (before, after)
+        )
+        before, after = (
+            source if source.name else replace(source, name=str(version.file.path))
+            for source, version in ((before, old_version), (after, new_version))
         )
         if type(old_version.file) is not type(new_version.file):
             raise ModelError(after.name, diagnose("formats-differ", other=before.name))
@@ -262,7 +268,9 @@ class _Comparison:
                     consequences = (*only.consequences, *combined)
                     self.differences = [replace(only, effects=effects, consequences=consequences)]
                     combined = ()
-            if self.differences or combined:
+            # A compiled model does not contain the settings of its compiler.
+            compiled = any(isinstance(source.path, mujoco.MjModel) for source in self.sources)
+            if (self.differences or combined) and not compiled:
                 self.differences += find_changed_compiler_settings(old_file, new_file)
         patched = trial.evaluate_tree(apply_changes(first, second, VERSION_NAMES))
         residual = {

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import mujoco
 import numpy as np
@@ -35,6 +35,7 @@ from pupper_analysis.models.git import (
 from pupper_analysis.models.mjcf import JointKind, compile_spec, name_elements
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.models.objects import ModelObject, is_object
 from pupper_analysis.models.places import Place, one_line
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.stated.urdf import read_urdf_model
@@ -226,16 +227,16 @@ file that the user names."""
 
 @dataclass(frozen=True)
 class VersionedFile:
-    """File, or a copy of a file in git.
+    """File, a copy of a file in git, or a robot in memory.
 
     Attributes:
-        path: Path for reading.
+        path: Path for reading, or robot in memory.
         name: Name passed by the user.
         revision: Revision; empty for a file outside git.
         root: Folder with the extracted revision; None for a file outside git.
     """
 
-    path: Path
+    path: Path | ModelObject | str
     name: str
     revision: str = ""
     root: Path | None = None
@@ -244,8 +245,10 @@ class VersionedFile:
         """Return ``file:line`` of a place; the file is named as by the user (``REVISION:PATH``)."""
         return self._replace_paths(place.path)
 
-    def read(self, read: Callable[[Path], _T]) -> _T:
-        """Call ``read`` with the path of this file, or of its copy from git; return the result.
+    def read(self, read: Callable[[Path | ModelObject | str], _T]) -> _T:
+        """Call ``read`` with the path of this file, its copy from git, or the robot in memory.
+
+        Returns the result of ``read``.
 
         If ``read`` raises a ModelError, the message names the file as the user passed it.
         """
@@ -266,16 +269,19 @@ class VersionedFile:
 
 
 @contextmanager
-def open_version(given: str | Path) -> Iterator[VersionedFile]:
-    """Yield a file, or a copy of a file in git with all files that it may include.
+def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
+    """Yield a file, a copy of a file in git with all files that it may include, or an object.
 
     Args:
-        given: Path, or ``REVISION:PATH`` as for ``git show``: relative to the top of the
-            repository, or to the current folder if PATH begins with ``./`` or ``../``.
+        given: Robot in memory, path, or ``REVISION:PATH`` as for ``git show``: relative to the top
+            of the repository, or to the current folder if PATH begins with ``./`` or ``../``.
 
     Raises:
         ModelError: If git is not installed or does not contain the file; with git's message.
     """
+    if is_object(given):
+        yield VersionedFile(cast(ModelObject, given), "")
+        return
     text = str(given)
     revision, separator, inside = text.partition(":")
     # An existing path takes precedence; "C:\\robot.urdf" is a path as well.

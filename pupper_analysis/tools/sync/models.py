@@ -24,6 +24,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.objects import require_path
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import SERVO_GAIN_KINDS, Difference
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -127,9 +128,12 @@ def sync_models(
 
     Raises:
         ModelError: If a file cannot be read, or the files cannot be matched.
-        ConfigurationError: If a choice is not valid or matches no difference.
+        ConfigurationError: If a choice is not valid or matches no difference, or a model is the
+            text of a file.
         OutputError: If a file cannot be written, or has uncommitted changes.
     """
+    require_path("urdf", urdf)
+    require_path("mjcf", mjcf)
     files = Files(Path(urdf), Path(mjcf), dict(names or {}), dict(packages or {}))
     tolerances = tolerances or Tolerances()
     comparison = _compare_files(files, tolerances)

@@ -513,3 +513,32 @@ def test_requested_armature_is_written_at_the_named_joints(tmp_path: Path) -> No
     model = compile_file(mjcf)
     armature = {model.joint(i).name: model.dof_armature[i + 5] for i in range(1, 13)}
     assert armature == {**dict.fromkeys(armature, 0.0), **given}
+
+
+@pytest.mark.slow
+def test_spec_in_memory_is_converted_to_a_urdf(tmp_path: Path) -> None:
+    """Reference: masses of Pinocchio's model of the written file [kg]."""
+    spec = mujoco.MjSpec.from_file(str(ROOT / "mjcf" / "pupper_v3.xml"))
+    spec.body("base_link").mass = 2.0
+    urdf = tmp_path / "v3.urdf"
+    found = pa.convert_model(spec, urdf)
+    assert found.passed, found.failures
+    assert found.source.endswith("<MjSpec pupper_v3>")
+    model = pin.buildModelFromUrdf(str(urdf))
+    assert sum(inertia.mass for inertia in model.inertias) == pytest.approx(
+        spec.compile().body_mass.sum(), rel=1e-9
+    )
+
+
+@pytest.mark.slow
+def test_armature_of_a_pinocchio_model_is_written_to_the_mjcf(tmp_path: Path) -> None:
+    """Reference: MuJoCo's ``dof_armature`` of the written file [kg m^2]."""
+    urdf = write_standing_urdf(tmp_path)
+    model = pin.buildModelFromUrdf(str(urdf))
+    model.armature[:] = np.linspace(0.01, 0.02, model.nv)
+    found = pa.convert_model(model, tmp_path / "fixed.xml", fixed_base=True)
+    assert found.passed, found.failures
+    written = compile_file(tmp_path / "fixed.xml")
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        armature = written.dof_armature[written.joint(name).dofadr[0]]
+        assert armature == pytest.approx(model.armature[joint.idx_v])

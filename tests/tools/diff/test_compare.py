@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -454,3 +455,43 @@ def test_file_that_is_excluded_from_exports_is_read(repository: Path) -> None:
     (repository / ".gitattributes").write_text("*.urdf export-ignore\n")
     _commit(repository)
     assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
+
+
+def test_changed_spec_in_memory_is_compared_with_its_file() -> None:
+    """The caller changes a mass of the spec [kg]; the old value has a line, the new value none."""
+    path = ROOT / "mjcf" / "pupper_v3.xml"
+    spec = mujoco.MjSpec.from_file(str(path))
+    assert pa.diff_models(path, spec).same
+    spec.body("base_link").mass = 2.0
+    found = pa.diff_models(path, spec.compile())
+    [change] = found.changes
+    assert (change.kind, change.element, change.new) == ("mass", "base_link", pytest.approx(2.0))
+    assert change.old_place.endswith("pupper_v3_body.xml:3")
+    assert (found.new, change.new_place) == ("<MjModel pupper_v3>", "<MjModel pupper_v3>")
+
+
+@pytest.mark.parametrize("kind", ["urdf", "xml"])
+def test_text_of_a_model_equals_its_file(kind: str, tmp_path: Path) -> None:
+    text = TEXT[kind](ROBOT)
+    file = tmp_path / f"robot.{kind}"
+    file.write_text(text)
+    assert pa.diff_models(file, text).same
+    assert pa.diff_models(text, TEXT[kind](change_part(ROBOT, "thigh0", mass=9.0))).changes
+
+
+def test_objects_of_two_formats_are_refused_in_one_line() -> None:
+    text = urdf_text(ROBOT)
+    with pytest.raises(pa.ModelError, match=r"<XML text>.*another format.*<MjSpec") as error:
+        pa.diff_models(mujoco.MjSpec.from_string(mjcf_text(ROBOT)), text)
+    assert "\n" not in str(error.value)
+
+
+def test_text_is_refused_by_functions_that_write_files_in_place() -> None:
+    text = mjcf_text(ROBOT)
+    with pytest.raises(pa.ConfigurationError, match="mjcf: this robot is in memory"):
+        pa.sync_models(ROOT / "urdf" / "pupper_v3.urdf", text)
+    with pytest.raises(pa.ConfigurationError, match="config: this robot is in memory"):
+        pa.guard.check_repository(text)
+    with pytest.raises(pa.ConfigurationError, match="urdf: ") as error:
+        pa.sync_models(load("v3").pin_model, ROOT / "mjcf" / "pupper_v3.xml")  # type: ignore[arg-type]
+    assert "\n" not in str(error.value)
