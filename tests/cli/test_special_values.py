@@ -195,7 +195,7 @@ def test_command_output_equals_the_row_of_the_table(
         assert "have no friction on the ground" in out + err
     if ": " in row["verdict"] and word == "DISAGREE":
         assert row["verdict"].partition(": ")[2] in out
-    assert ("motors without torque" in out) is ("without torque" in row["verdict"])
+    assert ("motors without torque" in out + err) is ("without torque" in row["verdict"])
     if command not in (*COMPARING, "study"):  # in these, a ratio to zero is infinite
         for word in ("any mass", "any force", "inf ", "inf%"):
             assert word not in out

@@ -17,16 +17,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, NoStiffnessError
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError, NoStiffnessError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.limits import (
+    describe_zero_torque_limits,
+    loads_motor_without_torque,
+)
 from pupper_analysis.robot.alike import sibling_joints
 from pupper_analysis.robot.as_published import ServosUsed
+from pupper_analysis.robot.joints import force_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.stability import HOLD_DURATION
-from pupper_analysis.simulation.rollout import make_stand_start
+from pupper_analysis.simulation.rollout import StandStart, make_stand_start
+from pupper_analysis.simulation.verdict import find_overloaded_motors
 from pupper_analysis.stance.sag.steady_state import find_sag_failure, minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -264,13 +270,15 @@ def study_gains(
         ConfigurationError: If an argument is out of range or invalid for the robot, or no tried
             gains are stable.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, if the torque limit of a motor is smaller than the torque of the stand, or
+            if the ground cannot be added (``build_on_ground``).
     """
     _check_request(error, encoder_bits)
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
     robot = stand.check(robot)
     settled = solve_stand_as_simulated(robot, stand)
     held = make_stand_start(robot, settled, kp=kp, kd=kd)
+    _check_motor_torques(held)
     loop = ControlledStand(held, rate, delay)
     gains = _Gains(loop, np.array(held.drive.kp), np.array(held.drive.kd))
     groups = group_joints(robot, gains.kp, gains.kd)
@@ -359,6 +367,33 @@ def _check_request(error: float | None, encoder_bits: int | None) -> None:
                 "encoder-not-valid", given=encoder_bits, low=MIN_ENCODER_BITS, high=MAX_ENCODER_BITS
             ),
         )
+
+
+def _check_motor_torques(held: StandStart) -> None:
+    """Raise a ModelError if the torque limit of a motor is smaller than the torque of the stand.
+
+    Gains do not change the limit. Motors with a limit of zero are named first.
+    """
+    robot, statics = held.robot, held.prediction
+    null = describe_zero_torque_limits(robot)
+    if null is not None and loads_motor_without_torque(robot, statics):
+        raise ModelError(robot.name, null)
+    overloaded = find_overloaded_motors(statics)
+    if not overloaded:
+        return
+    hardest = int(np.argmax(statics.motor_utilisation))
+    joint = statics.joint_names[hardest]
+    unit = force_unit(robot, joint)
+    raise ModelError(
+        robot.name,
+        diagnose(
+            "stand-overloads-motors",
+            joint=joint,
+            torque=Quantity(abs(float(statics.joint_torques[hardest])), unit),
+            limit=Quantity(float(robot.effort_limits[hardest]), unit),
+            more=[name for name in overloaded if name != joint],
+        ),
+    )
 
 
 _Pair = tuple[Array, Array]

@@ -10,6 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.present.document import Number, Table, get_english
+from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.tools.gains.document import gains_document
 from pupper_analysis.tools.gains.gains import (
     MAX_NOISE_RATIO,
@@ -151,6 +152,20 @@ def test_joints_with_other_gains_form_a_class_of_their_own() -> None:
 )
 def test_classes_are_named_by_common_parts(names: list[str], expected: str) -> None:
     assert name_joints(names) == expected
+
+
+def test_motors_too_weak_for_the_stand_are_named_in_the_error() -> None:
+    """Reference: the torque that statics predicts with minimum tangential forces, over 0.1 N m."""
+    robot, knee = load("v3"), "leg_front_r_3"
+    weak = pa.robot.with_efforts(robot, {knee: 0.1})
+    stand = pa.solve_stand_as_simulated(weak)
+    torques = stand_statics(weak, stand).joint_torques
+    needed = abs(torques[weak.joint_names.index(knee)])
+    assert needed > 0.1
+    with pytest.raises(pa.ModelError) as caught:
+        study_gains(weak, pa.StandTask())
+    words = f"{knee} must exert {needed:.3g} N m, its limit is 0.1 N m"
+    assert words in str(caught.value)
 
 
 @pytest.mark.parametrize(
