@@ -7,7 +7,7 @@ are made by the package ``present``, which is imported at the first use.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib import import_module
@@ -18,7 +18,7 @@ import numpy as np
 import orjson
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose, format_number
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose, format_pair
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.base.frozen import freeze
 
@@ -212,17 +212,21 @@ class Tabular(Result):
         return pd.DataFrame({name: list(values) for name, values in self._columns().items()})  # type: ignore[arg-type]
 
 
-def shorten(value: object) -> str:
-    """Return a short text for a value: floats with 6 digits, long containers by size."""
+def shorten(value: object, other: object = None) -> str:
+    """Return a short text for a value: floats with 6 digits, long containers by size.
+
+    Floats, also those of a short vector, get more digits if they differ from the corresponding
+    number of ``other``, the value that is printed beside them, but would have the same text.
+    """
     if isinstance(value, Enum):
         return repr(value.value)
     if isinstance(value, float):
-        return format_number(value, ".6g")
+        return format_pair(value, other if isinstance(other, float) else value, ".6g")[0]
     if isinstance(value, str):
         return repr(value if len(value) <= 60 else f"{value[:57]}...")
     if isinstance(value, np.ndarray):
         if value.ndim == 1 and value.size <= _MAX_SHOWN_ITEMS:
-            return f"[{', '.join(shorten(item) for item in value.tolist())}]"
+            return f"[{', '.join(_shorten_items(value, other))}]"
         return f"<array {' x '.join(map(str, value.shape))}>"
     if isinstance(value, Mapping):
         names = ", ".join(map(str, list(value)[:_MAX_SHOWN_ITEMS])) + (
@@ -233,12 +237,29 @@ def shorten(value: object) -> str:
         if len(value) <= _MAX_SHOWN_ITEMS and all(
             isinstance(item, str | float | int) for item in value
         ):
-            return f"({', '.join(shorten(item) for item in value)})"
+            return f"({', '.join(_shorten_items(value, other))})"
         return f"<{len(value)} {type(value[0]).__name__}>"
     if isinstance(value, Result):
         return f"{type(value).__name__}(...)"
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list[str]:
+    """Return the short texts of the items of a vector, beside those of ``other`` (`shorten`)."""
+    items = list(values)
+    compared = list(other) if isinstance(other, tuple | list | np.ndarray) else []
+    if len(compared) != len(items):
+        compared = items
+    return [
+        shorten(_to_number(item), _to_number(beside))
+        for item, beside in zip(items, compared, strict=True)
+    ]
+
+
+def _to_number(item: object) -> object:
+    """Return a number of NumPy as a number of Python; another item as it is."""
+    return item.item() if isinstance(item, np.generic) else item
 
 
 def __dir__() -> list[str]:

@@ -23,7 +23,13 @@ if TYPE_CHECKING:
     from pupper_analysis.statics.equilibrium import GravityCompensation
 from collections.abc import Iterable
 
-from pupper_analysis.base.diagnostics import fill_template, format_number, is_term, phrase
+from pupper_analysis.base.diagnostics import (
+    fill_template,
+    format_number,
+    format_pair,
+    is_term,
+    phrase,
+)
 
 Array = NDArray[np.float64]
 
@@ -534,6 +540,18 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
     if not float(text.rstrip("%") or "nan"):
         text = format(0.0, form)  # no minus before a zero
     return Number(text, shown, mark)
+
+
+def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:
+    """Create the cells of two compared numbers, with as many digits as show their difference.
+
+    Args:
+        first: Number, in the displayed unit.
+        second: Number, in the displayed unit.
+        form: Format specification with the smallest number of digits, such as ``".4g"``.
+    """
+    texts = format_pair(float(first) + 0.0, float(second) + 0.0, form)
+    return Number(texts[0], float(first)), Number(texts[1], float(second))
 
 
 def vector_cell(values: Sequence[float] | Array, form: str) -> Name:

@@ -29,3 +29,4 @@ from pupper_analysis.base.diagnostics.templates import describe_bound as describ
 from pupper_analysis.base.diagnostics.templates import describe_effort as describe_effort
 from pupper_analysis.base.diagnostics.templates import fill_template as fill_template
 from pupper_analysis.base.diagnostics.templates import format_number as format_number
+from pupper_analysis.base.diagnostics.templates import format_pair as format_pair

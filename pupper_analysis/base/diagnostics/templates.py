@@ -16,6 +16,9 @@ Syntax of a template:
 - ``[limit? beyond {limit}]``: text that is included only if the value is true (not None, empty,
   zero or false); ``[!limit? ...]`` only if the value is false. Such texts cannot be nested.
 
+Two compared numbers (`_COMPARED_NAMES`), such as ``{one:.6g}`` and ``{two:.6g}``, get more digits
+if they differ but would be printed alike (`format_pair`).
+
 Values of type ``Term``, ``Phrase`` or ``Diagnostic`` are written in the language of the text.
 """
 
@@ -61,6 +64,58 @@ def format_number(value: float, spec: str) -> str:
     if "e" in written and not spec.endswith("e") and 1e-6 <= abs(value) < 1e9:
         return format(Decimal(written), "+f" if written.startswith("+") else "f")
     return written
+
+
+_MAX_DIGITS = 17
+"""Number of significant digits with which any two different doubles have different texts."""
+
+_DEFAULT_DIGITS = 6
+"""Number of digits of a number format without precision, such as ``g`` (Python)."""
+
+_PRECISION = re.compile(r"(?:\.(\d+)|^|(?<=:))([efg]%?)$")
+"""Pattern of the precision, if there is one, and the type at the end of a number format such as
+``.3g``. A unit such as ``kg`` does not match."""
+
+
+def format_pair(
+    first: float | Quantity | Vector, second: float | Quantity | Vector, spec: str
+) -> tuple[str, str]:
+    """Format two compared numbers, with more digits if they differ but have the same text.
+
+    Args:
+        first: Number.
+        second: Number of the same type and unit.
+        spec: Format specification of both, with the smallest number of digits, such as ``.3g``.
+    """
+    texts = _format_value(first, spec), _format_value(second, spec)
+    if texts[0] != texts[1] or first == second:
+        return texts
+    prefix, digits, kind = _split_precision(first, spec)
+    for count in range(digits + 1, _MAX_DIGITS + 1):
+        longer = f"{prefix}.{count}{kind}"
+        finer = _format_value(first, longer), _format_value(second, longer)
+        if finer[0] != finer[1]:
+            return finer
+    return texts
+
+
+def _format_value(value: float | Quantity | Vector, spec: str) -> str:
+    """Return a number, with the unit if it has one, in a format specification."""
+    return format_number(value, spec) if isinstance(value, float | int) else format(value, spec)
+
+
+def _split_precision(value: float | Quantity | Vector, spec: str) -> tuple[str, int, str]:
+    """Return the part of a format before the precision, the number of digits, and the type.
+
+    Without a precision in ``spec``, these are the digits of the default format of ``value``.
+    """
+    match = _PRECISION.search(spec)
+    if match is not None:
+        return spec[: match.start()], int(match[1] or _DEFAULT_DIGITS), match[2]
+    if isinstance(value, Quantity | Vector):
+        prefix = f"{spec}:" if spec and not spec.endswith(":") else spec
+        return prefix, 6 if isinstance(value, Vector) else 4, "g"
+    return "", _MAX_DIGITS, "g"
 
 
 @dataclass(frozen=True)
@@ -248,6 +303,38 @@ def fill_template(template: str, values: Mapping[str, Any], language: str) -> st
     return _TemplateFormatter(language).vformat(included, (), values)
 
 
+_COMPARED_NAMES = (
+    *(("one", "two"), ("old", "new"), ("urdf", "mjcf"), ("own", "its"), ("mass", "its")),
+    *(("effort", "its"), ("value", "its"), ("mass", "stated")),
+)
+"""Names of placeholders whose values a message compares."""
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Value of a placeholder, and the value with which the message compares it."""
+
+    value: Any
+    other: Any
+
+
+def _find_compared_value(name: str, values: Mapping[str, Any]) -> Any:
+    """Return the value that a message compares with the placeholder ``name``; None without one.
+
+    Both values are numbers, quantities or vectors of the same unit.
+    """
+    value = values[name]
+    if not isinstance(value, float | Quantity | Vector):
+        return None
+    for pair in _COMPARED_NAMES:
+        if name in pair:
+            other = values.get(pair[1 - pair.index(name)])
+            same_unit = getattr(other, "unit", "") == getattr(value, "unit", "")
+            if type(other) is type(value) and same_unit:
+                return other
+    return None
+
+
 class _TemplateFormatter(Formatter):
     """String formatter for the template syntax of this module, in a single language."""
 
@@ -266,7 +353,8 @@ class _TemplateFormatter(Formatter):
             singular, plural = forms
             count = value if isinstance(value, int | float) else len(value)
             return (singular if count == 1 else plural), name
-        return value, name
+        other = _find_compared_value(name, kwargs)
+        return (value if other is None else _Compared(value, other)), name
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
         """Apply the conversion of a template field; the conversion ``!r`` quotes names.
@@ -282,6 +370,8 @@ class _TemplateFormatter(Formatter):
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """Return a value as text in the language of the formatter."""
+        if isinstance(value, _Compared):
+            return format_pair(value.value, value.other, format_spec)[0]
         if isinstance(value, tuple):
             return self._format_list(value, format_spec)
         if isinstance(value, Term):

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
-from pupper_analysis.base.diagnostics import Severity
+from pupper_analysis.base.diagnostics import Severity, format_pair
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
@@ -112,8 +112,11 @@ def _compare_lines(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
 
 def _format_value(finding: Disagreement, number: int) -> str:
     """Format the value of the first (0) or second (1) source of a disagreement, with its unit."""
-    value = finding.values[number]
-    return "-" if value is None else f"{value:.6g} {finding.unit}".rstrip()
+    value, other = finding.values[number], finding.values[1 - number]
+    if value is None:
+        return "-"
+    shown, _ = format_pair(value, value if other is None else other, ".6g")
+    return f"{shown} {finding.unit}".rstrip()
 
 
 def _make_column(key: str, unit: str = "", *, detail: bool = False) -> doc.Column:
@@ -206,7 +209,10 @@ def _tabulate_facts(
         if any(row_facts):
             marks = ["bad" if (row, name) in marked_cells else "" for name in names]
             head = doc.Name(row) if row in contract.joints else word(row)
-            rows.append((head, *map(_make_cell, row_facts, marks)))
+            stated = [fact.value for fact in row_facts if fact and fact.value is not None]
+            rows.append(
+                (head, *(_make_cell(*cell, stated) for cell in zip(row_facts, marks, strict=True)))
+            )
     columns = [_make_column("joint" if facts[0].joint else "contract-setting")]
     columns += [doc.Column(doc.Name(name), unit) for name in names]
     places = {name: next(fact.place for fact in facts if fact.source == name) for name in names}
@@ -219,13 +225,18 @@ def _tabulate_facts(
     return doc.Table(title, tuple(columns), tuple(rows), notes, detail=True)
 
 
-def _make_cell(fact: Fact | None, mark: str) -> doc.Cell:
-    """Create the cell of a number, of an expression that is not constant, or an empty cell."""
+def _make_cell(fact: Fact | None, mark: str, stated: Sequence[float]) -> doc.Cell:
+    """Create the cell of a number, of an expression that is not constant, or an empty cell.
+
+    ``stated`` are the numbers of all sources; the number gets as many digits as show the difference
+    from the first other number.
+    """
     if fact is None:
         return doc.Name("")
     if fact.value is None:
         return text("contract-no-constant", expression=fact.expression)
-    return doc.Number(f"{fact.value:.5g}", fact.value, mark)
+    other = next((value for value in stated if value != fact.value), fact.value)
+    return doc.Number(format_pair(fact.value, other, ".5g")[0], fact.value, mark)
 
 
 def _tabulate_observations(contract: Contract) -> doc.Table:

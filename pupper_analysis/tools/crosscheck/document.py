@@ -284,12 +284,12 @@ def _compare_lines(
     """Create the block of a difference, with the quoted lines of both files and the effects."""
     paths = (comparison.urdf, comparison.mjcf)
     columns = []
-    for place, value in (
-        (difference.urdf_place, difference.urdf),
-        (difference.mjcf_place, difference.mjcf),
+    for place, value, other in (
+        (difference.urdf_place, difference.urdf, difference.mjcf),
+        (difference.mjcf_place, difference.mjcf, difference.urdf),
     ):
         line = quote_line(place, *paths)
-        shown = doc.Name(line) if line else doc.Name(f"{shorten(value)} {difference.unit}")
+        shown = doc.Name(line) if line else doc.Name(f"{shorten(value, other)} {difference.unit}")
         named = doc.Name(_shorten_place(place)) if place else text("not-in-the-file")
         columns.append(doc.FilePlace(named, shown, place or ""))
     made_of = map(doc.diagnostic_text, difference.made_of)
@@ -311,8 +311,8 @@ def _tabulate_differences(comparison: Comparison) -> doc.Table:
                 doc.number_cell(order, "g"),
                 word(difference.kind),
                 doc.Name(difference.element),
-                _make_value_cell(difference.urdf),
-                _make_value_cell(difference.mjcf),
+                _make_value_cell(difference.urdf, difference.mjcf),
+                _make_value_cell(difference.mjcf, difference.urdf),
                 doc.Name(difference.unit),
                 doc.number_cell(effect, ".2g", scale=100),
                 doc.Name(_shorten_place(difference.urdf_place)),
@@ -344,11 +344,15 @@ def _shorten_place(place: str | None) -> str:
     return "" if place is None else Path(place).name
 
 
-def _make_value_cell(value: object) -> doc.Cell:
-    """Create a cell with a value of a difference; a dash for None."""
+def _make_value_cell(value: object, other: object) -> doc.Cell:
+    """Create a cell with a value of a difference; a dash for None.
+
+    ``other`` is the value of the other file.
+    """
     if isinstance(value, float | int):
-        return doc.number_cell(float(value), ".6g")
-    return doc.Name("-" if value is None else shorten(value))
+        compared = float(other) if isinstance(other, float | int) else float(value)
+        return doc.pair_cells(float(value), compared, ".6g")[0]
+    return doc.Name("-" if value is None else shorten(value, other))
 
 
 def _describe_explained(comparison: Comparison) -> Iterable[doc.Words]:

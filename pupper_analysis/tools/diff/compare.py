@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose, format_pair
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.conversion import MujocoTree
@@ -374,16 +374,25 @@ def _describe_value(value: Any, other: Any) -> Diagnostic | Term | str:
     if isinstance(value, dict):
         other = other if isinstance(other, dict) else {}
         keys = [key for key in value if value[key] != other.get(key)]
-        entries = [diagnose("entry", entry=key, value=_format_value(value[key])) for key in keys]
+        entries = [
+            diagnose("entry", entry=key, value=_format_value(value[key], other.get(key)))
+            for key in keys
+        ]
         return diagnose("entries", entries=entries) if entries else Term("nothing of the like")
-    return _format_value(value)
+    return _format_value(value, other)
 
 
-def _format_value(value: Any) -> str:
-    """Format a value with six digits; a list in brackets."""
+def _format_value(value: Any, other: Any) -> str:
+    """Format a value with six digits, or more if it otherwise equals ``other``; lists in brackets.
+
+    ``other`` is the value of the other version.
+    """
     if isinstance(value, list):
-        return "(" + ", ".join(map(_format_value, value)) + ")"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+        others = other if isinstance(other, list) and len(other) == len(value) else value
+        return "(" + ", ".join(map(_format_value, value, others)) + ")"
+    if not isinstance(value, float):
+        return str(value)
+    return format_pair(value, other if isinstance(other, float) else value, ".6g")[0]
 
 
 # Evaluation of a tree at random states in MuJoCo.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from pupper_analysis.base.diagnostics import format_number
+from pupper_analysis.base.diagnostics import format_number, format_pair
 from pupper_analysis.base.results import shorten
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
@@ -50,7 +50,8 @@ def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
     """Yield the old and new total mass [kg]; nothing if the versions are the same."""
     if not diff.same:
         old, new = diff.mass
-        mass = text("mass-old-kg-now-new", old=f"{old:.6g}", new=f"{new:.6g}")
+        old_text, new_text = format_pair(old, new, ".6g")
+        mass = text("mass-old-kg-now-new", old=old_text, new=new_text)
         if change := _format_percent(old, new):
             mass = text("mass-change", mass=mass, change=change)
         yield mass
@@ -62,8 +63,8 @@ def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
         yield doc.FileFinding(
             doc.diagnostic_text(change.diagnostic),
             (
-                _make_file_place(diff.old, change.old_place, change.old, change.unit),
-                _make_file_place(diff.new, change.new_place, change.new, change.unit),
+                _make_file_place(diff.old, change.old_place, (change.old, change.new), change.unit),
+                _make_file_place(diff.new, change.new_place, (change.new, change.old), change.unit),
             ),
             tuple(map(doc.diagnostic_text, change.consequences)) or (_describe_effects(change),),
         )
@@ -86,12 +87,19 @@ def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
         yield doc.Lines((left,), "bad")
 
 
-def _make_file_place(file: str, place: str, value: object, unit: str) -> doc.FilePlace:
+def _make_file_place(
+    file: str, place: str, values: tuple[object, object], unit: str
+) -> doc.FilePlace:
     """Create the place of a value in a file, with the quoted line or else the value.
 
-    ``place`` is path and line as text; empty if the file does not contain the value.
+    Args:
+        file: Version of the model.
+        place: Path and line as text; empty if the file does not contain the value.
+        values: Value in this version and in the other version.
+        unit: Unit of both.
     """
-    line = quote_line(place, file) or f"{shorten(value)} {unit}".rstrip()
+    value, other = values
+    line = quote_line(place, file) or f"{shorten(value, other)} {unit}".rstrip()
     named = doc.Name(Path(place).name) if place else text("not-in-the-file")
     return doc.FilePlace(named, doc.Name("-" if value is None else line), place)
 
@@ -137,8 +145,7 @@ def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
-            doc.number_cell(old, ".4g"),
-            doc.number_cell(new, ".4g"),
+            *doc.pair_cells(old, new, ".4g"),
             doc.Number(_format_percent(old, new), 100 * (new / old - 1) if old else float("nan")),
         )
         for name, (old, new) in changed.items()

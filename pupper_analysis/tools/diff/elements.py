@@ -22,6 +22,7 @@ from pupper_analysis.base.diagnostics import (
     Quantity,
     Term,
     diagnose,
+    format_pair,
 )
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf import (
@@ -489,8 +490,9 @@ _COMPILER_ATTRIBUTES: Final = {
 def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
     """Yield the changed attributes of ``<compiler>``, which change the meaning of other lines."""
     for name, word in _COMPILER_ATTRIBUTES.items():
+        settings = tuple(getattr(file.spec.compiler, name) for file in (old, new))
         old_setting, new_setting = (
-            _format_setting(name, getattr(file.spec.compiler, name)) for file in (old, new)
+            _format_setting(name, *pair) for pair in (settings, settings[::-1])
         )
         if old_setting == new_setting:
             continue
@@ -519,8 +521,8 @@ def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[Ele
         )
 
 
-def _format_setting(name: str, value: Any) -> str:
-    """Format a compiler setting as in an MJCF."""
+def _format_setting(name: str, value: Any, other: Any) -> str:
+    """Format a compiler setting as in an MJCF; ``other`` is the setting of the other version."""
     if name == "degree":
         return "degree" if value else "radian"
     if isinstance(value, bool | np.bool_):
@@ -528,7 +530,7 @@ def _format_setting(name: str, value: Any) -> str:
     if hasattr(value, "name"):
         return str(value.name).rpartition("_")[2].lower()
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return format_pair(value, other, ".6g")[0]
     return ("" if name == "eulerseq" else " ").join(map(str, value))
 
 
@@ -568,7 +570,8 @@ def _make_difference(
     """
     names = tuple(name for _, name in keys)
     old_element, new_element = old.get(keys[0]), new.get(keys[0])
-    before, after = (_format_value(element, word) for element in (old_element, new_element))
+    before = _format_value(old_element, word, new_element)
+    after = _format_value(new_element, word, old_element)
     whole = kind in ("option", "flag")  # a single element with many numbers
     message = diagnose(
         "mjcf-element-differs",
@@ -621,11 +624,14 @@ _TRANSLATED_WORDS: Final = (SHAPE_WORD, "friction")
 """Attributes whose names messages translate; other names are printed as in the MJCF."""
 
 
-def _format_value(element: Element | None, word: str) -> object:
+def _format_value(element: Element | None, word: str, other: Element | None) -> object:
     """Return the value of an attribute for a message.
 
-    ``word`` is the name of the attribute. If it is empty, the result states whether the element
-    exists, or describes its shape.
+    Args:
+        element: Element of one version; None without such an element.
+        word: Name of the attribute. If it is empty, the result states whether the element exists,
+            or describes its shape.
+        other: Element of the other version; numbers get as many digits as show the difference.
     """
     if element is None:
         return Term("none")
@@ -639,7 +645,11 @@ def _format_value(element: Element | None, word: str) -> object:
         return _ENUM_TYPES[word](int(numbers[0])).name.split("_", 1)[1].lower()
     if word == ENABLED_WORD:
         return Term("enabled" if numbers[0] else "disabled")
-    return " ".join(f"{number:.6g}" for number in numbers) or Term("none")
+    others = other.values.get(word, ()) if other is not None else ()
+    if len(others) != len(numbers):
+        others = numbers
+    pairs = zip(numbers, others, strict=True)
+    return " ".join(format_pair(*pair, ".6g")[0] for pair in pairs) or Term("none")
 
 
 def _to_plain(element: Element | None, word: str) -> object:

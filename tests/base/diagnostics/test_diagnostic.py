@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import pickle
 import re
 import tomllib
@@ -25,6 +26,7 @@ from pupper_analysis.base.diagnostics import (
     Quantity,
     Severity,
     Source,
+    Vector,
     codes,
     diagnose,
     entry,
@@ -245,6 +247,25 @@ def test_errors_contain_diagnostics_instead_of_sentences() -> None:
         ("it[limit? ends at {limit}].", {"limit": None}, "it."),
         ("it[limit? ends][!limit? goes on].", {"limit": ()}, "it goes on."),
         ("{name}", {"name": "{mass} [limit? x]"}, "{mass} [limit? x]"),
+        ("{one:.3g} {two:.3g}", {"one": 2.0, "two": 2.0}, "2 2"),
+        ("{one:.3g} {two:.3g}", {"one": 2.0, "two": 2.00001}, "2 2.00001"),
+        ("{old:g} {new:g}", {"old": 1e-3, "new": 1.0000005e-3}, "0.001 0.0010000005"),
+        (
+            "{one} or {two:stated:.3g}",
+            {"one": Quantity(0.5, "m"), "two": Quantity(0.50000001, "m")},
+            "0.5 m or 0.50000001 m",
+        ),
+        (
+            "{urdf:mm:.3g} {mjcf:mm:.3g}",
+            {"urdf": Quantity(0.5, "m"), "mjcf": Quantity(0.50000001, "m")},
+            "500 mm 500.00001 mm",
+        ),
+        (
+            "{one} {two}",
+            {"one": Vector((1.0, 2.0), "kg"), "two": Vector((1.0, 2.00000004), "kg")},
+            "(1, 2) kg (1, 2.00000004) kg",
+        ),
+        ("{one:.3g} {two:.3g}", {"one": math.nan, "two": math.nan}, "nan nan"),
     ],
 )
 def test_templates_are_filled_with_values(

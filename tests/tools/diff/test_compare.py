@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,27 @@ def test_change_is_found_with_the_lines_of_both_versions(
         assert all(effect.share == pytest.approx(1.0) for effect in change.effects.values())
     else:
         assert max(diff.deviations.values()) == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        ("urdf", 2.0, 2.00000004),
+        ("xml", 2.0, 2.00000004),
+        ("urdf", 1.99999997, 2.00000003),
+    ],
+)
+def test_small_change_is_printed_with_the_digits_that_differ(
+    tmp_path: Path, kind: str, old: float, new: float
+) -> None:
+    """Reference: the masses in the files; with six digits, both are 2 kg."""
+    files = write_both(tmp_path, *(TEXT[kind](pendulum(mass=mass)) for mass in (old, new)), kind)
+    lines = answer("diff", *map(str, files), "-v").stdout.splitlines()
+    found = [re.findall(r"([0-9.]+) kg", line) for line in lines if " kg" in line]
+    assert [len(masses) for masses in found] == [2, 2], lines
+    for first, second in found:
+        change = float(second) - float(first)
+        assert change == pytest.approx(new - old, rel=0.5)
 
 
 def test_old_and_new_are_not_exchanged(tmp_path: Path) -> None:
