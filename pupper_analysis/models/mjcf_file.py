@@ -68,7 +68,15 @@ def leave_out_missing(
             return False
         return bool(file) and not any(existing_file(top / folder / name) for top in folders)
 
-    meshes = {m.name: m.file for m in spec.meshes if is_missing(m.file, m.compiler.meshdir)}
+    # MuJoCo changes the name of a missing file that an included file states.
+    nodes = {name: node for (tag, name), node in index.items() if tag == "mesh"}
+    meshes = {
+        mesh.name: nodes[mesh.name].attributes.get("file", mesh.file)
+        if mesh.name in nodes
+        else mesh.file
+        for mesh in spec.meshes
+        if is_missing(mesh.file, mesh.compiler.meshdir)
+    }
     textures = {
         t.name: next(filter(None, (t.file, *t.cubefiles)))
         for t in spec.textures
@@ -635,6 +643,11 @@ class MjcfFile:
     def missing_collision_meshes(self) -> tuple[str, ...]:
         """Names of the missing files of collision meshes."""
         return self._list_missing_values("touching")
+
+    @property
+    def missing_files(self) -> tuple[str, ...]:
+        """Names of the missing files of meshes and textures."""
+        return self._list_missing_values("files")
 
     @property
     def bodies_with_missing_meshes(self) -> tuple[str, ...]:

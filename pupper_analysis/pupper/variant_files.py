@@ -174,6 +174,8 @@ def write_variant(
     mjcf_path = folder / "mjcf" / f"{description.name}.xml"
     mjcf_text = mjcf.to_xml(description.mjcf)
     meshes = {mesh.file for mesh in description.mjcf.meshes}
+    source = description.mjcf_source
+    meshes.update(_read_base(source, _read_file_stamp(source)).missing_files)
     meshdir = description.mjcf.compiler.meshdir
     beside = description.mjcf_source.parent / meshdir
     contents = {}

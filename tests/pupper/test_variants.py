@@ -118,6 +118,23 @@ def test_missing_base_urdf_of_a_variant_is_a_model_error(
         pa.load_variant("v3-heavy")
 
 
+@pytest.mark.parametrize("as_folder", [False, True])
+def test_missing_mesh_of_a_variant_is_an_error_and_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_folder: bool
+) -> None:
+    for kind in ("urdf", "mjcf"):
+        shutil.copytree(find_model_folder(kind), tmp_path / kind)
+    monkeypatch.setattr(variant_files, "find_model_folder", lambda kind: tmp_path / kind)
+    mesh = tmp_path / "mjcf" / "meshes" / "calf.stl"
+    mesh.unlink()
+    if as_folder:
+        mesh.mkdir()
+    output = tmp_path / "output"
+    with pytest.raises(pa.ModelError, match=r"calf\.stl: "):
+        pa.pupper.write_variant("v3-heavy", output)
+    assert not output.exists()
+
+
 def test_xml_name_that_is_too_long_is_a_model_error() -> None:
     with pytest.raises(pa.ModelError, match="cannot be read"):
         pa.load_robot(f"{'a' * 300}.xml")
