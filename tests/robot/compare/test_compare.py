@@ -166,10 +166,18 @@ def test_mass_difference_of_one_percent_is_listed_before_limits(mass: float, tie
         assert Difference("mass", "torso", urdf, mjcf, "kg", diagnostic, {}).tier == tier
 
 
-def test_position_limit_of_one_file_alone_is_an_infinite_deviation(tmp_path: Path) -> None:
-    parts = change_part(quadruped(), "thigh0", kind="continuous")
-    small = {name: part for name, part in quadruped().items() if part.link != "x"}
-    comparison = compare_files(write_parts(tmp_path, parts, small))
-    limits = {q.name: q for q in comparison.check.quantities}["lower joint limits"]
-    assert limits.relative == float("inf")
-    assert limits.location == "hip0"
+@pytest.mark.parametrize("limited_file", ["urdf", "mjcf"])
+def test_position_limit_of_one_file_alone_is_an_infinite_deviation(
+    tmp_path: Path, limited_file: str
+) -> None:
+    limited, free = quadruped(), change_part(quadruped(), "thigh0", kind="continuous")
+    files = (limited, free) if limited_file == "urdf" else (free, limited)
+    comparison = compare_files(write_parts(tmp_path, *files))
+    quantities = {q.name: q for q in comparison.check.quantities}
+    for name in ("lower joint limits", "upper joint limits"):
+        assert quantities[name].relative == float("inf")
+        assert quantities[name].location == "hip0"
+    assert {(one.kind, one.element) for one in comparison.differences} == {
+        ("lower limit", "hip0"),
+        ("upper limit", "hip0"),
+    }
