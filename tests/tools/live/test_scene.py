@@ -18,6 +18,7 @@ from pupper_analysis.tools.live.state import State
 from tests.prepare.convert.test_meshes import claim_vertices, nest_nodes
 from tests.support.engines import evaluate_mujoco
 from tests.support.robots import arm, urdf_text
+from tests.support.variants import load
 
 
 class Drawn:
@@ -68,3 +69,27 @@ def test_small_files_with_large_meshes_are_not_drawn(tmp_path: Path) -> None:
     (mesh,) = make_body_meshes(robot.mj_model).values()
     assert len(mesh.vertices) == 8
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB on Linux
+
+
+def test_ghost_and_simulated_robot_are_drawn_beside_the_stand_and_hidden_again() -> None:
+    """The simulated robot is 2.6 stand heights to the left; a new stance hides both figures."""
+    model, drawn = StanceSolver(load("v3")), Drawn()
+    scene, robot = Scene(drawn), load("v3")
+    stance, unreachable = (model.solve_state(State(roll=roll)) for roll in (3.0, 35.0))
+    assert stance.stand is not None
+    scene.show(stance)
+    scene.draw_twin(robot, stance.stand.qpos, pa.Ground())
+    stand, twin = drawn.nodes["/stand"], drawn.nodes["/twin"]
+    assert stand.visible
+    assert twin.visible
+    np.testing.assert_allclose(twin.position, [0.0, 2.6 * robot.stand_height, 0.0])
+    base = robot.mj_model.body(robot.mj_base).id
+    np.testing.assert_array_equal(
+        drawn.nodes[f"/twin/{base}"].position, drawn.nodes[f"/stand/{base}"].position
+    )
+    scene.show(unreachable)
+    scene.draw_ghost(robot, stance.stand)
+    ghost = drawn.nodes["/ghost"]
+    assert (stand.visible, twin.visible, ghost.visible) == (False, False, True)
+    scene.show(stance)
+    assert (stand.visible, twin.visible, ghost.visible) == (True, False, False)
