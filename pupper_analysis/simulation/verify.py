@@ -310,7 +310,7 @@ def verify_stand(
     failures += find_instability(result.stability, nudge, bounces=bounces)
     stays = not failures
     if feedforward:
-        failures += _find_deviations(robot, stand, record, result)
+        failures += _find_deviations(robot, stand, record, result, stays=stays)
         failures += _describe_height_loss(result, reference.com_height)
     elif (
         settled is not None
@@ -716,13 +716,23 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
     return [diagnose("files-of-two-robots", mjcf=mjcf, residual=residual, urdf=urdf)]
 
 
+_MIN_UNPREDICTED_DEPTH = 1e-4
+"""Penetration of a foot [m] from which soft ground is reported as the cause of deviations of a
+stand on rigid ground. Chosen, not tuned."""
+
+
 def _find_deviations(
     robot: Robot,
     stand: Stand,
     record: ContactRecord,
     result: StandVerification,
+    *,
+    stays: bool,
 ) -> list[Diagnostic]:
-    """Report deviations from the prediction, with a cause if known."""
+    """Report deviations from the prediction, with a cause if known.
+
+    ``stays``: The simulation has no other failure, so that soft ground may be the cause.
+    """
     errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors)))
     name = robot.joint_names[worst]
@@ -747,4 +757,8 @@ def _find_deviations(
         return [*messages, *mismatch]
     if messages and record.touching:
         return [*messages, *(diagnose("parts-touch", bodies=pair) for pair in record.touching)]
+    drops = record.compute_foot_drops(stand)
+    depth = max((float(drop @ stand.normals[foot]) for foot, drop in drops.items()), default=0.0)
+    if messages and stays and depth > _MIN_UNPREDICTED_DEPTH and not any(stand.depths.values()):
+        messages.append(diagnose("feet-penetrate-rigid-ground", depth=Quantity(depth, "m")))
     return messages

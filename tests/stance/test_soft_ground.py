@@ -87,3 +87,14 @@ def test_stand_is_rigid_if_the_legs_are_too_short_for_soft_ground() -> None:
     np.testing.assert_array_equal(stand.qpos, pa.solve_stand(robot, task).qpos)
     with pytest.raises(pa.StanceUnreachableError):
         solve_stand_on_soft_ground(robot, task, explain=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "what"), [("long-leg", "off the centre"), ("v3", "off the centre"), ("v3", "slope")]
+)
+def test_rigid_stand_does_not_hold_its_loads_on_soft_ground(name: str, what: str) -> None:
+    """The failure proposes the stand on soft ground, which the test above confirms."""
+    run = pa.verify_stand(load(name), pa.solve_stand(load(name), TASKS[what]))
+    assert not run.passed
+    assert "solve_stand_on_soft_ground" in str(run.failures[-1])
