@@ -10,6 +10,9 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.search import minimise_foot_errors, search_stand
+from pupper_analysis.stance.solver import SearchContext
 from tests.support.engines import evaluate_mujoco
 from tests.support.variants import load
 
@@ -55,3 +58,18 @@ def test_com_without_required_margin_may_be_outside_of_the_feet() -> None:
     assert stand.com_margin < 0
     with pytest.raises(pa.StaticsInfeasibleError):
         pa.stance.stand_statics(robot, stand)
+
+
+def test_foot_error_out_of_reach_grows_with_the_com_margin() -> None:
+    """Three legs at a height that they do not reach; the margin of the nearest configuration is
+    that of MuJoCo's CoM and SciPy's convex hull."""
+    robot, errors = load("v3"), []
+    for margin in (0.0, 0.02, 0.025):
+        task = pa.StandTask(com="inside", com_margin=margin, height=0.22, swing={"FR": 0.02})
+        goal, context = make_goal(robot, task, {}), SearchContext(robot)
+        nearest = minimise_foot_errors(context, goal, search_stand(context, goal).qpos)
+        com = evaluate_mujoco(robot, nearest.qpos).body(robot.mj_base).subtree_com
+        sides = ConvexHull(goal.contacts[:, :2]).equations
+        assert -float((sides @ [*com[:2], 1.0]).max()) >= margin - 1e-7
+        errors.append(nearest.foot_error)
+    assert errors[0] <= errors[1] < errors[2]

@@ -237,3 +237,18 @@ def test_relax_further_extends_the_relaxation_by_a_share_of_it() -> None:
     assert further.height == pytest.approx(0.145)
     assert further.roll == pytest.approx(0.25)
     assert further.pitch == 0.1
+
+
+def test_bounds_of_an_offset_grow_with_the_stand_height() -> None:
+    """Bounds are centred at the value; their width is proportional to the height of the stand."""
+    widths, heights = [], []
+    for name in ("original", "long-leg"):
+        robot = load(name)
+        numbers = DemandVector(robot, pa.StandTask(offset=(0.01, 0.0)), ["offset"])
+        low, high = numbers.clip(np.full(2, -1e3))[0], numbers.clip(np.full(2, 1e3))[0]
+        assert (low + high) / 2 == pytest.approx(0.01)
+        widths.append(high - low)
+        heights.append(robot.stand_height)
+    assert heights[1] > 1.1 * heights[0]
+    assert widths[1] / widths[0] == pytest.approx(heights[1] / heights[0])
+    assert widths[0] > 2 * heights[0]

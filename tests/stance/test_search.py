@@ -20,7 +20,11 @@ from pupper_analysis.robot.floor import find_floor
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance import programme
 from pupper_analysis.stance import search as search_module
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.search import solve_constraints
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.statics.support_polygon import com_margin
 from tests.support import random_legged
 from tests.support.engines import evaluate_mujoco
 from tests.support.variants import NAMES, load
@@ -268,3 +272,22 @@ def test_two_jacobians_of_an_iteration_count_as_one_step_without_progress() -> N
     with pytest.raises(programme._NoProgressError):
         progress.update(points[2], 1.0)
     np.testing.assert_array_equal(progress.x, points[0])
+
+
+def test_solved_constraints_keep_feet_ground_clearance_and_com_margin() -> None:
+    """From a stand whose thigh is 1 mm too low. References: MuJoCo's kinematics of the feet, and
+    Pinocchio's CoM."""
+    robot = load("v3")
+    task = pa.StandTask(height=0.092, roll=0.2, com="inside", com_margin=0.01)
+    stand = pa.solve_stand(robot, task, explain=False)
+    assert stand.ground_clearance is not None
+    required = replace(task, ground_clearance=stand.ground_clearance.distance + 1e-3)
+    found = solve_constraints(SearchContext(robot), make_goal(robot, required, {}), stand.qpos)
+    assert found is not None
+    assert found.ground_clearance is not None
+    assert found.ground_clearance.distance >= required.ground_clearance - 1e-6
+    for foot, centre in mujoco_feet(robot, found.qpos).items():
+        np.testing.assert_allclose(centre, found.foot_targets[foot], atol=1e-9)
+    com = pa.Configuration(robot, found.qpos).center_of_mass()
+    assert com_margin(com, found.contact_points) > 0.01 - 1e-9
+    assert np.abs(found.qpos - stand.qpos).max() > 1e-4

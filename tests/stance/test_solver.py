@@ -96,3 +96,43 @@ def test_iterations_include_full_steps_that_fail(height: float) -> None:
     stance_solver.tasks.solver = counting
     result = stance_solver.solve_from_joints(goal, robot.home[7:])
     assert result.iterations == counting.count
+
+
+def test_cached_initial_guess_equals_that_of_a_new_solver() -> None:
+    """Reference: a new solver; equal to the last bit, in any order of goals and joints."""
+    robot = load("v3")
+    reused, home = SearchContext(robot).solver, robot.home[7:]
+    tasks = [
+        pa.StandTask(),
+        pa.StandTask(height=0.11),
+        pa.StandTask(roll=0.1),
+        pa.StandTask(joint_margin=0.3),
+        pa.StandTask(offset=(0.01, 0.0)),
+        pa.StandTask(com=(0.01, 0.002)),
+    ]
+    for shift in (0.0, 0.1):
+        for index in np.random.default_rng(0).integers(0, len(tasks), 15):
+            goal = make_goal(robot, tasks[index], {})
+            found = reused.set_initial_guess(goal, home + shift)
+            expected = SearchContext(robot).solver.set_initial_guess(goal, home + shift)
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_full_steps_lead_to_the_configuration_of_the_trust_region() -> None:
+    """Reference: the trust-region iteration from the same initial guess, with as many steps."""
+    robot, full_steps = load("v3"), 0
+    stance_solver, home = SearchContext(robot).solver, robot.home[7:]
+    random = np.random.default_rng(2)
+    for _ in range(20):
+        height, roll, pitch, yaw = random.uniform((0.08, -0.3, -0.3, -0.3), (0.2, 0.3, 0.3, 0.3))
+        goal = make_goal(robot, pa.StandTask(height, roll, pitch, yaw), {})
+        result = stance_solver.solve_from_joints(goal, home)
+        q = stance_solver.set_initial_guess(goal, home)
+        expected = stance_solver._iterate_trust_region(q)
+        stance_solver.set_initial_guess(goal, home)
+        if stance_solver._take_full_steps()[0] is None:
+            np.testing.assert_array_equal(result.qpos, expected.qpos)
+        else:
+            full_steps += 1
+            np.testing.assert_allclose(result.qpos, expected.qpos, atol=1e-13)
+    assert 0 < full_steps < 20

@@ -167,3 +167,18 @@ def test_limit_of_a_telescopic_leg_in_a_refusal_is_in_metres(tmp_path: Path) -> 
     with pytest.raises(pa.StanceUnreachableError, match=r"FL_knee \(-20\.0 mm\)") as caught:
         pa.solve_stand(robot, pa.StandTask(height=0.6))
     assert caught.value.at_limit["FL_knee"] == -0.02
+
+
+def test_numpy_numbers_of_a_task_give_the_stand_of_floats() -> None:
+    task = pa.StandTask(height=np.float64(0.15), yaw=np.float64(0.1))
+    stand = pa.solve_stand(load("original"), task)
+    expected = pa.solve_stand(load("original"), pa.StandTask(height=0.15, yaw=0.1))
+    np.testing.assert_array_equal(stand.qpos, expected.qpos)
+    assert pa.StandTask(height=np.float32(0.15)).height == pytest.approx(0.15, abs=1e-7)
+
+
+def test_a_stand_solved_twice_is_equal_to_the_last_bit() -> None:
+    task = pa.StandTask(0.14, 0.1, -0.1, 0.2)
+    one, two = (pa.solve_stand(load("v3-long-leg"), task) for _ in range(2))
+    np.testing.assert_array_equal(one.qpos, two.qpos)
+    assert one.iterations == two.iterations

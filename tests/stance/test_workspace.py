@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance.workspace import (
+    _solve_at,
     base_workspace,
+    find_interval,
     reachable_heights,
 )
+from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.variants import load
 
 
@@ -70,3 +74,31 @@ def test_workspace_of_a_tilted_task_is_inside_the_level_workspace() -> None:
     assert base_workspace(robot, pa.StandTask(yaw=0.1)).start.task == replace(
         pa.StandTask(yaw=0.1), height=robot.stand_height, com="centre"
     )
+
+
+def test_com_inside_stays_at_its_place_while_the_base_pitches() -> None:
+    """Reference: the CoM of the start, which the task leaves anywhere inside the margin."""
+    robot = load("v3")
+    task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
+    start = pa.solve_stand(robot, task)
+    pitched = _solve_at(robot, start, "pitch", 0.1, None, default_guesses_only=False)
+    com, expected = (
+        pa.Configuration(robot, stand.qpos).center_of_mass()[:2] for stand in (pitched, start)
+    )
+    np.testing.assert_allclose(com, expected, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", [{"com": "inside"}, {"offset": (0.0, 0.0)}])
+def test_base_shift_ends_at_the_com_margin(task: dict[str, object]) -> None:
+    """At both limits of x the CoM is as near to the edge of the support polygon as permitted."""
+    robot = load("original")
+    start = pa.solve_stand(robot, pa.StandTask(com_margin=0.065, **task))  # type: ignore[arg-type]
+    free = find_interval(robot, pa.solve_stand(robot), "x")
+    bound = find_interval(robot, start, "x")
+    assert free.low < bound.low < bound.high < free.high
+    for value in (bound.low, bound.high):
+        stand = _solve_at(robot, start, "x", value, None, default_guesses_only=False)
+        assert stand is not None
+        com = pa.Configuration(robot, stand.qpos).center_of_mass()
+        assert com_margin(com, stand.contact_points) == pytest.approx(0.065, abs=1e-4)

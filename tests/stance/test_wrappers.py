@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance import solver
-from pupper_analysis.stance.solver import SearchContext
+from pupper_analysis.stance.solver import PooledPlacoRobot, SearchContext
 from tests.support.variants import load
 
 TASKS = (
@@ -110,3 +111,28 @@ def test_finite_limit_is_kept_if_the_opposite_limit_is_infinite() -> None:
         placo._set_joint_limits(low, high)
     assert shapes.lowerPositionLimit[q] == pytest.approx(robot.lower_limits[index], abs=1e-12)
     assert shapes.upperPositionLimit[q] > 100
+
+
+def test_limits_of_a_pooled_wrapper_are_those_of_the_robot() -> None:
+    """A robot with unlimited joints takes the wrapper of a robot with limits, and vice versa."""
+    bound = load("v3")
+    model = bound.pin_model.copy()
+    low, high = model.lowerPositionLimit.copy(), model.upperPositionLimit.copy()
+    low[7:], high[7:] = -np.inf, np.inf
+    model.lowerPositionLimit, model.upperPositionLimit = low, high
+    for robot, limited in ((bound, True), (replace(bound, pin_model=model), False)) * 2:
+        lent = PooledPlacoRobot(robot).wrapper.model
+        assert np.isfinite(lent.lowerPositionLimit[7:]).all() == limited
+
+
+def test_a_wrapper_in_use_is_not_given_to_another_user() -> None:
+    robot = load("v3")
+    held = [PooledPlacoRobot(robot) for _ in range(3)]
+    held.clear()  # the pool is not empty
+    held = [PooledPlacoRobot(robot) for _ in range(3)]
+    assert len({id(one.wrapper) for one in held}) == 3
+    context = SearchContext(robot)
+    assert all(context.solver.placo_robot.wrapper is not one.wrapper for one in held)
+    first = held[0].wrapper
+    del held[0]
+    assert PooledPlacoRobot(robot).wrapper is first

@@ -769,3 +769,17 @@ def test_passive_joints_have_no_torque_if_other_forces_balance(tmp_path: Path) -
     assert forces.sum(axis=0) == pytest.approx([0.0, 0.0, robot.weight], abs=1e-7)
     assert np.cross(levers, forces).sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-7)
     assert forces[:, 2].min() >= 0.0
+
+
+def test_three_feet_share_the_weight_by_barycentric_coordinates() -> None:
+    """Closed form: with FR, FL and RL on the ground the balance has a single solution. Foot
+    positions, CoM and mass are those of the files."""
+    corners = np.array([[0.06881, -0.1015, 1], [0.06881, 0.1015, 1], [-0.08119, 0.0905, 1]]).T
+    shares = np.linalg.solve(corners, [-0.00272409, 0, 1])
+    assert (shares > 0).all()
+    feet = ("FR", "FL", "RL")
+    for distribution in DISTRIBUTIONS:
+        result = pa.gravity_compensation(v3_at_zero(), feet, distribution=distribution)
+        loads = [result.contact_forces[foot][2] for foot in feet]
+        np.testing.assert_allclose(loads, shares * 3.170 * GRAVITY, atol=1e-5)
+        assert set(result.contact_forces) == set(feet)

@@ -13,7 +13,7 @@ from pupper_analysis.robot.tool import find_place, find_tool
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.best import first_order
 from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasible_mass
-from tests.support.variants import NAMES, load
+from tests.support.variants import NAMES, load, stand_of
 
 
 @pytest.mark.slow
@@ -56,3 +56,11 @@ def test_settled_pose_is_unstable_at_the_buckling_load(
         except pa.NoEquilibriumError:  # it is gone before a step of the search ends there
             signs.append(-1.0)
     assert signs == [1, -1]
+
+
+def test_servos_too_soft_without_payload_give_no_rows() -> None:
+    """Servos of 0.5 N m/rad hold v3 in no pose: the stand buckles without payload."""
+    robot, stand = load("v3"), stand_of("v3")
+    place = find_place(robot, (0.0, 0.0, 0.0))
+    assert SmallPayload(robot, place, np.full(12, 0.5)).compute_rows(stand) is None
+    assert SmallPayload(robot, place, np.full(12, 5.0)).compute_rows(stand) is not None
