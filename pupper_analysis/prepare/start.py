@@ -29,7 +29,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.feet import report_sideways_limbs
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.contact import find_acting_contacts
+from pupper_analysis.robot.contact import find_acting_contacts, list_contact_bodies
 from pupper_analysis.robot.fall import simulate_keyframe
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot, borrow
@@ -106,8 +106,9 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
         mujoco.mj_forward(model, data)
         base = int(model.jnt_bodyid[free[0]])
         carried, depth = 0.0, 0.0
+        bodies = list_contact_bodies(model, data)
         for number, touch in enumerate(data.contact):
-            if 0 in model.geom_bodyid[touch.geom]:
+            if 0 in bodies[number]:
                 mujoco.mj_contactForce(model, data, number, force)
                 carried += float(force[0])
                 depth = max(depth, -float(touch.dist))
@@ -641,7 +642,7 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
         motion, end = simulate_keyframe(model, data, int(model.jnt_bodyid[free[0]]), 0.0, advance)
     if motion.collapses:
         return None
-    grounded = (model.geom_bodyid[end.contact.geom] == 0).any(axis=1)
+    grounded = (list_contact_bodies(model, end) == 0).any(axis=1)
     return max(0.0, -float(end.contact.dist[grounded].min(initial=0.0)))
 
 

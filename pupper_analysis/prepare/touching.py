@@ -29,6 +29,7 @@ from pupper_analysis.prepare.feet import (
 )
 from pupper_analysis.robot.build import build_robot, with_additions
 from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.contact import list_contact_bodies
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import find_posture
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
@@ -183,8 +184,7 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     robot.mj_convention.set_state(data, pose)
     mujoco.mj_forward(model, data)
     depths: dict[tuple[str, str], float] = {}
-    for touch in data.contact:
-        bodies = model.geom_bodyid[touch.geom]
+    for touch, bodies in zip(data.contact, list_contact_bodies(model, data), strict=True):
         if 0 not in bodies and touch.dist < 0:
             one, two = sorted(str(model.body(int(body)).name) for body in bodies)
             depths[one, two] = max(depths.get((one, two), 0.0), -float(touch.dist))

@@ -76,6 +76,7 @@ def build_robot(
         UnknownNameError: If the frame of a foot is missing in a model.
     """
     mj_model, keyframe, added = _compile_mujoco_model(description, fixed_base)
+    _refuse_flexes(mj_model, description.mjcf_source)
     floating = has_free_joint(mj_model)
     joint_names = _list_joints(mj_model, description.mjcf_source)
     mj_base = _find_base_body(mj_model, floating, joint_names)
@@ -139,6 +140,20 @@ def build_robot(
         fingerprint=f"{description.name} {properties_hash}",
         notes=tuple(notes),
     )
+
+
+def _refuse_flexes(model: mujoco.MjModel, source: Path) -> None:
+    """Raise an error if a model contains flexible bodies, which statics and contacts lack.
+
+    Each vertex of a flexible body has joints of its own; it would count as a limb without motors.
+
+    Raises:
+        ModelError: If the model contains a flexible body (``flex``).
+    """
+    if model.nflex:
+        kind = mujoco.mjtObj.mjOBJ_FLEX
+        names = [mujoco.mj_id2name(model, kind, flex) or f"#{flex}" for flex in range(model.nflex)]
+        raise ModelError(source, diagnose("flex-in-robot", flexes=names))
 
 
 def rebuild_robot(robot: Robot, **changes: Any) -> Robot:

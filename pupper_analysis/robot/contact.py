@@ -159,6 +159,43 @@ def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
     return mask
 
 
+def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
+    """Return the ids of the two bodies of each of n contacts, shape (n, 2).
+
+    If one side of a contact is a flexible body (``flex``), MuJoCo stores -1 as the id of the geom.
+    The body is then that of a touched vertex.
+
+    Args:
+        model: MuJoCo model.
+        data: Data after ``mj_collision``.
+    """
+    pairs = np.asarray(data.contact.geom, dtype=np.int64).reshape(-1, 2)
+    if not model.nflex:
+        return np.asarray(model.geom_bodyid[pairs], dtype=np.int64)
+    bodies = np.zeros_like(pairs)
+    bodies[pairs >= 0] = model.geom_bodyid[pairs[pairs >= 0]]
+    for number, side in np.argwhere(pairs < 0).tolist():
+        bodies[number, side] = _find_flex_body(model, data.contact[number], side)
+    return bodies
+
+
+def _find_flex_body(model: mujoco.MjModel, touch: mujoco.MjContact, side: int) -> int:
+    """Return the id of the body that carries a touched vertex of a flex.
+
+    Args:
+        model: MuJoCo model.
+        touch: Contact.
+        side: Side of the contact that is a flex, 0 or 1.
+    """
+    flex, vertex, element = (int(ids[side]) for ids in (touch.flex, touch.vert, touch.elem))
+    if vertex < 0:  # the first vertex of the touched element
+        size = int(model.flex_dim[flex]) + 1
+        vertex = int(model.flex_elem[int(model.flex_elemdataadr[flex]) + element * size])
+    body = int(model.flex_vertbodyid[int(model.flex_vertadr[flex]) + vertex])
+    # Vertices of a flex that is interpolated between nodes have no body.
+    return body if body >= 0 else int(model.flex_nodebodyid[int(model.flex_nodeadr[flex])])
+
+
 def ground_forces(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> tuple[dict[str, Array], set[str]]:
@@ -183,7 +220,7 @@ def ground_forces(
     for number, wrench in enumerate(wrenches):
         mujoco.mj_contactForce(model, data, number, wrench)
     world_forces = (wrenches[:, None, :3] @ data.contact.frame.reshape(-1, 3, 3))[:, 0]
-    bodies = model.geom_bodyid[pairs].tolist()
+    bodies = list_contact_bodies(model, data).tolist()
     acting = find_acting_contacts(data).tolist()
     for acts, pair, (body1, body2), force in zip(
         acting, pairs.tolist(), bodies, world_forces, strict=True
@@ -215,14 +252,15 @@ def find_ground_contacts(
         data: Data after ``mj_collision``.
         foot_geoms: {geom id: foot}.
     """
-    pairs = data.contact.geom[find_acting_contacts(data)]
-    is_fixed = model.geom_bodyid[pairs] == 0
-    # Geoms of moving bodies whose contact partner is fixed.
-    geoms = set(pairs[is_fixed[:, ::-1] & ~is_fixed].tolist())
-    bodies = (int(model.geom_bodyid[geom]) for geom in geoms.difference(foot_geoms))
+    acting = find_acting_contacts(data)
+    pairs, bodies = data.contact.geom[acting], list_contact_bodies(model, data)[acting]
+    is_fixed = bodies == 0
+    # Sides on moving bodies whose contact partner is fixed.
+    sides = is_fixed[:, ::-1] & ~is_fixed
+    touching = set(zip(pairs[sides].tolist(), bodies[sides].tolist(), strict=True))
     return (
-        {foot_geoms[geom] for geom in geoms if geom in foot_geoms},
-        {model.body(body).name for body in bodies},
+        {foot_geoms[geom] for geom, _ in touching if geom in foot_geoms},
+        {model.body(body).name for geom, body in touching if geom not in foot_geoms},
     )
 
 

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.robot.contact import find_acting_contacts
+from pupper_analysis.robot.contact import find_acting_contacts, list_contact_bodies
 
 Array = NDArray[np.float64]
 
@@ -341,8 +341,7 @@ def _distance_above_ground(
     The height is that of the nearest ground point; 0 if no contact is found. The distance is at
     most ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground.
     """
-    geoms = data.contact.geom.reshape(-1, 2)
-    bodies = model.geom_bodyid[geoms]
+    bodies = list_contact_bodies(model, data)
     fixed = model.body_weldid[bodies] == 0
     robot = model.body_rootid[bodies] == model.body_rootid[base]
     below = fixed.any(axis=1) & (robot & ~fixed).any(axis=1)
@@ -361,7 +360,7 @@ def _distance_above_ground(
 
 def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
     """Return a mask of the contacts that act between a body and bodies fixed to the world."""
-    bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
+    bodies = model.body_weldid[list_contact_bodies(model, data)]
     return np.asarray((bodies == 0).any(axis=1)) & find_acting_contacts(data)
 
 
@@ -370,7 +369,7 @@ def _find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int
 
     A body that is fixed to a moving body counts as this moving body.
     """
-    bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
+    bodies = model.body_weldid[list_contact_bodies(model, data)]
     return set(bodies[_find_world_contacts(model, data)].ravel().tolist()) - {0}
 
 

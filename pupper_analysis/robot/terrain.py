@@ -22,7 +22,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.contact import ContactParameters, ground_geom
+from pupper_analysis.robot.contact import ContactParameters, ground_geom, list_contact_bodies
 from pupper_analysis.robot.floor import find_floor, is_fixed, rotate_floor
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.plane import KINDS, describe_surface
@@ -155,8 +155,8 @@ def find_touched_surface(
         touches the floor, or none of these surfaces.
     """
     body_id, surface = model.body(body).id, None
-    for pair in data.contact.geom.tolist():
-        bodies = [int(model.geom_bodyid[geom]) for geom in pair]
+    all_bodies = list_contact_bodies(model, data).tolist()
+    for pair, bodies in zip(data.contact.geom.tolist(), all_bodies, strict=True):
         if sorted(bodies) != [0, body_id]:
             continue
         geom = pair[bodies.index(0)]

@@ -535,7 +535,7 @@ def find_pushing_bodies(
         Alphabetically sorted pairs of body names; the ground belongs to the body "world".
     """
     pairs, force = set(), np.zeros(6)
-    for number, bodies in enumerate(model.geom_bodyid[data.contact.geom].tolist()):
+    for number, bodies in enumerate(contact.list_contact_bodies(model, data).tolist()):
         mujoco.mj_contactForce(model, data, number, force)
         if force[0] > min_force:
             first, second = sorted(model.body(body).name for body in bodies)
@@ -555,11 +555,10 @@ def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, 
     """
     loads: dict[int, float] = {}
     force = np.zeros(6)
+    bodies = contact.list_contact_bodies(model, data)
     for number in np.flatnonzero(contact.find_acting_contacts(data)).tolist():
-        geoms = data.contact.geom[number].tolist()
-        bodies = [int(model.geom_bodyid[geom]) for geom in geoms if geom >= 0]
-        moving = [body for body in bodies if model.body_weldid[body]]
-        if len(bodies) == 2 and len(moving) == 1:
+        moving = [body for body in bodies[number].tolist() if model.body_weldid[body]]
+        if len(moving) == 1:
             mujoco.mj_contactForce(model, data, number, force)
             loads[moving[0]] = loads.get(moving[0], 0.0) + float(force[0])
     total = sum(loads.values())

@@ -46,7 +46,7 @@ from pupper_analysis.models.stated.mjcf import (
 )
 from pupper_analysis.models.stated.model import UrdfModel
 from pupper_analysis.robot.compare.differences import VERSION_NAMES, Difference, Effect
-from pupper_analysis.robot.contact import find_acting_contacts
+from pupper_analysis.robot.contact import find_acting_contacts, list_contact_bodies
 
 Key = tuple[str, str]
 """Tag and name of an element."""
@@ -876,10 +876,12 @@ def _simulate_model(
 
 def _find_min_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
     """Return the smallest friction coefficient of the contacts with the world; None without any."""
+    weld_ids = model.body_weldid[list_contact_bodies(model, data)]
+    at_world = find_acting_contacts(data) & (weld_ids == 0).any(axis=1)
     found = [
         float(contact.friction[0]) if contact.dim > 1 else 0.0
-        for contact, acts in zip(data.contact, find_acting_contacts(data), strict=True)
-        if acts and 0 in model.body_weldid[model.geom_bodyid[contact.geom]]
+        for contact, counts in zip(data.contact, at_world, strict=True)
+        if counts
     ]
     return min(found, default=None)
 
