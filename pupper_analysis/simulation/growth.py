@@ -11,7 +11,8 @@ valid for micrometres only, and dry friction makes it depend on the finite-diffe
 3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over the smallest value,
    within ``LONGEST_TRIAL`` seconds, without slowing down. The doubling time T is half the time of
    the last two doublings.
-4. Modes that shake are confirmed, too, if D is sustained: the growth may end in a limit cycle.
+4. Modes that shake are confirmed, too, if the oscillation of the difference is sustained: the
+   growth may end in a limit cycle. A constant difference, which dry friction leaves, is none.
 5. Otherwise the simulation refutes the modes: the simulation decides, and the disagreement is
    reported.
 """
@@ -71,9 +72,10 @@ which a deviation counts as growing exponentially. Chosen between 1, for exponen
 for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
-"""Smallest ratio of the last to the first maximum of the deviation D (module docstring, step 2)
-with which an oscillation counts as sustained. The maxima are taken over windows of at most
-``_MAX_WINDOW``, in a simulation of at least ``_HALF_TIME`` (18 s). Chosen, not tuned."""
+"""Smallest ratio of the last amplitude to the first maximum of the deviation D (module docstring,
+step 2) with which an oscillation counts as sustained, in a simulation of at least ``_HALF_TIME``
+(18 s). The amplitude is half the range of the difference between the two simulations, over one
+period of the slowest mode. Chosen, not tuned."""
 
 _MAX_WINDOW = 1.0
 """Upper bound of the time window over which the maximum of an oscillating deviation is taken [s].
@@ -186,13 +188,16 @@ def simulate_growth(
     workers = [mujoco.MjData(model) for _ in range(2)]
     states = np.array([_displace_state(model, start, sign * displacement) for sign in (1.0, -1.0)])
     maxima: list[float] = []
+    lows, highs = list[Array](), list[Array]()  # of the signed difference, in each window
     deviations, time, doubling = np.zeros(len(columns)), 0.0, None
     while time < LONGEST_TRIAL and doubling is None:
         control = np.tile(ctrl, (1, chunk, 1))
         rollouts = roll_out(model, workers, states, control)
         diverged = any(monitor.has_diverged(rows, timestep) for rows in rollouts)
         with np.errstate(invalid="ignore", over="ignore"):
-            differences = np.abs(rollouts[0] - rollouts[1])[:, columns] / 2
+            signed = (rollouts[0] - rollouts[1])[:, columns] / 2
+        differences, windows = np.abs(signed), signed.reshape(-1, window, len(columns))
+        lows, highs = [*lows, *windows.min(axis=1)], [*highs, *windows.max(axis=1)]
         rows = differences.max(axis=1).reshape(-1, window).max(axis=1)
         maxima += np.where(np.isfinite(rows), rows, np.inf).tolist()
         deviations, states, time = differences[-1], rollouts[:, -1], time + chunk * timestep
@@ -205,8 +210,25 @@ def simulate_growth(
     names = [model.joint(joint).name for joint in joints]
     joint_deviations = dict(zip(names, np.nan_to_num(deviations).tolist(), strict=False))
     steady = time >= _HALF_TIME and any(mode.shakes for mode in modes)
-    sustained = bool(steady and maxima[-1] >= _SUSTAINED_RATIO * maxima[0])
+    period = max((1 / mode.frequency for mode in modes if mode.shakes), default=0.0)
+    count = math.ceil(period / (window * timestep))
+    amplitude = _final_amplitude(np.array(lows), np.array(highs), max(count, 1))
+    sustained = steady and not amplitude < _SUSTAINED_RATIO * maxima[0]  # True if not finite
     return GrowthTrial(angle, time, doubling, select_most_moving(joint_deviations), sustained)
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def _final_amplitude(lows: Array, highs: Array, count: int) -> float:
+    """Return half the range of the difference in the last windows: the largest over the joints.
+
+    A constant difference has the amplitude 0.
+
+    Args:
+        lows: Smallest values in n windows, shape (n, joints).
+        highs: Largest values in n windows, shape (n, joints).
+        count: Number of windows at the end, at least one period of the oscillation.
+    """
+    return float(np.max(highs[-count:].max(axis=0) - lows[-count:].min(axis=0)) / 2)
 
 
 def _make_displacement(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.robot.stability import HOLD_DURATION, step_stability
+from pupper_analysis.robot.stability import HOLD_DURATION, Mode, step_stability
 from pupper_analysis.simulation.causes import describe_growth
-from pupper_analysis.simulation.growth import _doubling_time_of
+from pupper_analysis.simulation.growth import _doubling_time_of, simulate_growth
+from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.stability import judge_stability
 
 MOMENT, INERTIA = 6.0, 0.3
@@ -104,3 +106,28 @@ def test_nudge_of_a_growing_mode_has_the_unit_of_its_joint(kind: str, expected: 
 def test_divergence_within_the_first_window_is_growth() -> None:
     """The deviation doubled within the window of 0.5 s, as all later values are infinite."""
     assert _doubling_time_of(np.array([np.inf, np.inf]), 0.5, lost=True) == 0.5
+
+
+@pytest.mark.parametrize(("friction", "sustained"), [(0.0, True), (0.5, False)])
+def test_dry_friction_that_keeps_a_deviation_is_no_sustained_oscillation(
+    friction: float, sustained: bool
+) -> None:
+    """Closed form: a hinge on a spring swings undamped with 0.3 Hz, or friction holds it.
+
+    At 1 mrad the torque of the spring is 1 mN m. The period is longer than a window of 1 s.
+    """
+    frequency = 0.3
+    inertia = 1.0 / (2 * math.pi * frequency) ** 2
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option gravity="0 0 0" integrator="RK4"/><worldbody><body>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/>'
+        f'<joint name="j" stiffness="1" armature="{inertia}" frictionloss="{friction}"/>'
+        "</body></worldbody></mujoco>"
+    )
+    mode = Mode(0.0, frequency, 0.0, 1e6, None, ("j",), repeated_at_second_step=True)
+    mode = replace(mode, _direction=np.array([1.0, 0.0]))
+    assert mode.shakes
+    start = full_state(model, mujoco.MjData(model))
+    trial = simulate_growth(model, start, np.zeros(0), [mode], 1e-3, 1.0)
+    assert trial.doubling_time is None
+    assert trial.sustained is sustained
