@@ -2,14 +2,22 @@
 1,000.
 """
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.simulation.verify import FORCE_TOLERANCE
-from pupper_analysis.stance.soft_ground import _fit_plane, solve_stand_on_soft_ground
+from pupper_analysis.stance.soft_ground import (
+    _fit_plane,
+    _update_relaxation,
+    solve_stand_on_soft_ground,
+)
 from pupper_analysis.stance.stand import stand_statics
+from tests.support import random_legged
 from tests.support.variants import NAMES, load
 
 TASKS = {
@@ -98,3 +106,32 @@ def test_rigid_stand_does_not_hold_its_loads_on_soft_ground(name: str, what: str
     run = pa.verify_stand(load(name), pa.solve_stand(load(name), TASKS[what]))
     assert not run.passed
     assert "solve_stand_on_soft_ground" in str(run.failures[-1])
+
+
+def test_relaxed_steps_converge_if_the_plain_steps_alternate() -> None:
+    """Closed form: x' = b - s x with s > 1 diverges; the factor 1 / (1 + s) solves it at once."""
+    slope, offset = 2.3, np.array([1.0, -0.5])
+    place, factor, before = np.zeros(2), 1.0, offset
+    for _ in range(2):
+        place = place + factor * (offset - (1 + slope) * place)
+        residual = offset - (1 + slope) * place
+        factor, before = _update_relaxation(factor, before, residual), residual
+    assert factor == pytest.approx(1 / (1 + slope))
+    assert place == pytest.approx(offset / (1 + slope))
+    assert _update_relaxation(0.5, before, before) == 0.5  # no change: no information
+
+
+@pytest.mark.slow
+def test_soles_on_springs_settle_in_the_equilibrium_of_a_simulation(tmp_path: Path) -> None:
+    """Reference: MuJoCo's simulation. The plain iteration alternates between edges of the soles."""
+    drawn = random_legged.draw_robot(720024)
+    drawn = replace(drawn, base="free", keyframe=True, floor=True, motors="position")
+    pair = random_legged.write_robot(drawn, tmp_path)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    assert robot.description.passive_joints
+    loaded = pa.robot.with_payload(robot, robot.total_mass, (0.032, -0.002, -0.027))
+    run = pa.verify_stand(loaded, solve_stand_on_soft_ground(loaded))
+    assert run.passed, run.failures
+    assert run.torque_error < 1e-4
+    assert run.force_error is not None
+    assert run.force_error < 1e-4
