@@ -20,6 +20,7 @@ from pupper_analysis.prepare.limits import (
     describe_unknown_limits,
     describe_zero_torque_limits,
     loads_motor_without_torque,
+    springs_replace_motors,
 )
 from pupper_analysis.prepare.notes import report_tendon_joints
 from pupper_analysis.prepare.own_run import (
@@ -108,13 +109,10 @@ def judge_simulation(
         describe_missing_masses(loaded),
     )
     if null is not None and (statics is None or loads_motor_without_torque(robot, statics)):
-        # Other failures are consequences of motors without torque.
-        fed, null = replace(fed, passed=False, stays=False, failures=(null,)), None
-        alone = (
-            None
-            if alone is None
-            else replace(alone, passed=False, stays=False, failures=fed.failures)
-        )
+        springs = statics is not None and springs_replace_motors(robot, statics)
+        fed = _fail_without_torque(fed, null, springs=springs)
+        alone = None if alone is None else _fail_without_torque(alone, null, springs=springs)
+        null = None
     elif null is not None and not fed.passed:  # the motors hold nothing in the stand
         fed, null = replace(fed, failures=(*fed.failures, null)), None
     if statics is not None:
@@ -153,6 +151,23 @@ def judge_simulation(
         unknown=unknown is not None and (loaded_more or question in LOAD_QUESTIONS),
         masses_unknown=masses is not None,
         remarks=remarks,
+    )
+
+
+def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Outcome:
+    """Return a simulation, marked as failed because motors without torque must hold a load.
+
+    The simulation still counts as standing if ``springs`` hold these joints, and the robot stood;
+    otherwise its other failures are consequences of the missing torque, and are left out.
+
+    Args:
+        run: Simulation, in which these motors exert no torque.
+        null: Message about the motors.
+        springs: Whether springs of the MJCF act on the joints of all loaded motors without torque.
+    """
+    stays = run.stays and springs
+    return replace(
+        run, passed=False, stays=stays, failures=(null, *run.failures) if stays else (null,)
     )
 
 

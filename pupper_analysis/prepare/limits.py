@@ -117,11 +117,28 @@ def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bo
 
     Torques [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot count as zero.
     """
+    return bool(_list_loaded_zero_motors(robot, statics))
+
+
+def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
+    """Return True if the MJCF has a spring at each joint whose loaded motor exerts no torque.
+
+    A simulation then shows whether the springs hold the stance.
+    """
+    model = robot.mj_model
+    joints = [model.joint(name).id for name in _list_loaded_zero_motors(robot, statics)]
+    return bool((model.jnt_stiffness[joints] > 0).all())
+
+
+def _list_loaded_zero_motors(robot: Robot, statics: GravityCompensation) -> list[str]:
+    """Return the joints whose motor has a torque limit of zero, and must hold a torque."""
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
-    return any(
-        needed[limit.joint] > least for limit in list_driven_limits(robot) if limit.without_torque
-    )
+    return [
+        limit.joint
+        for limit in list_driven_limits(robot)
+        if limit.without_torque and needed[limit.joint] > least
+    ]
 
 
 def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:

@@ -30,6 +30,7 @@ from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.conversions import compile_file, convert_file, write_standing_urdf
 from tests.support.engines import change_model
 from tests.support.legged import Pair, biped, quadruped, rewrite_file
+from tests.support.slips import standing
 from tests.support.variants import load, stand_of
 
 WAYS = ("forcerange", "actuatorfrcrange", "ctrlrange")
@@ -398,6 +399,44 @@ def test_other_failures_stay_if_a_motor_without_torque_holds_nothing(
     ):
         verdict = judge.judge_simulation(robot, stand, fed, statics=prediction)
         assert [failure.code for failure in verdict.failures] == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", [0.0, 200.0])
+def test_a_spring_at_a_motor_without_torque_holds_the_robot_otherwise_than_predicted(
+    tmp_path: Path, stiffness: float
+) -> None:
+    """Reference: the file without these motors in bare MuJoCo; only with springs, it stands.
+
+    The motors of the knees have no effort; the springs deflect by the torques of the knees.
+    """
+    pair, knees = standing(tmp_path), [f"{leg}_knee" for leg in ("FL", "FR", "RL", "RR")]
+    urdf = pair.urdf.read_text()
+    for knee in knees:
+        begin = urdf.index(f'<joint name="{knee}"')
+        urdf = urdf[:begin] + urdf[begin:].replace('effort="80"', 'effort="0"', 1)
+    pair.urdf.write_text(urdf)
+    springs = [f'<joint name="{knee}" stiffness="{stiffness}" damping="5" springref="-1.176"' for knee in knees]
+    rewrite_file(
+        pair.mjcf,
+        *((f'<joint name="{knee}"', new) for knee, new in zip(knees, springs, strict=True)),
+    )
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    at_knees = [model.actuator(place).id for place in (2, 5, 8, 11)]
+    model.actuator_gainprm[at_knees] = model.actuator_biasprm[at_knees] = 0.0
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    height = float(data.qpos[2])
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    assert bool(data.qpos[2] > 0.9 * height) is bool(stiffness)
+    robot = pa.load_robot(*pair)
+    stand = pa.solve_stand(robot)
+    verdict = judge_stand(robot, stand)
+    assert verdict.failures[0].code == "motors-without-torque"
+    assert (verdict.code.value == "fails") is not bool(stiffness)
+    assert not verdict.passed
+    off = [failure.code for failure in verdict.failures[1:]]
+    assert ("joint-off" in off) is bool(stiffness)
 
 
 @pytest.mark.slow
