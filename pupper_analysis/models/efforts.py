@@ -55,7 +55,7 @@ class EffortStatement(Result):
 
     Attributes:
         file: ``URDF`` or ``MJCF``; ``""`` for a requested limit that replaces the files' limits.
-        element: ``joint`` or ``actuator``.
+        element: ``joint``, ``actuator`` or ``tendon``.
         name: Name of the element; of several actuators at a joint all names, separated by commas.
         attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``.
         stated: Lower and upper end of the range in the file, for an effort with both signs; for
@@ -261,7 +261,7 @@ def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatem
     actuators = [actuator for actuator, by_joint in levers.items() if joint in by_joint]
     if len(actuators) != 1:
         return []
-    lever, gear = levers[actuators[0]][joint], float(actuator_gear(model, actuators[0])[0])
+    lever = levers[actuators[0]][joint]
     return [
         EffortStatement.of(
             limit.file,
@@ -269,10 +269,38 @@ def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatem
             limit.name,
             limit.attribute,
             limit.stated,
-            limit.factor * lever / gear,
+            limit.factor * lever,
         )
-        for limit in read_actuator_efforts(model, actuators[0])
+        for limit in read_tendon_forces(model, actuators[0])
     ]
+
+
+def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
+    """Return the force limits of an actuator at a tendon: of the actuator, and of the tendon.
+
+    The ranges are those of the force of the actuator [N], without its gear. A tendon's
+    ``actuatorfrcrange`` limits the sum of the forces of its actuators, and is left out if there are
+    several.
+    """
+    gear = float(actuator_gear(model, actuator)[0])
+    found = [
+        EffortStatement.of(
+            limit.file,
+            limit.element,
+            limit.name,
+            limit.attribute,
+            limit.stated,
+            limit.factor / gear,
+        )
+        for limit in read_actuator_efforts(model, actuator)
+    ]
+    tendon = int(model.actuator_trnid[actuator, 0])
+    at_tendons = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value
+    is_alone = np.count_nonzero(at_tendons & (model.actuator_trnid[:, 0] == tendon)) == 1
+    if model.tendon_actfrclimited[tendon] and is_alone:
+        name, range_ = str(model.tendon(tendon).name), model.tendon_actfrcrange[tendon]
+        found.append(EffortStatement.of("MJCF", "tendon", name, "actuatorfrcrange", range_))
+    return found
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:

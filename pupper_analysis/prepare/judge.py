@@ -19,6 +19,7 @@ from pupper_analysis.prepare.limits import (
     describe_loaded_passive_joints,
     describe_unknown_limits,
     describe_zero_torque_limits,
+    list_overloaded_joints,
     loads_motor_without_torque,
     springs_replace_motors,
 )
@@ -121,7 +122,10 @@ def judge_simulation(
         if strained is not None and not fed.passed:
             fed = replace(fed, failures=(*fed.failures, strained))
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
-    overloaded_motors = () if statics is None else _list_overloaded_joints(robot, statics)
+    given = servos.source is ServoSource.GIVEN
+    overloaded_motors = (
+        () if statics is None else _list_overloaded_joints(robot, statics, tendons=not given)
+    )
     remarks = (
         *(remark for remark in (null, masses, unknown) if remark is not None),
         *(() if servos.source is ServoSource.GIVEN else report_tendon_joints(robot)),
@@ -135,7 +139,7 @@ def judge_simulation(
         *(() if keyframe_run is None else keyframe_run.causes),
         *(() if published is None else published.causes),
     )
-    given = servos.source is ServoSource.GIVEN  # the run from the keyframe is information only
+    # With given gains, the run from the keyframe is information only.
     if fed.passed and not (errors or causes or overloaded_motors or servos.replacement_servos):
         named, published = name_remaining_cause(robot, None if given else keyframe_run, published)
         keyframe_run = keyframe_run if given else named
@@ -184,10 +188,18 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
     return diagnose("feet-without-friction", feet=feet)
 
 
-def _list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
-    """Return the motors beyond the limits, without motors whose limit is zero."""
+def _list_overloaded_joints(
+    robot: Robot, statics: GravityCompensation, *, tendons: bool
+) -> tuple[str, ...]:
+    """Return the motors beyond the limits, without motors whose limit is zero.
+
+    ``tendons`` is False if servos at the joints replace the actuators of tendons.
+    """
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
-    return tuple(name for name in find_overloaded_motors(statics) if name not in null)
+    overloaded = (
+        list_overloaded_joints(robot, statics) if tendons else find_overloaded_motors(statics)
+    )
+    return tuple(name for name in overloaded if name not in null)
 
 
 _MASS_RTOL = 1e-9

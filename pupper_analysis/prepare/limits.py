@@ -9,14 +9,30 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.models.efforts import EffortCode, EffortLimit, EffortStatement
+from pupper_analysis.models.efforts import (
+    EffortCode,
+    EffortLimit,
+    EffortStatement,
+    read_tendon_forces,
+)
+from pupper_analysis.models.transmission import Drive, fixed_tendon_levers
 from pupper_analysis.robot.alike import sibling_joints
 from pupper_analysis.robot.joints import force_unit, free_joints
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.equilibrium import MIN_TORQUE_PER_MASS, GravityCompensation
+from pupper_analysis.simulation.verdict import find_overloaded_motors
+from pupper_analysis.simulation.verify import FORCE_TOLERANCE, torque_scale
+from pupper_analysis.statics.equilibrium import (
+    MIN_TORQUE_PER_MASS,
+    GravityCompensation,
+    compute_utilisation,
+)
+
+Array = NDArray[np.float64]
 
 
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
@@ -49,6 +65,56 @@ def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -
     unit = force_unit(robot, hardest)
     torque = Quantity(needed[hardest], unit)
     return diagnose("passive-joints-loaded", joints=loaded, hardest=hardest, torque=torque)
+
+
+def list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
+    """Return the joints whose motors exceed their torque limits in a stance.
+
+    Joints that the MJCF drives through fixed tendons are evaluated with the forces F of the
+    tendons' actuators, which follow from the torques tau of these joints: tau = M F with the levers
+    M. A motor at another joint of such a tendon exerts the remaining torque, tau - M F. A joint
+    counts as overloaded as well if the tendons cannot exert its torque.
+    """
+    tendons = _find_tendon_drives(robot)
+    if tendons is None:
+        return find_overloaded_motors(statics)
+    model, rows, actuators, levers = tendons
+    torques = statics.joint_torques
+    forces = np.linalg.lstsq(levers[rows], torques[rows], rcond=None)[0]
+    own = torques - levers @ forces
+    overloaded = np.zeros(robot.nu, dtype=bool)
+    overloaded[rows] = np.abs(own[rows]) > FORCE_TOLERANCE * torque_scale(robot, torques)
+    own[rows] = 0.0
+    overloaded |= compute_utilisation(robot, own) > 1
+    for column, (actuator, force) in enumerate(zip(actuators, forces.tolist(), strict=True)):
+        limits = read_tendon_forces(model, actuator)
+        if any(not limit.lower <= force <= limit.upper for limit in limits):
+            overloaded[[row for row in rows if levers[row, column]]] = True
+    return tuple(np.array(robot.joint_names)[overloaded].tolist())
+
+
+def _find_tendon_drives(
+    robot: Robot,
+) -> tuple[mujoco.MjModel, list[int], list[int], Array] | None:
+    """Return the actuators at fixed tendons that drive joints without an actuator of their own.
+
+    Returns:
+        Model of the file; indices of these joints; ids of the actuators; levers of the actuators at
+        all joints, shape (nu, number of actuators). None without such joints.
+    """
+    file = None if robot.published is None else robot.published.file
+    driven = {
+        servo.joint for servo in robot.description.made_servos if servo.instead_of is Drive.TENDON
+    }
+    if file is None or not driven:
+        return None
+    model, by_actuator = file.model, fixed_tendon_levers(file.model)
+    rows = [row for row, name in enumerate(robot.joint_names) if name in driven]
+    joints = [model.joint(name).id for name in robot.joint_names]
+    at_rows = {joints[row] for row in rows}
+    actuators = [actuator for actuator, own in by_actuator.items() if at_rows & set(own)]
+    levers = [[by_actuator[actuator].get(joint, 0.0) for actuator in actuators] for joint in joints]
+    return model, rows, actuators, np.array(levers)
 
 
 def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:

@@ -416,7 +416,10 @@ def test_a_spring_at_a_motor_without_torque_holds_the_robot_otherwise_than_predi
         begin = urdf.index(f'<joint name="{knee}"')
         urdf = urdf[:begin] + urdf[begin:].replace('effort="80"', 'effort="0"', 1)
     pair.urdf.write_text(urdf)
-    springs = [f'<joint name="{knee}" stiffness="{stiffness}" damping="5" springref="-1.176"' for knee in knees]
+    springs = [
+        f'<joint name="{knee}" stiffness="{stiffness}" damping="5" springref="-1.176"'
+        for knee in knees
+    ]
     rewrite_file(
         pair.mjcf,
         *((f'<joint name="{knee}"', new) for knee, new in zip(knees, springs, strict=True)),

@@ -11,6 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.transmission import Drive
+from pupper_analysis.prepare.limits import list_overloaded_joints
 from pupper_analysis.prepare.own_run import get_published_model
 from pupper_analysis.prepare.published_model import (
     PublishedModel,
@@ -30,7 +31,9 @@ TENDON = (
 """Tendon of length 0.5 q_pitch + 2 q_knee."""
 
 
-def with_tendon(folder: Path, stiffness: str = "", length: float = -2.1) -> pa.Robot:
+def with_tendon(
+    folder: Path, stiffness: str = "", length: float = -2.1, pitch: str = "", tendon: str = ""
+) -> pa.Robot:
     """Load a quadruped whose FL_knee is driven by the servo ``winch`` of a tendon.
 
     Args:
@@ -38,6 +41,8 @@ def with_tendon(folder: Path, stiffness: str = "", length: float = -2.1) -> pa.R
         stiffness: Further attributes of the servo. Default: the gains of the knee's servo.
         length: Commanded length of the tendon in the keyframe. The length in the pose of the
             keyframe is 0.5 * 0.6 - 2 * 1.2.
+        pitch: Further attributes of the servo of FL_pitch.
+        tendon: Further attributes of the tendon.
     """
     pair = standing(folder)
     text = pair.mjcf.read_text().replace("<actuator>", TENDON, 1)
@@ -47,6 +52,9 @@ def with_tendon(folder: Path, stiffness: str = "", length: float = -2.1) -> pa.R
         text,
     )
     assert count == 1
+    for element, more in (('<position joint="FL_pitch"', pitch), ('<fixed name="cord"', tendon)):
+        assert text.count(element) == 1
+        text = text.replace(element, f"{element} {more}")
     text = re.sub(r'ctrl="0 0.6 -1.2', f'ctrl="0 0.6 {length}', text)
     pair.mjcf.write_text(text)
     return pa.load_robot(pair.urdf, pair.mjcf)
@@ -111,3 +119,59 @@ def test_the_force_range_of_a_tendon_limits_the_joint_that_it_drives_alone(tmp_p
     assert limits["FL_knee"].origin is not None
     assert limits["FL_knee"].origin.name == "winch"
     assert limits["FL_pitch"].upper == limits["FR_pitch"].upper
+
+
+def test_the_force_range_of_a_tendon_itself_limits_its_joint(tmp_path: Path) -> None:
+    """Reference: the torque that bare MuJoCo applies to the knee with a large command."""
+    robot = with_tendon(tmp_path, tendon='actuatorfrcrange="-2 2"')
+    model = get_published_model(robot)
+    assert model is not None
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 100.0
+    mujoco.mj_forward(model, data)
+    torque = float(data.qfrc_actuator[model.joint("FL_knee").dofadr[0]])
+    (limit,) = (limit for limit in robot.efforts if limit.joint == "FL_knee")
+    assert torque == pytest.approx(4.0)
+    assert (limit.lower, limit.upper) == pytest.approx((-torque, torque))
+    assert limit.origin is not None
+    assert (limit.origin.element, limit.origin.name) == ("tendon", "cord")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pitch", "tendon", "overloaded"),
+    [
+        ('forcerange="-0.49 0.49"', "", ("FL_pitch",)),
+        ('forcerange="-0.50 0.50"', "", ()),
+        ("", 'actuatorfrcrange="-0.98 0.98"', ("FL_knee",)),
+        ("", 'actuatorfrcrange="-0.99 0.99"', ()),
+    ],
+)
+def test_motors_at_a_tendon_exert_what_the_tendon_leaves(
+    tmp_path: Path, pitch: str, tendon: str, overloaded: tuple[str, ...]
+) -> None:
+    """Closed form: the pitch motor exerts tau_pitch - tau_knee / 4, the tendon tau_knee / 2.
+
+    The knee needs 1.976 N m, the pitch joint nothing: 0.494 N m and 0.988 N.
+    """
+    robot = with_tendon(tmp_path, pitch=pitch, tendon=tendon)
+    statics = pa.stance.stand_statics(robot, pa.solve_stand_as_simulated(robot))
+    torques = dict(zip(statics.joint_names, statics.joint_torques.tolist(), strict=True))
+    assert torques["FL_knee"] == pytest.approx(1.976, abs=1e-3)
+    assert torques["FL_pitch"] == pytest.approx(0.0, abs=1e-9)
+    assert list_overloaded_joints(robot, statics) == overloaded
+
+
+@pytest.mark.slow
+def test_the_payload_ends_where_the_tendon_overloads_another_motor(tmp_path: Path) -> None:
+    """Closed form: |tau_pitch - tau_knee / 4| = 1.2 N m at the limit.
+
+    In bare MuJoCo the pitch joint stays within 1e-9 rad for 20 s with 97 % of this mass, and moves
+    by 0.26 rad with 103 %. The servo at the knee alone would carry 12.4 kg.
+    """
+    robot = with_tendon(tmp_path, pitch='forcerange="-1.2 1.2"')
+    limit = pa.payload_limit(robot)
+    assert limit.failing_parts == ("FL_pitch",)
+    torques = limit.torque_by_joint
+    assert torques["FL_pitch"] - torques["FL_knee"] / 4 == pytest.approx(-1.2, rel=1e-5)
+    assert limit.passed

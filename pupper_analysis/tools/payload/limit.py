@@ -25,7 +25,7 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation, judge_stand
-from pupper_analysis.prepare.limits import list_driven_limits
+from pupper_analysis.prepare.limits import list_driven_limits, list_overloaded_joints
 from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, model_with_servos
@@ -688,8 +688,13 @@ class _PayloadSearch:
 
         None without such a motor or without a stand.
         """
-        statics = self.get_loaded_stand(mass).statics
-        overloaded = () if statics is None else find_overloaded_motors(statics)
+        loaded = self.get_loaded_stand(mass)
+        if loaded.statics is None:
+            return None
+        if self._kp is None and self._kd is None:
+            overloaded = list_overloaded_joints(loaded.robot, loaded.statics)
+        else:  # the servos at the joints replace the actuators of tendons
+            overloaded = find_overloaded_motors(loaded.statics)
         return (Failure.MOTOR, overloaded) if overloaded else None
 
     def _confirm_servo_bound(self, bounds: dict[str, Bound]) -> Bound:
