@@ -117,6 +117,11 @@ SIDES = 48
 """Number of directions in which the boundary of the support region is computed. A regular polygon
 with 48 corners has 0.3 % less area than its circumscribed circle."""
 
+_MIN_FAILURES = 3
+"""Number of first directions without a solution after which the region counts as empty. Measured on
+300 random sets of 2 to 5 contacts: of 207 regions, the cone program of a single direction failed in
+6, by rounding. Such a direction is left out."""
+
 _MAX_TOTAL_NORMAL_FORCE = 10.0
 """Upper bound of the sum of normal forces, in units of the robot's weight. Between steep walls
 unbounded forces would balance any CoM position. Chosen: legs do not press harder."""
@@ -200,7 +205,7 @@ def find_extreme_positions(
     """Compute the farthest CoM position with equilibrium in each of `SIDES` directions.
 
     The directions are horizontal. The result, points (x, y) [m] in the world frame, is empty if no
-    CoM position allows equilibrium.
+    CoM position allows equilibrium. A direction in which the cone program fails is left out.
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.
@@ -233,12 +238,15 @@ def find_extreme_positions(
     forces_to_com = np.vstack(
         [-moments[1], moments[0]]
     )  # com x e_z equals the moment of the forces
-    corners = []
+    corners, failures = list[Corner](), 0
     for angle in 2 * math.pi / SIDES * np.arange(SIDES):
         direction = np.array([math.cos(angle), math.sin(angle)])
         forces = problem.maximize(direction @ forces_to_com, friction, bounded, limit)
         if forces is None:
-            return ()
+            failures += 1
+            if not corners and failures == _MIN_FAILURES:
+                return ()
+            continue
         x, y = (forces_to_com @ forces).tolist()
         corners.append((x, y))
     return tuple(corners)

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import shapely
 
-from pupper_analysis.statics.support_polygon import com_margin, polygon_sides, support_polygon
+from pupper_analysis.statics.support_polygon import (
+    SIDES,
+    com_margin,
+    find_extreme_positions,
+    polygon_sides,
+    support_polygon,
+)
 
 
 def test_sides_and_margins_equal_the_convex_hull_of_shapely() -> None:
@@ -29,3 +36,33 @@ def test_sides_and_margins_equal_the_convex_hull_of_shapely() -> None:
             points = {str(index): contact for index, contact in enumerate(contacts)}
             margin = com_margin(np.append(place, 0.2), points)
             np.testing.assert_allclose(margin, distance, atol=1e-12)
+
+
+def test_a_region_is_not_empty_if_the_program_of_a_single_direction_fails() -> None:
+    """Reference: the region of the same contacts, rotated about the vertical by half a step.
+
+    In the third of these sets of contacts, Clarabel found no solution in one of 48 directions.
+    """
+    random, half = np.random.default_rng(5), np.pi / SIDES
+    turn = np.array(
+        [[np.cos(half), -np.sin(half), 0], [np.sin(half), np.cos(half), 0], [0, 0, 1.0]]
+    )
+    compared = 0
+    for number in range(59):
+        count = int(random.integers(2, 6))
+        points, normals = random.uniform(-0.3, 0.3, (count, 3)), random.normal(size=(count, 3))
+        normals[:, 2] = np.abs(normals[:, 2]) * random.uniform(0, 2)
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        friction = random.uniform(0.1, 1.2, count)
+        if number < 54:  # the other sets are drawn, but not evaluated
+            continue
+        none = np.zeros((0, 4))
+        areas = [
+            shapely.MultiPoint(
+                find_extreme_positions(points @ way.T, normals @ way.T, friction, None, none)
+            ).convex_hull.area
+            for way in (np.eye(3), turn)
+        ]
+        assert areas[0] == pytest.approx(areas[1], rel=0.05, abs=1e-6)
+        compared += areas[0] > 1e-4
+    assert compared >= 2
