@@ -142,3 +142,12 @@ def test_each_option_is_always_used_or_has_a_case_in_which_it_is_refused(name: s
         for option in options
         if option.name not in known and not refused & set(option.opts)
     ] == []
+
+
+@pytest.mark.parametrize("name", COMMAND_NAMES)
+def test_command_with_json_has_markdown_and_verbose(name: str) -> None:
+    options = {option.name: option for option in find_command(name).params}
+    assert ("style" in options) == ("json_path" in options)
+    if "style" in options:
+        assert "markdown" in options["style"].type.choices  # type: ignore[attr-defined]
+        assert "everything" in options

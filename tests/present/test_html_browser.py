@@ -116,6 +116,35 @@ def test_view_draws_and_turns_the_robot(opened: Opened) -> None:
     opened.page.locator(".reset").click()
 
 
+def test_shapes_of_a_view_can_be_hidden(opened: Opened) -> None:
+    """Reference: the share of yellow pixels, which the torso has."""
+    canvas = get_canvas(opened)
+    shapes = opened.page.locator("[data-layer=shapes]")
+    assert share_of_torso(opened.pixels(canvas)) > 0.005
+    shapes.uncheck()
+    hidden = share_of_torso(opened.pixels(canvas))
+    shapes.check()
+    assert hidden < 0.003
+    assert share_of_torso(opened.pixels(canvas)) > 0.005
+
+
+def test_view_is_drawn_completely_below_the_navigation(opened: Opened) -> None:
+    """The page is scrolled by 150 pixels into the view: 95 % of the visible rows show the floor."""
+    canvas = get_canvas(opened)
+    opened.page.evaluate(
+        """() => { const top = document.querySelector(".canvas").getBoundingClientRect().top;
+        scrollTo({ top: scrollY + top + 150, behavior: "instant" }); }"""
+    )
+    opened.page.evaluate("window.report.views[0].turn(0.1, 0)")
+    opened.page.wait_for_timeout(300)
+    box = canvas.bounding_box()
+    assert box["y"] == pytest.approx(-150, abs=2)
+    seen = Image.open(io.BytesIO(opened.page.screenshot())).convert("RGB")
+    below = np.asarray(seen).astype(int)[60 : int(box["y"] + box["height"]) - 4, 100:1000]
+    assert (below.std(axis=1).sum(axis=1) > 3).mean() > 0.95
+    opened.page.locator(".reset").click()
+
+
 def test_views_are_printed_if_they_were_never_visible(browser: Any, file: Path) -> None:
     one = Opened(browser, file, viewport={"width": 900, "height": 300})
     assert one.page.locator(".canvas canvas").count() == 0  # it is further down

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -22,6 +23,9 @@ from pupper_analysis.present.document import (
     text,
 )
 from pupper_analysis.present.markdown import MAX_COMMENT_LENGTH, write_markdown
+from tests.support.commands import answer
+from tests.support.html_page import Page
+from tests.support.repository import ROOT
 from tests.support.stubs import problem
 
 TABLE = Table(
@@ -147,3 +151,22 @@ def test_markdown_is_cut_to_the_length_of_a_comment() -> None:
     assert len(shown) < MAX_COMMENT_LENGTH
     assert shown.startswith("### ❌ FAILS v3\n\n- **it fell over**")
     assert "`--json` has all numbers" in shown
+
+
+def test_tables_that_compare_several_documents_are_written_once() -> None:
+    """The two documents are in short: without tables of their own."""
+    shown = write_markdown(Report(text("report"), (DOCUMENT, DOCUMENT), (TABLE,)))
+    assert shown.count("Motor torques") == 1
+    assert shown.count("### ❌ FAILS v3") == 2
+
+
+@pytest.mark.slow
+def test_markdown_is_the_only_text_on_standard_output(tmp_path: Path) -> None:
+    """Written files are confirmed on standard error."""
+    path, page = tmp_path / "a.json", tmp_path / "a.html"
+    words = ("--format", "markdown", "--json", str(path), "--report", str(page))
+    found = answer("audit", str(ROOT / "urdf" / "pupper_v3.urdf"), *words)
+    assert found.stdout.startswith("### ✅ OK pupper\\_v3.urdf\n\n- 0 errors, ")
+    assert "written" not in found.stdout
+    assert found.stderr == f"written: {page}\nwritten: {path}\n"
+    assert Page(page.read_text(encoding="utf-8")).root.find(".//h1") is not None

@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace as Stub
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
-from pupper_analysis.present.document import Document
+from pupper_analysis.base.results import Result
+from pupper_analysis.present.document import (
+    Axis,
+    Column,
+    Document,
+    LinePlot,
+    Name,
+    Series,
+    Table,
+    Text,
+    number_cell,
+)
+from pupper_analysis.present.documents.registry import build_document, build_report
+from pupper_analysis.present.figures.drawing import write_plots
+from pupper_analysis.present.html.write import write_report
+from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.tools.analyze import document as comparison
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support import printing
+from tests.support.html_page import Page, read_text
 from tests.support.stubs import ANALYSIS, SERVOS, STAND, problem, run, stance
 
 
@@ -56,3 +77,62 @@ def test_stance_document_states_why_a_stance_fails() -> None:
         in text
     )
     assert "HOLDS" not in text
+
+
+@dataclass(frozen=True, eq=False)
+class FootWear(Result):
+    """Wear of feet: a result with a document of its own, as in docs/how-to/write-a-tool.md."""
+
+    name: str
+    rates: dict[str, float]
+    time: np.ndarray
+    depth: dict[str, np.ndarray]
+    passed: bool
+
+
+def make_wear_document(wear: FootWear, _: object = None) -> Document:
+    """Create a document with a table [mm/h] and a plot [mm] over time [h]."""
+    table = Table(
+        Text("Wear of the feet", "各足的磨损"),
+        (Column(Text("foot", "足"), left=True), Column(Text("wear", "磨损"), "mm/h")),
+        tuple((Name(foot), number_cell(rate, ".2f")) for foot, rate in wear.rates.items()),
+    )
+    axes = Axis(Text("time", "时间"), "h", ".0f"), Axis(Text("depth", "深度"), "mm", ".1f")
+    lines = [Series(Name(foot), wear.time, depth) for foot, depth in wear.depth.items()]
+    plot = LinePlot(Text("Wear over time", "磨损随时间的变化"), *axes, lines)
+    verdict = Text("LASTS", "耐用")
+    return Document(Text("Wear", "磨损报告"), Name(wear.name), (table, plot), wear.passed, verdict)
+
+
+@pytest.fixture
+def wear() -> FootWear:
+    """A result whose document is registered."""
+    build_document.register(FootWear, make_wear_document)
+    time, rates = np.array([0.0, 10.0, 20.0]), {"FL": 0.25, "RR": 0.75}
+    return FootWear("v9", rates, time, {foot: rate * time for foot, rate in rates.items()}, True)
+
+
+def test_document_of_a_new_result_is_shown_by_each_writer(wear: FootWear, tmp_path: Path) -> None:
+    """References: the two rates, in the terminal, in Markdown and in both languages of a page."""
+    terminal = printing.printed(wear)
+    assert terminal.startswith("LASTS v9")
+    assert re.search(r"foot +\(mm/h\)\n─+\nFL +0\.25\nRR +0\.75\n", terminal)
+    markdown = write_markdown(build_report([("", wear)]))
+    assert "### ✅ LASTS v9" in markdown
+    assert "| foot | wear (mm/h) |\n| :--- | ---: |\n| FL | 0.25 |\n| RR | 0.75 |" in markdown
+    write_report(wear, tmp_path / "wear.html")
+    page = Page((tmp_path / "wear.html").read_text(encoding="utf-8"))
+    assert page.tables()["Wear of the feet"][1] == {"foot": "RR", "wear (mm/h)": "0.75"}
+    chinese = read_text(page.root.find("body"), "zh")
+    for words in ("各足的磨损", "磨损随时间的变化", "足", "深度"):
+        assert words in chinese
+    lines = [line.get("data-labels") for line in page.root.iter("polyline")]
+    assert any("20 h, 15.0 mm" in (labels or "") for labels in lines)
+
+
+def test_plot_of_a_new_result_is_drawn_as_a_figure(wear: FootWear, tmp_path: Path) -> None:
+    """Between 1 and 50 % of the pixels are drawn."""
+    (plot,) = (block for block in make_wear_document(wear).blocks if isinstance(block, LinePlot))
+    write_plots([plot], tmp_path / "wear.png")
+    drawn = imread(tmp_path / "wear.png")[..., :3].min(axis=-1) < 0.9
+    assert 0.01 < drawn.mean() < 0.5

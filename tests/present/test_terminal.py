@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+from pathlib import Path
+
+import pytest
 
 from pupper_analysis.present.document import (
     Column,
@@ -15,6 +18,7 @@ from pupper_analysis.present.document import (
     diagnostic_text,
 )
 from pupper_analysis.present.terminal import SafeConsole, print_document
+from tests.support.commands import run_command
 from tests.support.printing import printed
 from tests.support.stubs import problem
 
@@ -98,3 +102,22 @@ def test_answer_is_verdict_limit_and_next_command_and_details_follow_with_v() ->
     lines = full.getvalue().splitlines()
     assert lines[:4] == [*answer[:2], "  height 3 mm", answer[2]]
     assert any(line.startswith("joint_0") for line in lines)
+
+
+@pytest.mark.slow
+def test_stand_fits_80_columns_and_confirms_its_files(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Tables of 12 joints, four feet and others; files in the order in which they are written."""
+    paths = [str(tmp_path / name) for name in ("a.png", "a.html", "a.json")]
+    options = zip(("--figure", "--report", "--json"), paths, strict=True)
+    words = ("stand", "v3", "-v", *(part for pair in options for part in pair))
+    status, out, _ = run_command(capfd, *words)
+    assert status == 0
+    lines = out.splitlines()
+    assert [line for line in lines if line.startswith("written: ")] == [
+        f"written: {path}" for path in paths
+    ]
+    tables = [line for line in lines if re.search("─|^(leg_|[FR][RL] )", line)]
+    assert sum(line.startswith("leg_") for line in tables) >= 12
+    assert max(map(len, tables)) <= 80

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from pupper_analysis.base.diagnostics import LANGUAGES
+from pupper_analysis.base.diagnostics import LANGUAGES, phrase
+from pupper_analysis.base.diagnostics.catalogue import LINE_ENTRY_FILES, list_entries
 from pupper_analysis.present.document import Name, text, word
 from pupper_analysis.tools.study.measures import METRICS
 from tests.base.diagnostics.test_diagnostic import (
@@ -37,6 +38,22 @@ def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]])
         assert not HAN.search(english), key
         shown = re.sub(r"\[!?\w+\?", "[", chinese)  # without the names of conditions
         assert not re.search(r"[,;:?!](?=[\u4e00-\u9fff])", shown), f"punctuation of {chinese}"
+
+
+@pytest.mark.parametrize(("file", "words"), [("terms.toml", TERMS), ("texts.toml", TEXTS)])
+def test_entries_on_one_line_are_found_as_tomllib_reads_them(
+    file: str, words: dict[str, dict[str, str]]
+) -> None:
+    """The catalogue finds entries by a pattern, without parsing the file."""
+    assert file in LINE_ENTRY_FILES
+    assert set(list_entries(file)) == set(words)
+    for key, texts in words.items():
+        assert {language: phrase(key, language) for language in LANGUAGES} == texts
+
+
+def test_key_of_a_text_and_of_a_term_has_one_translation() -> None:
+    """`phrase` searches the texts first."""
+    assert [key for key in TEXTS if TEXTS[key] != TERMS.get(key, TEXTS[key])] == []
 
 
 @pytest.mark.slow

@@ -50,6 +50,28 @@ def test_feet_and_com_of_v3_at_zero_angles() -> None:
     np.testing.assert_allclose(mj.body("base_link").subtree_com, com, atol=1e-8)
 
 
+V3_AXES = {
+    "r": [(0, -1, 0), (-1, 0, 0), (0, -1, 0)],
+    "l": [(0, 1, 0), (-1, 0, 0), (0, 1, 0)],
+}
+"""{side: world axes of the three joints of a leg at zero angles}, read in v3's files."""
+
+
+@pytest.mark.parametrize("side", V3_AXES)
+@pytest.mark.parametrize("end", ["front", "back"])
+def test_v3_joint_axes_at_zero_angles_in_both_engines(end: str, side: str) -> None:
+    """_1 and _3 turn about y (pitch) and _2 about x (roll): ``V3_AXES``."""
+    robot = load("v3")
+    data = evaluate_mujoco(robot, robot.neutral())
+    config = pa.Configuration(robot, robot.neutral())
+    for number, expected in enumerate(V3_AXES[side], start=1):
+        name = f"leg_{end}_{side}_{number}"
+        np.testing.assert_allclose(data.joint(name).xaxis, expected, atol=1e-15)
+        jacobian = config.frame_jacobian(name)
+        urdf = jacobian[3:, 6 + robot.joint_names.index(name)]
+        np.testing.assert_allclose(urdf, expected, atol=1e-15)
+
+
 def test_actuators_have_the_documented_order() -> None:
     """Front before rear, right before left, hip before knee; the joints of the robot have the order
     of the actuators.

@@ -82,6 +82,14 @@ def test_invalid_scale_is_refused_by_field(field: str, value: object) -> None:
     assert isinstance(caught.value, pa.PupperAnalysisError)
 
 
+@pytest.mark.parametrize("base", ["", "original", "pupper", None, 3, ["v3"]])
+def test_unknown_base_is_refused_with_the_valid_names(base: object) -> None:
+    with pytest.raises(pa.VariantError, match="skeleton, v3") as caught:
+        pa.pupper.VariantSpec(base)  # type: ignore[arg-type]
+    assert repr(base) in str(caught.value)
+    assert caught.value.field == "base"
+
+
 def test_variant_without_name_is_named_after_its_values() -> None:
     assert pa.pupper.VariantSpec("v3", 1.2, 2.0).name == "v3-leg1.2-torso2"
     assert pa.pupper.VariantSpec("v3", 1.2, name="mine").name == "mine"

@@ -113,6 +113,24 @@ def test_action_fails_at_the_line_of_a_new_difference(installed: Path) -> None:
 
 
 @pytest.mark.slow
+def test_action_uses_its_inputs_with_spaces(installed: Path) -> None:
+    """Settings in a folder with spaces, and an output file with spaces."""
+    folder = installed / "robots and more"
+    folder.mkdir()
+    for name in ("hopper.urdf", "hopper.xml", "pupper-analysis.toml"):
+        shutil.move(installed / name, folder / name)
+    output = installed / "the results.sarif"
+    config = "robots and more/pupper-analysis.toml"
+    result = step("Check", installed, config=config, format="sarif", output=str(output))
+    assert result.returncode == 1, result.stderr  # the baseline is in the old folder
+    assert result.stdout == ""
+    assert '"uri": "robots%20and%20more/hopper.urdf"' in output.read_text()
+    result = step("Check", installed, config="none.toml")
+    assert result.returncode == 2
+    assert "none.toml" in result.stderr
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["since", "config", "format"])
 def test_an_input_that_begins_with_a_dash_is_no_option(installed: Path, name: str) -> None:
     """Git would execute ``--upload-pack`` if the remote is a path."""

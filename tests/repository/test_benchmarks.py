@@ -10,15 +10,21 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import orjson
 import pytest
 
+import pupper_analysis as pa
 from tests.support.repository import ROOT
+from tests.support.variants import load, stand_of
 
 sys.path.append(str(ROOT / "benchmarks"))  # where its modules find each other
 
+import measure
 import published
+import ratios
 import run as benchmarks
+import whole
 
 
 @pytest.mark.slow
@@ -80,3 +86,117 @@ def test_published_robots_are_found_and_processes_are_measured(
     assert {*published.COMMANDS, "load", "load, bare engine"} == set(processes)
     assert processes["payload"][1:] == ["payload", str(file)]
     assert re.fullmatch(r"([0-9a-f]{8,}\+?)?", published.find_commit())
+
+
+def make_job(name: str, error: float = 0.0) -> measure.Job:
+    """Return a job with an engine, whose result has an error [m] with the limit 1e-9 m."""
+    return measure.Job(
+        name,
+        lambda: None,
+        lambda: measure.Accuracy(error, 1e-9, "m"),
+        measure.Rival("an engine", lambda: None),
+    )
+
+
+@pytest.mark.parametrize(("error", "exact"), [(1e-10, True), (1e-8, False), (float("nan"), False)])
+def test_result_is_exact_up_to_the_limit_of_its_error(error: float, exact: bool) -> None:
+    assert measure.measure_job(make_job("a job", error), 1, 0.0).exact is exact
+
+
+@pytest.mark.parametrize(
+    ("processor", "family"),
+    [
+        ("Intel(R) Xeon(R) Processor", "Intel Xeon"),
+        ("Intel(R) Xeon(R) CPU E5-2686 v4 @ 2.30GHz", "Intel Xeon"),
+        ("12th Gen Intel(R) Core(TM) i7-12700K", "Intel Core"),
+        ("AMD EPYC", "AMD EPYC"),
+        ("AMD EPYC 7763 64-Core Processor", "AMD EPYC"),
+        ("AMD Ryzen 9 5950X 16-Core Processor", "AMD Ryzen"),
+    ],
+)
+def test_processors_of_one_product_line_are_a_family(processor: str, family: str) -> None:
+    assert ratios.processor_family(processor) == family
+
+
+def test_ratio_without_a_record_of_a_family_is_the_largest_of_all(tmp_path: Path) -> None:
+    """Also after the record is written to a table and read again."""
+    record = {"one": {"stand": 1.25, "load": 1.5}, "other": {"stand": 1.75}}
+    header, *rows = ratios.make_record_table(record)
+    assert (header, rows[1]) == (("job", "one", "other"), ("load", "1.5", "-"))
+    benchmarks.write_tables(tmp_path, {"Ratios": [header, *rows]})
+    assert ratios.read_recorded(tmp_path) == record
+    assert ratios.expected_ratios(record, "other") == {"stand": 1.75, "load": 1.5}
+    assert ratios.expected_ratios(record, "a third") == {"stand": 1.75, "load": 1.5}
+
+
+@pytest.mark.parametrize(
+    ("measured", "kept", "count"),
+    [([1.9], True, 1), ([2.6, 2.3], True, 2), ([2.6, 2.5, 2.7], False, 3)],
+    ids=["first", "second", "none"],
+)
+def test_ratio_is_kept_if_one_of_three_measurements_is_permitted(
+    measured: list[float], kept: bool, count: int
+) -> None:
+    """The recorded ratio is 2, so 2.4 is permitted; a job without a record is not measured."""
+    left = list(measured)
+    jobs = [make_job("stand"), make_job("new")]
+    (found,) = ratios.compare_ratios(
+        jobs, {"stand": 2.0}, lambda _: left.pop(0), lambda _: ({}, {}), lambda _: None
+    )
+    assert (found.job, found.is_kept, found.now) == ("stand", kept, min(measured))
+    assert len(measured) - len(left) == count
+
+
+def test_ratio_of_1_3_times_the_recorded_one_fails_by_name(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The recorded state is as fast as recorded."""
+    record = ratios.read_recorded(ROOT / "docs/data")
+    name, recorded = next(iter(record.items()))
+    assert len(recorded) >= 9
+    slow = "solve_stand"
+    monkeypatch.setattr(benchmarks, "processor_name", lambda: f"{name} 7R13 48-Core Processor")
+    monkeypatch.setattr(benchmarks.bare, "jobs", lambda _: list(map(make_job, recorded)))
+    monkeypatch.setattr(ratios, "PAUSE", 0.0)
+    for factor in (1.1, 1.3):
+        times = recorded | {slow: factor * recorded[slow]}
+        monkeypatch.setattr(ratios, "measure_ratio", lambda job, times=times: times[job.name])
+        monkeypatch.setattr(
+            ratios,
+            "measure_both",
+            lambda _root, _record, _variant, names, times=times: (
+                {one: times[one] for one in names},
+                {one: recorded[one] for one in names},
+            ),
+        )
+        assert benchmarks.check_ratios("v3") is (factor < ratios.MAX_SLOWDOWN)
+        errors = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
+        assert [line.split(":")[1].strip() for line in errors] == [slow] * (factor > 1.2)
+
+
+def test_tables_have_the_names_of_the_recorded_files(tmp_path: Path) -> None:
+    titles = ("Calls: medians by turns, of v3", "Start-up", "Where the time of a call goes")
+    titles += ("Default run: stages, 6 variants", "How time grows", "Ratios", "setting")
+    benchmarks.write_tables(tmp_path, {title: [("what", "value")] for title in titles})
+    recorded = {path.name for path in (ROOT / "docs/data").glob("benchmarks-*.csv")}
+    assert {path.name for path in tmp_path.iterdir()} == recorded - {
+        "benchmarks-published-robots.csv"
+    }
+
+
+def test_foot_of_the_grid_search_is_where_pinocchio_has_it() -> None:
+    """Reference: Pinocchio's foot and hip positions [m] at the found joint angles."""
+    robot, stand = load("original"), stand_of("original")
+    thigh, calf = whole.measure_leg_lengths(robot)
+    assert thigh is not None
+    assert calf is not None
+    height = 0.9 * (thigh + calf)
+    hip, knee, x, z = whole.search_grid(thigh, calf, height)
+    assert max(abs(x), abs(z)) < 2 * whole.STEP * (thigh + calf)
+    joints = stand.joint_positions(robot).copy()
+    names = list(robot.joint_names)
+    joints[names.index("FL_HAA")] = 0.0
+    joints[names.index("FL_HFE")], joints[names.index("FL_KFE")] = hip, knee
+    config = pa.Configuration(robot, robot.make_qpos(joints))
+    place = config.foot_positions()["FL"] - config.joint_position("FL_HFE")
+    np.testing.assert_allclose(place[[0, 2]], (x, z - height), atol=1e-12)

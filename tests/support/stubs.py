@@ -17,11 +17,12 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.tools import own_tools
 from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.present.document import Document, Name, Report, text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.compare.compare import FilesCompared
 from pupper_analysis.simulation.trial import Failure
-from pupper_analysis.simulation.verdict import Outcome, Question, judge_stance
+from pupper_analysis.simulation.verdict import Outcome, Question, Verdict, judge_stance
 from pupper_analysis.stance.task import StandTask
 
 
@@ -353,6 +354,22 @@ def make_path_result(**changes: Any) -> Any:
         Outcome(passed=True, failures=(), duration=3.0), None, SERVOS, question=Question.TRACKED
     )
     return Stub(**fields, **{"verdict": verdict, **changes})
+
+
+def judge_added_servos(question: Question) -> Verdict:
+    """Return a passing verdict on servos that were added to the joint ``knee``; see
+    `ADDED_SERVOS_TEXT`.
+    """
+    servo = MadeServo("knee", 320.0, 16.0, Drive.MOTOR)
+    servos = ServosUsed(ServoSource.ADDED, (320.0, 320.0), (16.0, 16.0), (servo,))
+    outcome = Outcome(passed=True, failures=(), duration=3.0)
+    return judge_stance(outcome, None, servos, question=question)
+
+
+ADDED_SERVOS_TEXT = (
+    "on servos that were added to 1 joints: knee (in the file: torque motor) (kp 320 N m/rad"
+)
+"""Text about the servos of `judge_added_servos`."""
 
 
 def best() -> Any:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.payload.document import payload_document
 from tests.present.test_printed import print_words
-from tests.support.stubs import make_payload_result
+from tests.support.stubs import ADDED_SERVOS_TEXT, judge_added_servos, make_payload_result
 
 
 def test_motors_without_a_limit_are_named() -> None:
@@ -14,3 +15,10 @@ def test_motors_without_a_limit_are_named() -> None:
     assert said in text
     assert "all else allows 1.23 kg, with which the motors must give up to 2 N m (knee)" in text
     assert "Motors whose" not in " ".join(print_words(payload_document(make_payload_result())))
+
+
+def test_payload_limit_states_that_its_servos_were_added() -> None:
+    """No file states the servos of a robot without servos, nor what the robot can carry."""
+    result = make_payload_result()
+    result.verdict = judge_added_servos(Question.CARRIES)
+    assert ADDED_SERVOS_TEXT in " ".join(print_words(payload_document(result)))

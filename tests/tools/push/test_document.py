@@ -10,11 +10,19 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.present.figures import drawing
-from pupper_analysis.simulation.verdict import judge_stance
+from pupper_analysis.simulation.verdict import Question, judge_stance
 from pupper_analysis.tools.push.document import push_document, push_plot
 from pupper_analysis.tools.push.figures import push_figure
 from tests.support import printing
-from tests.support.stubs import SERVOS, make_push_result, problem, pushes, run
+from tests.support.stubs import (
+    ADDED_SERVOS_TEXT,
+    SERVOS,
+    judge_added_servos,
+    make_push_result,
+    problem,
+    pushes,
+    run,
+)
 
 
 def print_words(shown: object) -> list[str]:
@@ -71,3 +79,9 @@ def test_push_figure_of_no_robot_or_too_many_robots_is_refused(tmp_path: Path) -
     (tmp_path / "file").touch()
     with pytest.raises(pa.OutputError):
         push_figure({"one": pushes(0.0)}, tmp_path / "file" / "push.png")
+
+
+def test_push_limit_states_that_its_servos_were_added() -> None:
+    result = make_push_result("one", 0.0, 0.00311)
+    result.verdict = judge_added_servos(Question.LASTS)
+    assert ADDED_SERVOS_TEXT in " ".join(print_words(push_document(result)))
