@@ -30,6 +30,7 @@ from pupper_analysis.simulation.rollout import (
 from pupper_analysis.simulation.stability import (
     find_final_spectrum,
     measure_response,
+    measure_speed_deviation,
     simulate_nudge,
 )
 from pupper_analysis.simulation.verify import NUDGED_FRACTION, SETTLED_DRIFT
@@ -79,6 +80,21 @@ tuned."""
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
 
+_SHAKING_SECONDS = 3
+"""Number of successive seconds of simulation whose speeds show whether a robot shakes without
+decay. Chosen, not tuned."""
+
+_MIN_SHAKING_SPEED = 1e-2
+"""Lower bound of the speed of a shaking robot [m/s, rad/s], without the linear trend within each
+``_CHECK_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``."""
+
+_MIN_SHAKING_RATIO = 0.92
+"""Lower bound of the ratio of the largest speed in a second to that in an earlier second, within
+``_SHAKING_SECONDS``, with which shaking counts as sustained. Derived: an exponential decay with
+this ratio over 2 s has a time constant of 24 s; within the thirds of the longest nudged simulation
+(7 s) its ratio is 0.907, with which `measure_response` does not count the motion as decayed
+(limit 0.9)."""
+
 
 def comes_to_rest(
     robot: Robot,
@@ -92,7 +108,8 @@ def comes_to_rest(
 
     The settling simulation lasts at most as long as in ``verify_stand``, but ends once the robot is
     at rest or has left the stand. Then a nudge must decay, and no mode may grow within
-    ``HOLD_DURATION`` (12 s).
+    ``HOLD_DURATION`` (12 s). Both simulations also end if the robot shakes without decay for
+    ``_SHAKING_SECONDS``; the robot does not come to rest then.
 
     Args:
         robot: The robot.
@@ -112,7 +129,8 @@ def comes_to_rest(
     reference = monitor.StandReference.from_configuration(
         held.robot, held.stand.qpos, held.stand.task.rotation()
     )
-    last_second = _simulate_until_rest(held, reference)
+    shaking = _ShakingRecord(held.drive.model)
+    last_second = _simulate_until_rest(held, reference, shaking)
     if last_second is None:
         return False
     model, state = held.drive.model, last_second[-1]
@@ -121,12 +139,13 @@ def comes_to_rest(
         return False
     slowest = spectrum.least_damped
     decay_time = _DECAY_TIME_CONSTANTS * (0.0 if slowest is None else slowest.time_constant)
-    nudged_states = simulate_nudge(
-        model,
-        state,
-        held.ctrl,
-        min(max(decay_time, _MIN_NUDGE_TIME), NUDGED_FRACTION * HOLD_DURATION),
-    )
+    nudge_time = min(max(decay_time, _MIN_NUDGE_TIME), NUDGED_FRACTION * HOLD_DURATION)
+    if shaking.is_shaking and nudge_time > _SHAKING_SECONDS - MEASURING_TIME:
+        first_states = simulate_nudge(model, state, held.ctrl, _SHAKING_SECONDS - MEASURING_TIME)
+        shaking.add(first_states)
+        if shaking.is_sustained:
+            return False
+    nudged_states = simulate_nudge(model, state, held.ctrl, nudge_time)
     if monitor.has_diverged(nudged_states, float(model.opt.timestep)):
         return False
     nudge = measure_response(model, state, nudged_states, last_second)
@@ -159,8 +178,52 @@ def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
     return not mode.repeated_at_second_step and MIN_ABSENT_DOUBLINGS * doubling_time <= duration
 
 
-def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) -> Array | None:
-    """Simulate a stand until it rests; return the states of the last second, else None."""
+class _ShakingRecord:
+    """Largest speeds of a simulated robot, without slow motion, interval by interval.
+
+    Args:
+        model: MuJoCo model that is simulated.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._velocities = slice(1 + model.nq, 1 + model.nq + model.nv)
+        self._interval = max(2, round(_CHECK_INTERVAL / float(model.opt.timestep)))
+        self._speeds: list[float] = []
+
+    @np.errstate(invalid="ignore", over="ignore")  # diverged values: not sustained
+    def add(self, states: Array) -> None:
+        """Add successive states after each step, shape (n, size), of whole intervals."""
+        for begin in range(0, len(states) - self._interval + 1, self._interval):
+            rows = states[begin : begin + self._interval, self._velocities]
+            self._speeds.append(measure_speed_deviation(rows))
+
+    @property
+    def is_shaking(self) -> bool:
+        """Whether the largest speed of the last second exceeds ``_MIN_SHAKING_SPEED``."""
+        return max(self._speeds[-_INTERVALS_PER_SECOND:], default=0.0) > _MIN_SHAKING_SPEED
+
+    @property
+    def is_sustained(self) -> bool:
+        """Whether the robot shakes, and has not become slower in ``_SHAKING_SECONDS``."""
+        recent = self._speeds[-_SHAKING_SECONDS * _INTERVALS_PER_SECOND :]
+        if not self.is_shaking or len(recent) < _SHAKING_SECONDS * _INTERVALS_PER_SECOND:
+            return False
+        largest = np.max(np.reshape(recent, (_SHAKING_SECONDS, -1)), axis=1)
+        earlier = np.maximum.accumulate(largest)[:-1]
+        return bool((largest[1:] >= _MIN_SHAKING_RATIO * earlier).all())
+
+
+_INTERVALS_PER_SECOND = round(1 / _CHECK_INTERVAL)
+"""Number of ``_CHECK_INTERVAL`` in a second."""
+
+
+def _simulate_until_rest(
+    held: StandStart, reference: monitor.StandReference, shaking: _ShakingRecord
+) -> Array | None:
+    """Simulate a stand until it rests; return the states of the last second, else None.
+
+    The speeds are added to ``shaking``. The simulation also ends if shaking is sustained.
+    """
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
     ctrl = np.tile(held.ctrl, (max(2, round(_CHECK_INTERVAL / timestep)), 1))
@@ -177,6 +240,9 @@ def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) ->
         intervals.append((states, _mean_foot_displacements(held, data, states)))
         lost = _max_horizontal_norm(intervals[-1][1]) > _LOST_RATIO * MAX_FOOT_DISPLACEMENT
         if lost or _has_left_stand(reference, state, _LOST_RATIO * MAX_STAND_ROTATION):
+            return None
+        shaking.add(states)
+        if shaking.is_sustained:
             return None
         if len(intervals) == intervals.maxlen:
             last_second = np.concatenate([states for states, _ in intervals])

@@ -366,7 +366,7 @@ def measure_response(
     third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
     velocities = slice(1 + model.nq, 1 + model.nq + model.nv)
-    motion, left = (_detrended_amplitude(rows[:, velocities]) for rows in windows)
+    motion, left = (measure_speed_deviation(rows[:, velocities]) for rows in windows)
     if creep is not None:
         drifts = (_measure_base_drift(model, rows, creep) for rows in windows)
         motion, left = (max(pair) for pair in zip((motion, left), drifts, strict=True))
@@ -457,8 +457,12 @@ def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> f
     return float((after - before).max(initial=0.0))
 
 
-def _detrended_amplitude(velocities: Array) -> float:
-    """Return the largest deviation of velocities (n, nv) from straight lines in time."""
+def measure_speed_deviation(velocities: Array) -> float:
+    """Return the largest deviation of velocities from their straight lines in time [m/s, rad/s].
+
+    Args:
+        velocities: Velocities at equal time intervals, shape (n, nv).
+    """
     time = np.linspace(-1.0, 1.0, len(velocities))
     slopes = (time @ velocities) / (time @ time)
     return float(

@@ -145,3 +145,68 @@ def test_motion_ratio_is_the_largest_share_of_its_three_bounds(
         states[:, height] += drift * np.linspace(0.0, duration, 500)
         ways[2, 1], ways[1, 2] = slip, 1.0  # down is no way over the ground
         assert settling._rest_ratio(held, states, ways) == pytest.approx(expected, abs=1e-9)
+
+
+def _make_oscillation(
+    model: Any, frequency: float, speed: float, time_constant: float = math.inf
+) -> np.ndarray:
+    """States of 3 s, in which the first velocity is a decaying sine; the others are zero."""
+    time = np.arange(round(3.0 / model.opt.timestep)) * model.opt.timestep
+    states = np.zeros((len(time), 1 + model.nq + model.nv + model.na))
+    envelope = speed * np.exp(-time / time_constant)
+    states[:, 1 + model.nq] = envelope * np.sin(2 * np.pi * frequency * time)
+    return states
+
+
+@pytest.mark.parametrize(
+    ("frequency", "speed", "time_constant", "sustained"),
+    [
+        (10.0, 0.05, math.inf, True),
+        (10.0, 0.05, 100.0, True),
+        (10.0, 0.05, 15.0, False),  # the ratio over 2 s is 0.875
+        (10.0, 0.05, -5.0, True),  # grows
+        (10.0, 0.005, math.inf, False),  # slower than ten nudges
+        (0.3, 0.05, math.inf, False),  # sways slowly
+    ],
+)
+def test_shaking_is_sustained_if_fast_and_without_decay(
+    standing: tuple[pa.Robot, Stand],
+    frequency: float,
+    speed: float,
+    time_constant: float,
+    sustained: bool,
+) -> None:
+    """Reference: closed form of the oscillation, ``v exp(-t / T) sin(2 pi f t)`` for 3 s."""
+    model = standing[0].mj_model
+    record = settling._ShakingRecord(model)
+    states = _make_oscillation(model, frequency, speed, time_constant)
+    second = round(1.0 / model.opt.timestep)
+    record.add(states[: 2 * second])
+    assert not record.is_sustained  # too short
+    record.add(states[2 * second :])
+    assert record.is_sustained == sustained
+
+
+def test_settling_ends_early_if_the_robot_shakes_without_decay(
+    standing: tuple[pa.Robot, Stand], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: 3 s, of 5 s in which a stand may settle and 1.5 to 7 s after a nudge."""
+    robot, stand = standing
+    step, simulated = float(robot.mj_model.opt.timestep), []
+
+    def shake(model: Any, start: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
+        """Return a stand at rest whose first velocity oscillates at 10 Hz with 0.05 m/s."""
+        begin = len(ctrl) * step * len(simulated)
+        simulated.append(len(ctrl) * step)
+        states = np.tile(start, (len(ctrl), 1))
+        states[:, 0] = begin + step * np.arange(1, len(ctrl) + 1)
+        states[:, 1 + model.nq] = 0.05 * np.sin(20 * np.pi * states[:, 0])
+        # Above the bound of a robot at rest, so that the simulation continues.
+        states[:, 1 + robot.mj_convention.qpos_index[2]] += 3e-4 * np.sign(
+            np.sin(20 * np.pi * states[:, 0])
+        )
+        return states
+
+    monkeypatch.setattr(settling, "simulate_commands", shake)
+    assert not comes_to_rest(robot, stand)
+    assert sum(simulated) == pytest.approx(3.0)
