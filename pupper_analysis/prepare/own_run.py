@@ -167,7 +167,7 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     hold = compute_hold_commands(
         published, robot, data, None, data.qpos[joint_qpos_addresses(published, robot)]
     )
-    simulate_published(published, data, hold, _SETTLING_TIME)
+    simulate_published(published, data, hold, _SETTLING_TIME, record_forces=False)
     if not np.abs(data.qvel).max() < _MAX_RESTING_SPEED:
         return False
     initial = initial_height(
@@ -393,7 +393,7 @@ def _simulate_commands(
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
 
     def advance(state: mujoco.MjData, seconds: float) -> None:
-        simulate_published(published, state, hold, seconds)
+        simulate_published(published, state, hold, seconds, record_forces=False)
 
     if robot.floating:
         motion, end = simulate_keyframe(

@@ -584,7 +584,12 @@ _STEPS_PER_CHECK = 25
 
 
 def simulate_published(
-    published: PublishedModel, data: mujoco.MjData, hold: HoldCommands, seconds: float
+    published: PublishedModel,
+    data: mujoco.MjData,
+    hold: HoldCommands,
+    seconds: float,
+    *,
+    record_forces: bool = True,
 ) -> tuple[Array, Array]:
     """Simulate a published model that is commanded to hold a configuration.
 
@@ -595,12 +600,15 @@ def simulate_published(
         data: Initial state; changed to the final state.
         hold: Commands of the actuators, and external servos (computed by this function).
         seconds: Duration [s].
+        record_forces: Record the extreme forces. Without the record, the simulation is up to a
+            tenth faster.
 
     Returns:
         Minimum and maximum force of actuators and external servos on each degree of freedom, shape
         (model.nv,) each [N m, N]. The extremes are those of the last `FORCE_WINDOW` of the
         duration, and of the step at which MuJoCo resets the state. Gravity compensation that
-        MuJoCo adds to actuator forces (``actuatorgravcomp``) is subtracted.
+        MuJoCo adds to actuator forces (``actuatorgravcomp``) is subtracted. Infinite without
+        ``record_forces``.
     """
     model = published.model
     dofs, kp, kd, targets, feedforward = hold.external
@@ -622,6 +630,9 @@ def simulate_published(
     model.dof_damping[dofs] += kd  # integrated implicitly, like the damping of MuJoCo's servos
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
     reset_counts = count_resets(data)
+    # Views of the data, which mj_step changes in place.
+    ctrl, qpos, applied_forces = data.ctrl, data.qpos, data.qfrc_applied
+    actuator_forces, gravcomp_forces = data.qfrc_actuator, data.qfrc_gravcomp
     with silence_mujoco():
         num_unrecorded = 0 if len(dofs) else num_steps - num_recorded  # no control between steps
         for begin in range(0, num_unrecorded, _STEPS_PER_CHECK):
@@ -629,15 +640,15 @@ def simulate_published(
                 mujoco.mj_step(model, data, nstep=min(_STEPS_PER_CHECK, num_unrecorded - begin))
         for step in range(num_unrecorded, num_steps):
             if len(dofs):
-                torque = feedforward + kp * (targets - data.qpos[addresses])
+                torque = feedforward + kp * (targets - qpos[addresses])
                 if by_motor:
-                    data.ctrl[controls] = (torque[by_motor] - offsets) / levers
+                    ctrl[controls] = (torque[by_motor] - offsets) / levers
                 outside[direct_dofs] = torque[direct]
-                data.qfrc_applied[:] = outside
+                applied_forces[:] = outside
             mujoco.mj_step(model, data)
             was_reset = bool(reset_counts.any())
-            if was_reset or step >= num_steps - num_recorded:
-                applied = data.qfrc_actuator + outside - has_gravcomp * data.qfrc_gravcomp
+            if record_forces and (was_reset or step >= num_steps - num_recorded):
+                applied = actuator_forces + outside - has_gravcomp * gravcomp_forces
                 np.minimum(low, applied, out=low)
                 np.maximum(high, applied, out=high)
             if was_reset:  # a further step may take as long as a second of simulation

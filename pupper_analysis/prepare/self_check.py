@@ -393,7 +393,7 @@ def simulate_prediction(
     scale = torque_scale(robot, prediction.torques)
     nudged_time, deviation = 0.0, np.inf
     try:
-        simulate_published(published, data, hold, SETTLING_TIME)
+        simulate_published(published, data, hold, SETTLING_TIME, record_forces=False)
         data.qvel[:] += nudge_velocity(model)
         while nudged_time < _MAX_NUDGED_TIME:
             low, high = simulate_published(published, data, hold, _APPROACH_INTERVAL)
