@@ -6,6 +6,7 @@ import math
 import shutil
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,8 +16,9 @@ import pupper_analysis as pa
 from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.pupper import variant_files
 from pupper_analysis.pupper.variants import find_model_folder
+from tests.support.bodies import BODIES
 from tests.support.engines import evaluate_mujoco
-from tests.support.variants import NAMES
+from tests.support.variants import NAMES, load
 
 
 @pytest.mark.slow
@@ -58,6 +60,12 @@ def test_v3_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
 
 
 # ------------------------------------------------------------------------------------- refused
+
+
+@pytest.mark.parametrize("name", [None, 3, 1.5, ["v3"], {"v3": 1}])
+def test_name_of_another_type_is_refused_with_the_valid_names(name: object) -> None:
+    with pytest.raises(pa.VariantError, match="known variants"):
+        pa.load_variant(name)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["", "Original", "long_leg", "v4"])
@@ -148,3 +156,72 @@ def test_xml_name_that_is_too_long_is_a_model_error() -> None:
         pa.load_robot(f"{'a' * 300}.xml")
     words = [f"{'a' * 300}.xml"]
     assert variant_files.parse_robot_words(words) == [tuple(words)]
+
+
+# ------------------------------------------------------------------------------------- named
+
+MASSES = {
+    "original": 2.710,
+    "long-leg": 3.182,
+    "heavy": 4.216,
+    "v3": 3.170,
+    "v3-long-leg": 3.642,
+    "v3-heavy": 4.676,
+}
+"""{variant: total mass [kg]}."""
+
+
+def test_named_variants_have_their_masses_and_sizes() -> None:
+    """References by hand: ``MASSES``; a free base with 12 joints."""
+    assert tuple(MASSES) == NAMES
+    for name, mass in MASSES.items():
+        spec, robot = pa.VARIANTS[name], load(name)
+        assert spec.name == name
+        assert spec == pa.pupper.VariantSpec(spec.base, spec.leg_scale, spec.torso_mass_scale)
+        assert robot.total_mass == pytest.approx(mass, abs=1e-12)
+        assert (robot.nq, robot.nv, robot.nu) == (19, 18, 12)
+        assert (robot.mj_model.nq, robot.mj_model.nv, robot.mj_model.nu) == (19, 18, 12)
+        assert (robot.pin_model.nq, robot.pin_model.nv) == (19, 18)
+
+
+def test_named_variants_cannot_be_changed() -> None:
+    with pytest.raises(TypeError):
+        pa.VARIANTS["v3"] = pa.VARIANTS["original"]  # type: ignore[index]
+    with pytest.raises(AttributeError):
+        pa.VARIANTS["v3"].leg_scale = 2.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("number", [np.float64(1.5), np.float32(1.5), np.int64(2), 2])
+def test_numbers_of_numpy_are_accepted_as_scales(number: float) -> None:
+    """Closed form: legs of 0.944 kg at scale 1."""
+    spec = pa.pupper.VariantSpec("skeleton", leg_scale=number)
+    assert pa.load_variant(spec).total_mass == pytest.approx(2.710 + (number - 1) * 0.944)
+
+
+KNEES = {"original": ("FL_HFE", "FL_KFE"), "v3": ("leg_front_l_2", "leg_front_l_3")}
+
+
+@pytest.mark.parametrize("source", BODIES)
+@pytest.mark.parametrize("base", KNEES)
+def test_thigh_of_long_legs_is_1_5_times_as_long(base: str, source: str) -> None:
+    """Distance from the hip to the knee, in both engines."""
+    lengths = []
+    for name in (base, "long-leg" if base == "original" else "v3-long-leg"):
+        bodies = BODIES[source](load(name))
+        hip, knee = (bodies[joint].position for joint in KNEES[base])
+        lengths.append(float(np.linalg.norm(knee - hip)))
+    assert lengths[1] / lengths[0] == pytest.approx(1.5, abs=1e-12)
+
+
+def test_thigh_capsules_end_at_the_knee() -> None:
+    """References: 0.08 m and 0.12 m, and the position of the calf in the thigh's frame."""
+    lengths = []
+    for name in ("original", "long-leg"):
+        model = load(name).mj_model
+        for leg in ("FL", "FR", "RL", "RR"):
+            geom = int(model.body(f"{leg}_thigh").geomadr[0])
+            assert model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE.value
+            lengths.append(2 * model.geom_size[geom, 1])
+            knee = np.linalg.norm(model.body(f"{leg}_calf").pos)
+            assert lengths[-1] == pytest.approx(knee, rel=1e-12)
+    np.testing.assert_allclose(lengths, [0.08] * 4 + [0.12] * 4, rtol=1e-12)
