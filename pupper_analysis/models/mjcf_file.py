@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final
 
 import mujoco
+import numpy as np
 from lxml import etree
 
 from pupper_analysis.base.arguments import check_type
@@ -801,9 +802,35 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
     def copy_spec() -> tuple[mujoco.MjSpec, list[Diagnostic]]:
         """Return a copy of the spec without elements whose files are missing, and the notes."""
         copy = spec.copy()
+        _disable_unset_ranges(copy, index)
         return copy, [*notes, *leave_out_missing(copy, tree, index)]
 
     return _compile_file(tree, index, copy_spec)
+
+
+def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], XmlNode]) -> None:
+    """Switch off the unset torque ranges of a spec that differ from the default class, in place.
+
+    MuJoCo writes such a range as "0 0", which a file states for a motor without torque. In a spec
+    both ends are 0 if the range is not set; with the switch "auto", MuJoCo then applies no range.
+    """
+    auto, off = mujoco.mjtLimited.mjLIMITED_AUTO, mujoco.mjtLimited.mjLIMITED_FALSE
+    ranges = [
+        *(("actuator", one, "forcerange", "forcelimited") for one in spec.actuators),
+        *(("actuator", one, "ctrlrange", "ctrllimited") for one in spec.actuators),
+        *(("joint", one, "actfrcrange", "actfrclimited") for one in spec.joints),
+    ]
+    for kind, element, attribute, switch in ranges:
+        node = index.get((kind, element.name or getattr(element, "target", "")))
+        name = "actuatorfrcrange" if kind == "joint" else attribute
+        is_unset = not np.any(np.ravel(getattr(element, attribute))[:2])
+        if (
+            node is not None
+            and name in node.attributes
+            and is_unset
+            and getattr(element, switch) == auto
+        ):
+            setattr(element, switch, off)
 
 
 def _compile_file(

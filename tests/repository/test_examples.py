@@ -70,6 +70,11 @@ SEEN: dict[str, tuple[tuple[object, ...], object, tuple[str, ...]]] = {
             r"the task PositionTask base_link misses its target by 0\.2\d* m$",
         ),
     ),
+    "reach_with_arm": (
+        (),
+        None,
+        (r"^largest motor load 0\.\d\d N m, holds in MuJoCo: True$",),
+    ),
     "slope_and_swing": ((), None, (r"out of reach; possible: .*roll 19\.\d",)),
     "steady_state": ((), None, (r"lost in the servos", "minimum stiffness")),
     "walk": (

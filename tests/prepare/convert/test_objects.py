@@ -263,6 +263,22 @@ def test_spec_with_other_compiler_settings_attached_is_read_from_its_model() -> 
         pa.load_robot(broken)
 
 
+def test_unset_force_range_of_an_attached_servo_is_no_motor_without_torque() -> None:
+    """MuJoCo writes the range as "0 0", since the default class of v3 limits the force, and applies
+    no limit: ``actuator_forcelimited`` is False.
+    """
+    spec = read_spec()
+    arm = mujoco.MjSpec.from_string(ARM_MJCF.format(more=""))
+    arm.add_actuator(name="servo", target="shoulder", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    arm.actuators[0].set_to_position(kp=10.0, kv=0.3)
+    spec.attach(arm, prefix="arm_", frame=spec.body("base_link").add_frame(pos=[0, 0, 0.1]))
+    assert 'forcerange="0 0"' in to_xml(spec)
+    robot = pa.load_robot(spec)
+    assert not robot.mj_model.actuator("arm_servo").forcelimited
+    assert robot.effort_limits[robot.joint_names.index("arm_shoulder")] == np.inf
+    assert robot.effort_limits[0] == pytest.approx(3.0)
+
+
 def run_get_spec(package: Path) -> mujoco.MjSpec:
     """Run mjlab's own ``get_spec`` without importing mjlab, which needs torch."""
     [constants] = package.glob("*_constants.py")
