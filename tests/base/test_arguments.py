@@ -6,6 +6,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,12 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.arguments import (
+    check_arguments,
+    check_finite,
+    check_length,
+    check_type,
+)
 from tests.support.names import public, public_modules
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
@@ -254,3 +260,37 @@ def test_numbers_above_the_accepted_range_are_refused_in_one_line() -> None:
     assert "\n" not in str(refused.value)
     with pytest.raises(pa.ConfigurationError, match="not a mapping of names"):
         pa.Ground(heights={"FL": 0.1}).steps({2: np.zeros(3)})  # type: ignore[dict-item]
+
+
+def test_checked_function_keeps_name_documentation_and_signature() -> None:
+    @check_arguments
+    def twice(number: float, *, times: int = 2) -> float:
+        """Documented."""
+        return number * times
+
+    assert (twice(2), twice(2.0, times=3)) == (4, 6.0)
+    assert (twice.__name__, twice.__doc__) == ("twice", "Documented.")
+    assert list(inspect.signature(twice).parameters) == ["number", "times"]
+    with pytest.raises(TypeError, match="missing"):
+        twice()  # type: ignore[call-arg]
+
+
+def test_message_about_a_robot_in_place_of_a_task_is_short() -> None:
+    with pytest.raises(pa.ConfigurationError) as caught:
+        pa.solve_stand(load("v3"), load("v3"))  # type: ignore[arg-type]
+    assert len(str(caught.value)) < 200
+
+
+def test_length_beyond_1000_m_is_refused() -> None:
+    assert check_length("x", -1000) == -1000.0
+    for value in (1000.1, -1000.1, float("inf"), 10**400):
+        with pytest.raises(pa.ConfigurationError):
+            check_length("x", value)
+    with pytest.raises(pa.ConfigurationError, match="not finite"):
+        check_finite("x", 10**400)
+
+
+def test_fractions_and_integers_are_accepted_as_coordinates() -> None:
+    state = [Fraction(0)] * 3 + [1] + [0] * 15
+    qpos = pa.Configuration(load("v3"), state).qpos
+    assert qpos.tolist() == [0.0] * 3 + [1.0] + [0.0] * 15

@@ -1,5 +1,7 @@
 """Errors of the package: one base class, messages with the defect and the valid alternatives."""
 
+import pickle
+
 import pytest
 
 import pupper_analysis as pa
@@ -78,3 +80,29 @@ def test_unknown_name_of_many_lists_the_five_most_similar_names() -> None:
 def test_message_contains_each_argument_of_the_error(error: Exception, words: list[str]) -> None:
     """Reference: the arguments, lengths in mm and angles in degrees (-2.6 rad = -149.0 deg)."""
     assert [word for word in words if word not in str(error)] == []
+
+
+def test_errors_have_their_arguments_as_attributes() -> None:
+    unknown = pa.UnknownNameError("v3", "foot", "tail", iter(["FR", "FL"]))
+    assert (unknown.source, unknown.kind, unknown.name) == ("v3", "foot", "tail")
+    assert unknown.known == ("FR", "FL")
+    stance = StanceUnreachableError("task", {"FR": 0.1}, {"knee": 1.0})
+    assert (stance.shortfall, stance.at_limit) == ({"FR": 0.1}, {"knee": 1.0})
+    reason = errors.Infeasibility.PULL
+    statics = pa.StaticsInfeasibleError(reason, "x", margin=-0.1, feet=iter(["FR"]))
+    assert (statics.margin, statics.friction_needed, statics.feet) == (-0.1, None, ("FR",))
+    assert statics.reason == "a foot would have to pull"
+
+
+def test_error_with_location_keeps_its_type_and_starts_with_the_place() -> None:
+    error = pa.StaticsInfeasibleError(
+        errors.Infeasibility.FRICTION, "0.1", margin=0.02, friction_needed=0.3, feet=["FR"]
+    )
+    located = error.with_location("at 0.50 s")
+    assert type(located) is type(error)
+    assert (located.where, error.where) == ("at 0.50 s", "")
+    assert str(located) == f"at 0.50 s: {error}"
+    assert (located.margin, located.feet) == (error.margin, error.feet)
+    back = pickle.loads(pickle.dumps(located))
+    assert str(back) == str(located)
+    assert vars(back) == vars(located)

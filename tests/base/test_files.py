@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -181,6 +182,25 @@ def test_check_writable_raises_for_an_invalid_path(name: str, problem: str, tmp_
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=problem):
         files.check_writable(tmp_path / name, OWN_KIND)
+
+
+def test_links_in_a_circle_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    for refuse in (files.check_writable, write):
+        with pytest.raises(OutputError, match="symbolic links"):
+            refuse(tmp_path / "a", OWN_KIND)
+    assert (tmp_path / "a").is_symlink()
+
+
+@pytest.mark.parametrize("kind", [stat.S_IFCHR, stat.S_IFBLK, stat.S_IFIFO, stat.S_IFSOCK])
+def test_only_a_regular_file_is_replaceable(kind: int) -> None:
+    """Devices, pipes and sockets are written to in place."""
+    special, regular = (
+        SimpleNamespace(st_mode=mode | 0o666, st_dev=-1, st_ino=-1) for mode in (kind, stat.S_IFREG)
+    )
+    assert not files.is_replaceable(special)  # type: ignore[arg-type]
+    assert files.is_replaceable(regular)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("denied", [os.W_OK, os.X_OK])

@@ -7,8 +7,9 @@ import json
 import math
 import pickle
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import Enum
+from functools import cache
 from types import MappingProxyType
 
 import numpy as np
@@ -62,6 +63,44 @@ def test_values_that_are_not_finite_become_null(value: float) -> None:
     json.loads(pa.results.to_json(strided), **strict)
 
 
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6.0).reshape(2, 3).T,
+        np.arange(10.0)[::2],
+        np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        np.array(2.5),
+        np.array([True, False]),
+        np.array([1, 2], dtype=np.int32),
+        np.zeros((0, 3)),
+    ],
+    ids=["transposed", "strided", "columns first", "scalar", "bool", "int32", "empty"],
+)
+def test_arrays_of_any_layout_become_json(array: np.ndarray) -> None:
+    assert json.loads(pa.results.to_json({"x": array}))["x"] == array.tolist()
+
+
+def test_arrays_of_a_result_become_lists() -> None:
+    sample = Sample(np.array([1.5, -2.0]), 3.25, {"FR": np.eye(2)})
+    assert sample.to_dict() == {
+        "vector": [1.5, -2.0],
+        "number": 3.25,
+        "feet": {"FR": [[1, 0], [0, 1]]},
+    }
+    assert json.loads(sample.to_json()) == sample.to_dict()
+    assert "\n  " in sample.to_json()
+
+
+def test_json_keeps_all_digits() -> None:
+    """Random bit patterns of finite doubles, in arrays and alone."""
+    bits = np.random.default_rng(1).integers(0, 2**63, 200, dtype=np.uint64)
+    values = np.concatenate([bits.view(float), -bits.view(float), [0.1, 5e-324, 1.7976e308]])
+    values = values[np.isfinite(values)]
+    assert len(values) > 300
+    assert json.loads(pa.results.to_json(values)) == values.tolist()
+    assert [json.loads(pa.results.to_json(value)) for value in values.tolist()] == values.tolist()
+
+
 def test_values_without_a_json_form_raise() -> None:
     class Plain(Enum):
         A = object()
@@ -102,6 +141,7 @@ def test_tasks_can_be_hashed() -> None:
     assert len({one, other, pa.StandTask(), replace(one), pa.StandTask(height=None)}) == 3
 
 
+@cache
 def results_of(name: str) -> list[object]:
     robot, stand = load(name), stand_of(name)
     return [
@@ -112,6 +152,22 @@ def results_of(name: str) -> list[object]:
         pa.verify_stand(robot, stand, feedforward=False, duration=2.0),
         pa.simulation.sweep_gains(robot, stand, kp=[20.0], kd=[1.0], duration=2.0),
     ]
+
+
+def test_json_of_a_result_contains_each_field_and_all_numbers() -> None:
+    """Reference: the arrays of the results; numbers that are not finite become null."""
+    for result in results_of("v3"):
+        parsed = json.loads(result.to_json(), **strict)  # type: ignore[attr-defined]
+        names = {field.name for field in fields(result)}  # type: ignore[arg-type]
+        assert names <= set(parsed)
+        for name in names:
+            value = getattr(result, name)
+            if isinstance(value, np.ndarray):
+                expected = (
+                    np.where(np.isfinite(value), value, None) if value.dtype.kind == "f" else value
+                )
+                np.testing.assert_array_equal(np.array(parsed[name], expected.dtype), expected)
+        assert parsed == result.to_dict()  # type: ignore[attr-defined]
 
 
 def test_repr_is_short_and_contains_the_key_values() -> None:

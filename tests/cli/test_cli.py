@@ -117,6 +117,11 @@ def test_no_color_option_takes_precedence_over_force_color(monkeypatch: pytest.M
     assert "OK" in plain
 
 
+def test_version_is_printed() -> None:
+    assert pa.__version__ in answer("--version").stdout
+    assert answer("-V").stdout == answer("--version").stdout
+
+
 def test_the_shell_completes() -> None:
     """Reference: click's protocol, an environment variable, as in docs/how-to/output.md."""
     done = subprocess.run(

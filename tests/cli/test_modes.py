@@ -151,3 +151,10 @@ def test_command_with_json_has_markdown_and_verbose(name: str) -> None:
     if "style" in options:
         assert "markdown" in options["style"].type.choices  # type: ignore[attr-defined]
         assert "everything" in options
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMAND_NAMES) - {"study", "check"}))
+def test_command_that_reads_a_urdf_accepts_packages(name: str) -> None:
+    """Except ``study`` and ``check``, whose files contain the packages."""
+    names = {str(parameter.name) for parameter in find_command(name).params}
+    assert "packages" in names or not names & {"urdf", "source", "file", "old"}

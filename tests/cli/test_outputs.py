@@ -329,3 +329,9 @@ def test_two_outputs_to_one_linked_file_are_refused(folder: Path) -> None:
     assert "two results" in given.stderr
     for name in ("one.json", "two.html"):
         (folder / name).unlink()
+
+
+def test_two_results_on_standard_output_are_refused(folder: Path) -> None:
+    given = answer("audit", "robot.urdf", "--json", "-", "--report", "-", folder=folder)
+    assert (given.returncode, given.stdout) == (2, "")
+    assert "two results" in given.stderr

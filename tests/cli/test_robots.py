@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from pathlib import Path
 
 import pytest
@@ -38,6 +40,27 @@ NOTHING = RobotOptions.pop_from({})
 def test_words_name_a_robot(words: tuple[str, ...], meant: object) -> None:
     found = NOTHING.select_robot(words)
     assert (found.models if isinstance(found, RobotFiles) else found) == meant
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("a.urdf a.xml", ["a.urdf+a.xml"]),
+        ("a.xml a.urdf", ["a.urdf+a.xml"]),
+        ("a.urdf a.xml b.urdf b.xml", ["a.urdf+a.xml", "b.urdf+b.xml"]),
+        ("a.urdf b.urdf b.xml c.xml", ["a.urdf", "b.urdf+b.xml", "c.xml"]),
+        ("a.xml b.urdf v3", ["a.xml", "b.urdf", "v3"]),
+        ("v3 c.urdf+c.xml v3", ["v3", "c.urdf+c.xml"]),
+        ("a.urdf a.xml b.urdf a.xml", ["a.urdf+a.xml", "b.urdf+a.xml"]),
+    ],
+)
+def test_urdf_and_neighbouring_mjcf_are_one_robot(words: str, meant: list[str]) -> None:
+    """Also for commands that accept one robot."""
+    found = NOTHING.select_robots(tuple(words.split()))
+    names = [sorted(one.models) if isinstance(one, RobotFiles) else [one] for one in found]
+    assert names == [sorted(name.split("+")) for name in meant]
+    if len(meant) == 1:
+        assert NOTHING.select_robot(tuple(words.split())) == found[0]
 
 
 def test_xml_format_is_determined_by_the_content(tmp_path: Path) -> None:
@@ -85,6 +108,16 @@ def test_stand_of_one_file_converts_the_other_in_memory(
     assert out.startswith("HOLDS (from one file) pupper_v3: ")
     made = "MJCF" if file is URDF else "URDF"
     assert f"the {made} was made of {file.name} in memory" in out.replace("\n", " ")
+
+
+@pytest.mark.slow
+def test_robot_is_read_from_standard_input(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(URDF.read_bytes())))
+    status, out, err = run_command(capfd, "stand", "--explain", "-")
+    assert status == 0, err
+    assert "was made of standard input in memory" in out.replace("\n", " ")
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pupper_analysis.cli.shared import parse_quantity
+from pupper_analysis.cli.shared import parse_point, parse_quantity
 from tests.support.commands import run_command
 
 
@@ -25,6 +25,18 @@ from tests.support.commands import run_command
 )
 def test_a_quantity_has_a_number_and_a_unit(kind: str, text: str, value: float) -> None:
     assert parse_quantity(kind, text) == pytest.approx(value, rel=1e-15)
+
+
+def test_a_point_has_two_quantities() -> None:
+    assert parse_point("offset", "1cm,-2mm") == pytest.approx((0.01, -0.002))
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"), [("length", "3deg"), ("angle", "3m"), ("length", "m"), ("angle", "5 degrees")]
+)
+def test_a_quantity_with_another_unit_is_refused(kind: str, text: str) -> None:
+    with pytest.raises(ValueError, match="could not convert"):
+        parse_quantity(kind, text)
 
 
 def test_unknown_option_suggests_the_option_with_its_words(

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import errno
 import math
+import os
 import random
 import re
 import signal
@@ -602,3 +603,31 @@ def test_full_temporary_folder_is_an_output_error(
     monkeypatch.setattr(Path, "write_bytes", fail)
     with pytest.raises(OutputError, match="No space left on device"):
         sync(files, "urdf", dry_run=True)
+
+
+@pytest.mark.parametrize("problem", ["read-only", "full"])
+def test_both_files_are_written_or_none(
+    problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The URDF would be replaced first, and the MJCF cannot be."""
+    files = pair(tmp_path, change_part(change_part(ROBOT, "base", mass=7.0), "thigh1", damping=0.3))
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    access, replace_file = os.access, Path.replace
+
+    def deny_mjcf(path: Any, mode: int) -> bool:
+        return Path(path) != files.mjcf.resolve() and access(path, mode)
+
+    def fail_once(source: Path, target: Path) -> Path:
+        if Path(target).name == files.mjcf.name and source.name.endswith(".tmp"):
+            monkeypatch.setattr(Path, "replace", replace_file)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return replace_file(source, target)
+
+    if problem == "read-only":
+        monkeypatch.setattr(os, "access", deny_mjcf)
+    else:
+        monkeypatch.setattr(Path, "replace", fail_once)
+    with pytest.raises(OutputError) as raised:
+        sync(files, ["mjcf:link base: mass", "urdf:damping"])
+    assert str(files.mjcf) in str(raised.value)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
