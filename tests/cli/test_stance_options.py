@@ -80,3 +80,11 @@ def test_package_folder_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     done = answer("stand", *files, "--package", "p=nowhere", folder=tmp_path)
     assert done.returncode == 2
     assert "p: nowhere is not a folder" in done.stderr
+
+
+@pytest.mark.parametrize("name", sorted(cli.COMMAND_NAMES))
+def test_help_has_examples_and_exit_statuses(name: str) -> None:
+    text = cli.find_command(name).help or ""
+    examples = [line for line in text.splitlines() if line.strip().startswith("pupper-analysis ")]
+    assert len(examples) >= (3 if name in OURS else 1)
+    assert "Exit status:" in text

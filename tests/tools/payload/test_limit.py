@@ -59,6 +59,7 @@ def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analys
     assert study_stance(loaded, pa.StandTask(), **gains).passed
     assert limit.trial is not None
     assert limit.trial.survived
+    assert limit.trial.mass == VERIFIED_FRACTION * limit.mass
     if limit.binding != "simulation":  # which a nudge from all sides may set, and stand has one
         try:
             heavy = pa.robot.with_payload(robot, 1.03 * limit.mass, point)
@@ -415,3 +416,25 @@ def test_simulation_bounds_the_payload_if_the_spectrum_fails_without_payload(
     found = search._confirm_servo_bound(bounds)
     assert found.mass == pytest.approx(expected, rel=SIMULATION_RTOL)
     assert found.failure == (Failure.NOTHING if math.isinf(expected) else Failure.BUCKLING)
+
+
+@pytest.mark.parametrize("point", [(0, 0), (0, 0, np.nan), "top"])
+def test_payload_at_an_invalid_point_is_refused(point: Any) -> None:
+    with pytest.raises(pa.ConfigurationError, match="point"):
+        payload_limit(load("v3"), stand_of("v3"), point)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fraction", [0.0, 0.5])
+def test_motors_too_weak_for_the_robot_carry_no_payload(fraction: float) -> None:
+    """Reference: torques of the stand without payload; one motor has a fraction of its torque."""
+    robot = load("v3")
+    held = pa.stance.stand_statics(robot, pa.stance.solve_stand_as_simulated(robot))
+    limits = robot.effort_limits.copy()
+    limits[2] = fraction * abs(held.joint_torques[2])
+    limit = payload_limit(with_efforts(robot, limits))
+    assert limit.mass == limit.motors.mass == 0.0
+    assert limit.failing_parts == (robot.joint_names[2],)
+    assert limit.trial is None
+    assert not limit.passed
+    np.testing.assert_allclose(limit.joint_torques, held.joint_torques, atol=1e-9)

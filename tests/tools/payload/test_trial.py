@@ -101,3 +101,10 @@ def test_first_failure_is_equal_if_simulations_end_at_it() -> None:
     )
     assert short.simulated <= full.simulated
     assert short.failed_nudges <= full.failed_nudges
+
+
+def test_payload_out_of_reach_or_at_no_point_is_not_simulated() -> None:
+    with pytest.raises(pa.StanceUnreachableError):
+        simulate_payload(load("v3"), stand_of("v3"), 50.0, (0.4, 0.0, 0.0))
+    with pytest.raises(pa.ConfigurationError, match="point"):
+        simulate_payload(load("v3"), stand_of("v3"), 1.0, "top")  # type: ignore[arg-type]

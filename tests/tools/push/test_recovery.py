@@ -384,3 +384,10 @@ def test_slow_fall_after_a_push_is_no_recovery(impulse: float, *, recovers: bool
     for simulate in (bench.simulate_fully, bench.simulate_until_decided):
         (failure,) = simulate(np.zeros(1, dtype=np.int64), np.array([impulse]))
         assert (failure is None) == recovers
+
+
+@pytest.mark.slow
+def test_pushes_are_deterministic() -> None:
+    options = {"directions": 3, "duration": 3.0, "resolution": 0.5}
+    one, two = (push_recovery(load("v3"), stand_of("v3"), **options) for _ in range(2))  # type: ignore[arg-type]
+    assert one.to_json() == two.to_json()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -21,6 +22,7 @@ from pupper_analysis.tools.study.outcome import compute_main_effects
 from tests.present.test_html import EVIL
 from tests.support.commands import answer
 from tests.support.html_page import Page, read_text
+from tests.support.repository import ROOT
 
 VARY = {"leg_scale": [0.8, 1.0, 1.2], "kp": [5.0, 10.0], "height": [0.12, 0.15, 0.5]}
 ASKED = ["peak_utilisation", "servo_sag", "com_margin", "stands"]
@@ -231,3 +233,52 @@ def test_study_command_writes_its_report(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     page = Page((tmp_path / "r.html").read_text())
     assert any("servo_sag (min), leg_scale (max)" in title for title in page.tables())
+
+
+@pytest.mark.slow
+def test_page_lists_the_first_of_many_designs() -> None:
+    """Of 30 x 18 designs, 300 are listed."""
+    many = pd.concat([outcome().table] * 30, ignore_index=True)
+    one = replace(outcome(), table=many, designs=len(many))
+    page = Page(render_page(build_report([("", one)])))
+    assert len(page.tables()["Designs"]) == 300
+    assert "240 more are in the study's folder" in page.shown()
+
+
+@pytest.mark.slow
+def test_page_of_a_study_is_in_both_languages() -> None:
+    """Without names and quoted text, the English page has no Chinese text; titles have both."""
+    root = outcome_page().root.find("body")
+    for element in [e for e in root.iter() if (e.get("class") or "") in ("name", "said")]:
+        element.clear(keep_tail=True)
+    root.find(".//button[@id='language']").text = ""
+    assert not re.search(r"[\u4e00-\u9fff]", read_text(root, "en"))
+    for tag in ("h1", "h3", "summary"):
+        for title in (read_text(heading, "zh") for heading in root.iter(tag)):
+            assert not title or re.search(r"[\u4e00-\u9fff]", title), title
+
+
+@pytest.mark.slow
+def test_outcome_of_unknown_objectives_or_without_designs_is_refused(tmp_path: Path) -> None:
+    study, folder = pa.Study("v3", {"kp": [5.0, 10.0]}, ["sag"]), tmp_path / "study"
+    with pytest.raises(pa.StudyError, match="no study's folder"):
+        pa.study.study_outcome(study, tmp_path)
+    with ThreadPoolExecutor(1) as thread:
+        study.run(folder, executor=thread)
+    with pytest.raises(pa.ConfigurationError, match="no 'mass'; it has sag, kp"):
+        pa.study.study_outcome(study, folder, minimise=["mass"])
+    with pytest.raises(pa.ConfigurationError, match="once"):
+        pa.study.study_outcome(study, folder, minimise=["sag"], maximise=["sag"])
+    with pytest.raises(pa.ConfigurationError, match="no design of this study yet"):
+        pa.study.study_outcome(pa.Study("v3", {"kp": [6.0, 11.0]}, ["sag"]), folder)
+
+
+@pytest.mark.slow
+def test_outcome_of_one_file_states_the_converted_file(tmp_path: Path) -> None:
+    files = {"base": str(ROOT / "mjcf" / "pupper_v3.xml"), "keyframe": "home"}
+    study = pa.Study(files, {"payload": [0.0]}, ["peak_utilisation"])
+    with ThreadPoolExecutor(1) as thread:
+        study.run(tmp_path, executor=thread)
+    one = pa.study.study_outcome(study, tmp_path)
+    assert (one.robot, one.converted) == ("pupper_v3.xml", "urdf")
+    assert "from one file" in write_markdown(build_report([("", one)]))

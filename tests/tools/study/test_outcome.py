@@ -64,6 +64,34 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
     assert shares["y"] < 0.05
 
 
+def test_main_effects_of_an_additive_function_are_shares_of_its_variance() -> None:
+    """Closed form: of y = 3 a + b on a grid, 9/10 and 1/10; without the upper half of a, 0.675.
+
+    Noise and rounding of a constant have no effect.
+    """
+    a, b = (values.ravel() for values in np.meshgrid(np.linspace(0, 1, 12), np.linspace(0, 1, 12)))
+    table = pd.DataFrame({"a": a, "b": b, "y": 3 * a + b, "noise": 0.0, "same": 0.075})
+    table["noise"] = np.random.default_rng(1).normal(size=len(table))
+    table.loc[::2, "same"] += 1e-16
+    shares = compute_main_effects(table, ("a", "b"), "y")
+    assert shares["a"] == pytest.approx(0.9, abs=0.01)
+    assert shares["b"] == pytest.approx(0.1, abs=0.08)
+    assert max(compute_main_effects(table, ("a", "b"), "noise").values()) < 0.1
+    assert compute_main_effects(table, ("a", "b"), "same") == {"a": 0.0, "b": 0.0}
+    table.loc[table["a"] > 0.5, "y"] = np.nan  # designs without a value do not count
+    assert compute_main_effects(table, ("a", "b"), "y")["a"] == pytest.approx(0.675, abs=0.08)
+
+
+def test_main_effects_of_ishigamis_function_are_its_first_sobol_indices() -> None:
+    """Ishigami and Homma (1990), a = 7, b = 0.1: 0.314, 0.442 and 0."""
+    values = np.random.default_rng(0).uniform(-np.pi, np.pi, (20_000, 3))
+    table = pd.DataFrame(values, columns=["x", "y", "z"])
+    x, y, z = values.T
+    table["f"] = np.sin(x) + 7 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x)
+    shares = compute_main_effects(table, ["x", "y", "z"], "f")
+    assert [shares[name] for name in "xyz"] == pytest.approx([0.314, 0.442, 0.0], abs=0.02)
+
+
 def test_cells_of_many_values_have_one_width_and_few_values_are_cells() -> None:
     """400 values: sqrt(400 / 3) = 11 intervals; 48 values: four; up to 24 values: themselves."""
     values = np.random.default_rng(0).uniform(2.0, 5.0, 400)

@@ -543,3 +543,50 @@ def test_remaining_time_follows_from_the_rate_of_this_run() -> None:
     assert running.Progress(10, num_stored=4, done=2, seconds=1.0).remaining_time == 2.0
     assert running.Progress(10, num_stored=4).remaining_time == float("inf")
     assert running.Progress(10, num_stored=10).remaining_time == 0.0
+
+
+@pytest.mark.slow
+def test_design_without_equilibrium_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
+    """Servos of 0.2 N m/rad hold no stand; metrics that need no servos are measured."""
+    soft = undisturbed[undisturbed["kp"] == 0.2]
+    assert set(soft["failure"]) == {"no equilibrium"}
+    assert soft["reason"].str.startswith("no equilibrium: ").all()
+    assert set(soft["failed_metric"]) == {"base_height"}
+    assert soft["servo_sag"].isna().all()
+    assert soft["peak_utilisation"].notna().all()
+    others = undisturbed[undisturbed["kp"] > 0.2]
+    assert others["failure"].isna().all()
+    assert others["servo_sag"].notna().all()
+
+
+@pytest.mark.slow
+def test_further_samples_are_added_to_the_existing_ones(tmp_path: Path, threads: Executor) -> None:
+    vary = {"kp": pa.study.uniform(5, 20)}
+    study(vary, "servo_sag", samples=4).execute(tmp_path, executor=threads)
+    assert study(vary, "servo_sag", samples=6).execute(tmp_path, executor=threads).done == 2
+
+
+def test_repeated_designs_are_measured_once(tmp_path: Path, threads: Executor) -> None:
+    """Of 16 samples of two values, and of a distribution of no width, two differ."""
+    vary = {"kp": [5.0, 6.0], "payload": pa.study.uniform(0, 1e-300)}
+    table = study(vary, "total_mass", samples=16).run(tmp_path, executor=threads)
+    assert len(table) == table["design"].nunique()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (LEGS.replace("kp", "kq"), "no such number"),
+        (LEGS.replace("servo_sag", "sagging"), "there is no metric 'sagging'"),
+        ("robot =", "not a TOML file"),
+    ],
+)
+def test_invalid_study_file_is_refused_before_the_run(
+    text: str, message: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    arguments = ["study", str(tmp_path / "study.toml"), "-o", str(tmp_path / "out")]
+    status, _, err = run_command(capfd, *arguments)
+    assert status == 2
+    assert message in err
+    assert not (tmp_path / "out").exists()

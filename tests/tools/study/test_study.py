@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from pupper_analysis.tools.study.parameters import (
     scale_robot,
     with_friction,
     with_gains,
+    without_visuals,
 )
 from pupper_analysis.tools.study.study import hash_designs
 from pupper_analysis.tools.study.variables import BLOCK_SIZE, Sampling, make_variable
@@ -410,3 +412,129 @@ def test_com_offset_of_a_study_moves_the_base_back() -> None:
         study({"com_w:base": [0.0]})
     with pytest.raises(pa.ConfigurationError, match="offset of nan"):
         scale_robot(before, {name: math.nan})
+
+
+def test_grid_has_both_ends_and_even_steps() -> None:
+    assert pa.study.linspace(0.8, 1.6, 5).levels == pytest.approx((0.8, 1.0, 1.2, 1.4, 1.6))
+
+
+def test_quantiles_of_the_probabilities_0_and_1_are_finite() -> None:
+    """Reference: SciPy's quantiles of 2^-33 and 1 - 2^-33."""
+    ends = pa.study.normal(0.0, 1.0).at(np.array([0.0, 1.0]))
+    assert ends == pytest.approx(stats.norm.ppf([2.0**-33, 1 - 2.0**-33]), rel=1e-9)
+
+
+def test_lists_give_their_product_and_the_last_list_changes_first() -> None:
+    sampling = Sampling({"a": pa.study.values([1, 2]), "b": pa.study.values([5, 6, 7])}, None, 0)
+    assert all_of(sampling).tolist() == [[1, 5], [1, 6], [1, 7], [2, 5], [2, 6], [2, 7]]
+    assert len(sampling) == 6
+    assert all_of(Sampling({}, None, 0)).shape == (1, 0)  # the robot as it is
+
+
+def test_sample_sequence_is_more_even_than_random_numbers() -> None:
+    """The mean over n Sobol points errs by 1 / n; over random numbers by 0.29 / sqrt(n) = 9e-3."""
+    points = all_of(Sampling({"a": pa.study.uniform(0, 1), "b": pa.study.uniform(0, 1)}, 1024, 1))
+    assert np.abs(points.mean(axis=0) - 0.5).max() < 2e-3
+    assert abs((points[:, 0] * points[:, 1]).mean() - 0.25) < 4e-3
+    assert np.unique(points[:, 0]).size == 1024
+
+
+@pytest.mark.parametrize(
+    ("vary", "metrics", "options", "error", "message"),
+    [
+        ({"payload": pa.study.uniform(0, 1)}, (), {}, pa.ConfigurationError, "is a distribution"),
+        (
+            {"payload": [0, 1], "kp": [5, 10, 20]},
+            (),
+            {"samples": 10},
+            pa.ConfigurationError,
+            "6 designs",
+        ),
+        ({"mass:leg_9": [1.1]}, (), {}, pa.UnknownNameError, "no body 'leg_9'"),
+        ({"effort:knee": [1.1]}, (), {}, pa.UnknownNameError, "no joint 'knee'"),
+        ({"kp": [5]}, ("servo_sag", "servo_sag"), {}, pa.ConfigurationError, "servo_sag"),
+        ({"kp": [5]}, (), {"time_limit": 0}, pa.ConfigurationError, "time_limit"),
+        ({"kp": [5]}, (), {"robot": 3}, pa.ConfigurationError, "robot"),
+        (
+            {"kp": [5]},
+            (),
+            {"robot": {"base": "v3", "legs": 2}},
+            pa.ConfigurationError,
+            "legs",
+        ),
+        ({"kp": [5]}, (), {"robot": {"feet": ["a"]}}, pa.ConfigurationError, "urdf"),
+        ({"kp": [5]}, (), {"robot": "v4"}, pa.VariantError, "known variants"),
+        (
+            {"offset_x": [0.0, 0.01]},
+            ("com_margin",),
+            {"stand": pa.StandTask(com="inside")},
+            pa.ConfigurationError,
+            "not both",
+        ),
+    ],
+    ids=str,
+)
+def test_invalid_arguments_of_a_study_are_refused(
+    vary: Any, metrics: Any, options: Any, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        study(vary, *metrics, **options)
+
+
+def test_base_has_factors_by_the_names_of_both_files() -> None:
+    """Reference: mass of the base link in Pinocchio's model [kg]."""
+    before = load("original")
+    after = scale_robot(before, {f"mass:{before.base}": 1.5})
+    torso = float(before.pin_model.inertias[1].mass)
+    assert after.total_mass - before.total_mass == pytest.approx(0.5 * torso)
+    twice = scale_robot(before, {f"mass:{before.base}": 1.5, f"mass:{before.mj_base}*": 2.0})
+    assert twice.total_mass - before.total_mass == pytest.approx(2.0 * torso)
+
+
+def test_robot_without_visual_meshes_has_the_same_stand() -> None:
+    """Equal to the last bit."""
+    robot, stand = load("v3"), stand_of("v3")
+    bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
+    assert bare.mj_model.nmesh == 0 < robot.mj_model.nmesh
+    assert np.array_equal(pa.solve_stand(bare).qpos, stand.qpos)
+
+
+def test_visual_shapes_with_mass_are_kept() -> None:
+    """Reference: MuJoCo's masses; a body without an inertial has the mass of its shapes."""
+    description = load("original").description
+    spec = description.mjcf.copy()
+    unseen = {"contype": 0, "conaffinity": 0, "size": [0.01, 0, 0]}
+    body = next(body for body in spec.bodies if body.name != "world" and not body.explicitinertial)
+    for name, mass in (("heavy", 0.3), ("of_water", math.nan), ("light", 0.0)):
+        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, mass=mass, **unseen)
+    found = without_visuals(replace(description, mjcf=spec)).mjcf
+    names = {geom.name for geom in found.geoms}
+    assert {"heavy", "of_water"} <= names
+    assert "light" not in names
+    masses = [one.compile().body_mass.sum() for one in (spec, found)]
+    assert masses[0] == pytest.approx(masses[1], rel=1e-12)
+
+
+def test_com_with_the_payload_of_a_design_is_over_the_feet() -> None:
+    """The base moves backwards below a payload in front."""
+    builder = DesignBuilder(study({"payload": [1.0]}).source, pa.StandTask(), (0.05, 0.0, 0.0))
+    design = builder.design({"payload": 1.0})
+    com = pa.Configuration(design.robot, design.stand.qpos).center_of_mass()
+    centre = np.mean(list(design.stand.contact_points.values()), axis=0)
+    assert com[:2] == pytest.approx(centre[:2], abs=1e-9)
+    assert design.stand.qpos[0] < stand_of("v3").qpos[0] - 0.005
+    assert design.robot.total_mass == pytest.approx(load("v3").total_mass + 1.0)
+
+
+@pytest.mark.parametrize("fixed", [None, (0.01, 0.0)])
+def test_offset_of_a_design_is_forward_and_to_the_left(fixed: tuple[float, float] | None) -> None:
+    """Reference: margin of the stand with the same offset; v3 is longer than wide."""
+    x, y = 0.01, 0.02
+    vary = {"offset_y": [y]} if fixed else {"offset_x": [x], "offset_y": [y]}
+    one = study(vary, "com_margin", stand=pa.StandTask(offset=fixed) if fixed else pa.StandTask())
+    builder = DesignBuilder(one.source, one.task, one.point)
+    design = builder.design({name: values[0] for name, values in vary.items()})
+    stand = pa.solve_stand(load("v3"), pa.StandTask(offset=(x, y)))
+    assert METRICS["com_margin"].function(design) == pytest.approx(stand.com_margin, abs=1e-9)
+    other = pa.solve_stand(load("v3"), pa.StandTask(offset=(y, x)))
+    assert other.com_margin != pytest.approx(stand.com_margin, abs=1e-3)

@@ -88,3 +88,29 @@ def test_invalid_input_gives_exit_status_2_and_changes_no_file(
     assert (result.returncode, result.stdout) == (2, "")
     assert said in result.stderr
     assert (folder / "robot.xml").read_bytes() == before
+
+
+def test_dry_run_prints_a_diff(folder: Path) -> None:
+    before = (folder / "robot.urdf").read_bytes()
+    result = run(folder, "--take", "mjcf:mass", "--dry-run")
+    assert result.returncode == 1
+    assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
+    assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
+    assert "\nNot written\njoint hip1: effort: nothing was chosen for it" in result.stdout
+    message = "DISAGREE URDF and MJCF: attributes that would be written: 1\n  differences left: 1\n"
+    assert result.stdout.startswith(message)
+    assert (folder / "robot.urdf").read_bytes() == before
+
+
+def test_difference_within_the_tolerance_is_written_with_a_smaller_tolerance(
+    tmp_path: Path,
+) -> None:
+    """6 and 6.00001 kg: a relative difference of 1.7e-6."""
+    files = write_parts(tmp_path, ROBOT, change_part(ROBOT, "base", mass=6.00001))
+    before = files.mjcf.read_bytes()
+    assert run(tmp_path, "--take", "urdf").returncode == 0
+    assert files.mjcf.read_bytes() == before
+    fine = ("--tolerance", "mass=1e-7", "--tolerance", "dynamics=1e-7")
+    assert run(tmp_path, *fine).returncode == 1
+    assert run(tmp_path, *fine, "--take", "urdf").returncode == 0
+    assert 'mass="6"' in files.mjcf.read_text()

@@ -16,13 +16,17 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError, OutputError
 from pupper_analysis.models.git import refuse_uncommitted
+from pupper_analysis.models.xml_bytes import read_document
 from pupper_analysis.tools.sync import models
 from pupper_analysis.tools.sync.digits import format_number, format_numbers
+from pupper_analysis.tools.sync.frames import is_same_body
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from tests.support.hidden_files import leave_hidden_file
 from tests.support.robots import (
@@ -631,3 +635,65 @@ def test_both_files_are_written_or_none(
         sync(files, ["mjcf:link base: mass", "urdf:damping"])
     assert str(files.mjcf) in str(raised.value)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_without_a_choice_no_file_is_changed(tmp_path: Path) -> None:
+    files = pair(tmp_path, change_part(ROBOT, "base", mass=7.0))
+    before = [file.read_bytes() for file in files]
+    result = sync(files)
+    assert result.taken == {}
+    assert result.edits == ()
+    assert [(left.difference, str(left.reason)) for left in result.not_mended] == [
+        ("link base: mass", "nothing was chosen for it")
+    ]
+    assert not result.agree
+    assert [file.read_bytes() for file in files] == before
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_values_are_written_in_both_directions_at_once(tmp_path: Path) -> None:
+    files = pair(tmp_path, DIFFERENT)
+    result = sync(files, ["urdf", "mjcf:mass"])
+    assert files_agree(files)
+    assert result.written == (str(files.urdf), str(files.mjcf))
+    assert edits(result) == [
+        ("link base > inertial > mass", "value", "6.0", "7"),
+        ("joint hip1", "damping", "0.3", "0.1"),
+        ("motor m_hip1", "ctrlrange", "-25.0 25.0", "-21 21"),
+    ]
+
+
+@pytest.mark.parametrize(("factor", "alike"), [(1e-15, True), (1e-9, False), (1e-4, False)])
+def test_inertias_that_differ_by_more_than_rounding_are_different(
+    factor: float, *, alike: bool
+) -> None:
+    """Relative differences of mass and inertia, and m of the centre of mass."""
+    mass, com, tensor = 2.0, np.array([0.1, 0.0, 0.0]), np.diag([1e-4, 2e-4, 2.5e-4])
+    one = pin.Inertia(mass, com, tensor)
+    others = (
+        pin.Inertia(mass * (1 + factor), com, tensor),
+        pin.Inertia(mass, com + factor, tensor),
+        pin.Inertia(mass, com, tensor * (1 + factor)),
+    )
+    assert [is_same_body(one, other) for other in others] == [alike] * 3
+
+
+def test_changed_tags_keep_the_other_bytes_of_the_file(tmp_path: Path) -> None:
+    """Quotes, white space and empty elements; new elements are indented."""
+    file = tmp_path / "a.xml"
+    data = b"<a>\n\t<b x='1>2' y=\"3\"\n\t   z = '4'/>\n\t<c/><d></d><e>text</e>\n</a>\n"
+    file.write_bytes(data)
+    document = read_document(file)
+    assert document.render() == data
+    b, c, d, e = document.root.children
+    b.set("z", "5")
+    b.set("new", "<&'\">")
+    c.ensure("in").set("x", "1")
+    d.ensure("in").set("x", "2")
+    e.ensure("in")  # it has no attribute, and is not written
+    document.root.ensure("first").ensure("second").set("x", "3")
+    assert document.render() == (
+        b'<a>\n\t<first>\n\t  <second x="3"/>\n\t</first>\n'
+        b"\t<b x='1>2' y=\"3\"\n\t   z = '5' new='&lt;&amp;&apos;&quot;&gt;'/>\n"
+        b'\t<c><in x="1"/></c><d><in x="2"/></d><e>text</e>\n</a>\n'
+    )

@@ -22,7 +22,7 @@ from pupper_analysis.tools.walk.intervals import (
     read_measured_intervals,
     tracked_intervals,
 )
-from pupper_analysis.tools.walk.orders import Orders, rank_orders
+from pupper_analysis.tools.walk.orders import Orders, group_limbs, rank_orders
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import prepare_stage, simulate_cases
 from tests.support.variants import load
@@ -335,3 +335,10 @@ def test_candidates_that_walk_equally_are_not_determined(tmp_path: Path) -> None
     assert not found.determined
     alike = {(found.candidates[one].change, found.candidates[one].detail) for one in found.alike}
     assert ("history", "oldest first") in alike
+
+
+def test_joints_are_grouped_by_limb_in_any_order() -> None:
+    robot = load("v3")
+    names = robot.joint_names
+    assert group_limbs(robot, names) == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
+    assert group_limbs(robot, names[::3] + names[1::3] + names[2::3])[0] == [0, 4, 8]

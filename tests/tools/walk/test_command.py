@@ -34,6 +34,18 @@ def test_walk_with_a_standing_policy_passes(
 
 
 @pytest.mark.slow
+def test_walk_that_does_not_follow_its_command_gives_exit_status_1(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A policy that stands still is commanded to walk at 0.5 m/s."""
+    policy = made.write_standing_policy(tmp_path / "still.json")
+    words = ("walk", "v3", "--policy", str(policy), "--command", "0.5,0,0", "--seconds", "3")
+    status, out, err = run_command(capfd, *words)
+    assert status == 1, err
+    assert out.startswith("DOES NOT TRACK v3 by still.json")
+
+
+@pytest.mark.slow
 def test_walk_reports_audit_errors(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """As all commands with a verdict."""
     text = (ROOT / "urdf/pupper_v3.urdf").read_text(encoding="utf-8")
@@ -112,3 +124,23 @@ def test_push_and_payload_with_a_policy_equal_walk(
     assert f"{payload['intervals'][0]['common'][1] * payload['mass']:.3g} kg" in found["payload"][1]
     forward = push["v3"]["intervals"][0]["common"][1] * push["v3"]["mass"]
     assert f"{forward:.3g} N s forward" in found["push"][1]
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (("push", "v3", "--policy", "still.json", "--height", "14cm"), "--height"),
+        (("push", "v3", "--policy", "still.json", "--directions", "4"), "--directions"),
+        (("payload", "v3", "--policy", "still.json", "--payload-at", "0,0,1cm"), "--payload-at"),
+        (("push", "v3", "--command", "0,0,0"), "--command"),
+        (("payload", "v3", "--command", "0,0,0"), "--command"),
+        (("live", "v3", "--command", "0,0,0"), "--command"),
+    ],
+    ids=str,
+)
+def test_option_without_effect_on_a_policy_is_refused(
+    words: tuple[str, ...], option: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    policy = str(made.write_standing_policy(tmp_path / "still.json"))
+    typed = tuple(policy if word == "still.json" else word for word in words)
+    check_refusal(capfd, tmp_path, typed, f"{option}: it does nothing")

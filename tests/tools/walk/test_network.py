@@ -272,3 +272,36 @@ def test_torchscript_with_a_state_or_without_a_network_is_refused(
     bad.weight.data[0, 0] = math.nan
     with pytest.raises(ModelError, match="weight"):
         policy.build_torchscript_network(_save_onnx(torch, bad, tmp_path / "nan.pt"))
+
+
+def test_output_of_a_row_does_not_depend_on_other_rows() -> None:
+    """To the last bit."""
+    draw = np.random.default_rng(4)
+    weights = [draw.normal(size=(144, 256)).tolist(), draw.normal(size=256).tolist()]
+    network = read([{"type": "dense", "activation": "elu", "weights": weights}])
+    given = rows(33, 144)
+    whole, _ = network.forward(given)
+    for start, end in ((0, 1), (5, 22), (32, 33)):
+        assert (network.forward(given[start:end])[0] == whole[start:end]).all()
+
+
+def test_onnx_that_cannot_be_read_or_is_too_large_is_refused(tmp_path: Path) -> None:
+    def refusal(data: bytes) -> str:
+        with pytest.raises(ModelError) as caught:
+            read_graph(data, tmp_path)
+        return str(caught.value)
+
+    def multiply(operator: str, weights: bytes) -> bytes:
+        ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
+        return made.onnx([made.node(operator, ("obs", "W"), ("y",))], [weights], *ends)
+
+    assert "no network" in refusal(b"")
+    assert "no ONNX model" in refusal(b"\xff" * 40)
+    whole = made.dense_onnx([(np.ones((2, 3)), np.ones(3))], "Relu")
+    assert "no ONNX model" in refusal(whole[:-20])
+    large = made.tensor("W", [1.0], dims=(40_000, 25_000))
+    assert "W has 1000000000 weights" in refusal(multiply("MatMul", large))
+    spoilt = np.ones((2, 3))
+    assert "Einsum" in refusal(multiply("Einsum", made.tensor("W", spoilt)))
+    spoilt[1, 1] = np.inf
+    assert "W: 1 of its weights" in refusal(multiply("MatMul", made.tensor("W", spoilt)))

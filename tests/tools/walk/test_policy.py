@@ -259,3 +259,26 @@ def test_scales_of_observations_in_a_policy_file_reach_the_contract() -> None:
         {"term": "angular-velocity", "scale": 0.25},
         "command",
     ]
+
+
+def test_files_that_are_no_policy_are_refused(tmp_path: Path) -> None:
+    assert "no such file" in get_refusal(tmp_path / "none.onnx")
+    bad = tmp_path / "bad.json"
+    bad.write_text('{"layers": [', encoding="utf-8")
+    assert "JSON" in get_refusal(bad)
+    bad.write_text('{"layers": [1]}', encoding="utf-8")
+    assert "layer 1" in get_refusal(bad)
+    (tmp_path / "bad.onnx").write_bytes(b"\x80\x04\x95pickle")
+    assert "no ONNX model" in get_refusal(tmp_path / "bad.onnx")
+
+
+def test_network_of_another_size_than_the_contract_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "p.json"
+    made.write_standing_policy(path, observation_history=2)
+    assert "takes 36" in get_refusal(path)
+    made.write_standing_policy(path, default_joint_pos=[0.0] * 11)
+    assert "default" in get_refusal(path)
+    values = json.loads(made.write_standing_policy(path).read_text())
+    values["layers"][0]["weights"][0][3][4] = None
+    path.write_text(json.dumps(values))
+    assert "layer 1 (dense)" in get_refusal(path)
