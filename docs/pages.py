@@ -317,6 +317,20 @@ def summarise_robots(rows: Sequence[Mapping[str, str]]) -> str:
     )
 
 
+def summarise_removed_tests(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return the number of removed tests of each class as text, and the evidence of merged ones."""
+    classes = Counter(row["class"] for row in rows)
+    merged = Counter(
+        row["test or line of the changelog today"].partition(":")[0]
+        for row in rows
+        if row["class"] == "merged"
+    )
+    counts = ", ".join(f"{count} {name}" for name, count in classes.most_common())
+    kinds = "same assertion", "fault seen", "nearest"
+    evidence = ", ".join(f"{merged[kind]} *{kind}*" for kind in kinds)
+    return f"{len(rows)} rows: {counts}. Of the merged rows: {evidence}."
+
+
 def make_table_pages() -> dict[str, str]:
     """Return {path: text} of a page per group of tables in ``docs/data``, and of their list.
 
@@ -333,6 +347,10 @@ def make_table_pages() -> dict[str, str]:
             if name == "robots-of-packages":
                 parts.append(
                     summarise_robots([dict(zip(header, row, strict=True)) for row in rows])
+                )
+            if name == "reduced-tests":
+                parts.append(
+                    summarise_removed_tests([dict(zip(header, row, strict=True)) for row in rows])
                 )
             if "command" in table:
                 parts.append(f"```sh\n{table['command']}\n```")
