@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.conversion import pinocchio_from_mujoco, pinocchio_from_urdf
 
@@ -74,6 +75,19 @@ def test_odd_model_has_the_same_dynamics_in_pinocchio() -> None:
         mass = pin.crba(converted, pin_data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
         np.testing.assert_allclose(mass[6:, 6:], full[6:, 6:], rtol=1e-11, atol=1e-14)
+
+
+def test_bodies_equal_those_of_pinocchios_own_parser(tmp_path: Path) -> None:
+    """With explicit inertials, in one file: the parser does not read ``<include>``."""
+    _, path = pa.pupper.write_variant("v3", tmp_path)
+    ours = pinocchio_from_mujoco(mujoco.MjModel.from_xml_path(str(path)))
+    theirs = pin.buildModelFromMJCF(str(path))
+    assert len(ours.names) == 14
+    for name in ours.names[2:]:
+        one, two = ours.inertias[ours.getJointId(name)], theirs.inertias[theirs.getJointId(name)]
+        assert one.mass == pytest.approx(two.mass, rel=1e-12)
+        np.testing.assert_allclose(one.lever, two.lever, atol=1e-12)
+        np.testing.assert_allclose(one.inertia, two.inertia, atol=1e-12)
 
 
 def test_ball_joint_is_refused_by_name() -> None:

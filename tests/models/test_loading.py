@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pinocchio as pin
 import pytest
 
@@ -18,7 +19,7 @@ from pupper_analysis.models.conversion import pinocchio_from_urdf
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from tests.support import corpus
 from tests.support.corpus import LIMIT, format_joint, format_link, format_mjcf, format_urdf
 
@@ -58,7 +59,72 @@ def test_malformed_model_is_refused_at_its_line(case: str, tmp_path: Path) -> No
     assert where[1] == (None if line is None else str(line))
 
 
+def test_missing_file_folder_and_pipe_are_refused_as_such(tmp_path: Path) -> None:
+    assert "no such file" in get_refusal(lambda: read_model(tmp_path / "x.urdf"))
+    assert "it is a folder" in get_refusal(lambda: read_model(tmp_path))
+    assert "no such file" in get_refusal(lambda: read_model("a\0\nb"))
+    os.mkfifo(tmp_path / "pipe")
+    assert "no regular file" in get_refusal(lambda: read_model(tmp_path / "pipe"))
+
+
+def test_file_of_the_other_format_is_named(tmp_path: Path) -> None:
+    robot = write(tmp_path, r=format_urdf(format_link("a")))
+    model = write(tmp_path, m=format_mjcf())
+    assert "it is a URDF" in get_refusal(lambda: read_mjcf(robot))
+    assert "it is an MJCF" in get_refusal(lambda: read_urdf(model))
+    assert isinstance(read_model(robot), UrdfFile)
+    assert isinstance(read_model(model), MjcfFile)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_bytes_are_refused_in_one_line(seed: int, tmp_path: Path) -> None:
+    random = np.random.default_rng(seed)
+    path = tmp_path / "any.xml"
+    for size in (0, 1, 20, 200):
+        path.write_bytes(random.bytes(size))
+        get_refusal(lambda: read_model(path))
+        path.write_bytes(bytes(random.integers(32, 127, size, dtype=np.uint8)))
+        get_refusal(lambda: read_model(path))
+
+
 # ------------------------------------------------------------------------------------- URDF
+
+
+def test_invalid_colour_of_a_urdf_is_refused_at_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        '<robot name="r">\n<material name="m"><color rgba="1,0,0,1"/></material>'
+        '<link name="l"/></robot>'
+    )
+    message = get_refusal(lambda: read_urdf(path))
+    assert message.startswith(f"{path}:2: material 'm': <color rgba=")
+
+
+def test_mimic_of_a_missing_joint_is_a_note(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    joint = format_joint("j", "a", "b", LIMIT + '<mimic joint="x"/>')
+    path.write_text(format_urdf(format_link("a"), format_link("b"), joint))
+    (note,) = read_urdf(path).notes
+    assert (note.code, note.values["leader"]) == ("mimic-of-no-joint", "x")
+
+
+def test_meshes_of_a_package_are_found_through_symbolic_links(tmp_path: Path) -> None:
+    """The name of the package is that of the folder, or that of a link to the folder."""
+    folder = tmp_path / "src/robot_description"
+    (folder / "meshes").mkdir(parents=True)
+    mesh = folder / "meshes/a.stl"
+    mesh.touch()
+    (folder / "r.urdf").write_text(format_urdf(format_link("a")))
+    (tmp_path / "models").symlink_to("src/robot_description")
+    (tmp_path / "short").mkdir()
+    (tmp_path / "short/robot").symlink_to("../src/robot_description")
+    (tmp_path / "r.urdf").symlink_to("src/robot_description/r.urdf")
+    for file in ("models/r.urdf", "short/robot/r.urdf", "r.urdf"):
+        found = read_urdf(tmp_path / file).resolve_mesh("package://robot_description/meshes/a.stl")
+        assert found is not None
+        assert found.samefile(mesh)
+    linked = read_urdf(tmp_path / "short/robot/r.urdf")
+    assert linked.resolve_mesh("package://robot/meshes/a.stl")
 
 
 def test_urdf_elements_have_line_numbers(tmp_path: Path) -> None:
@@ -217,6 +283,43 @@ def test_mjcf_elements_have_line_numbers(tmp_path: Path) -> None:
     assert model.place("key", "home") == Place(path, 9)
     assert model.place("site", "x") == Place(path)
     assert model.model.nv == 8
+
+
+def test_include_beside_the_main_file_precedes_that_beside_the_including_file(
+    tmp_path: Path,
+) -> None:
+    """Reference: MuJoCo's spec contains the geom of the read file."""
+    part = '<mujocoinclude><worldbody><geom name="{}" size="1"/></worldbody></mujocoinclude>'
+    path = write(
+        tmp_path,
+        m=format_mjcf('<include file="sub/a.xml"/>'),
+        sub__a='<mujocoinclude><include file="b.xml"/></mujocoinclude>',
+        sub__b=part.format("sub"),
+        b=part.format("main"),
+    )
+    for name in ("main", "sub"):
+        model = read_mjcf(path)
+        assert [geom.name for geom in model.spec.geoms] == [name]
+        assert model.place("geom", name).file == model.files[-1]
+        (tmp_path / "b.xml").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("part", "line"),
+    [
+        ('\n<body name="b"><joint name="j"/></body>', 2),
+        ('\n\n\n<sensor><gyro site="nix"/></sensor>', 4),
+    ],
+    ids=["moving body without mass", "missing site"],
+)
+def test_error_of_mujoco_in_an_included_file_has_its_file_and_line(
+    tmp_path: Path, part: str, line: int
+) -> None:
+    include = '<include file="a.xml"/>'
+    whole = f"<worldbody>{include}</worldbody>" if "<body" in part else include
+    path = write(tmp_path, m=format_mjcf(whole), a=f"<mujocoinclude>{part}</mujocoinclude>")
+    message = get_refusal(lambda: read_mjcf(path))
+    assert message.startswith(f"{tmp_path / 'a.xml'}:{line}: MuJoCo cannot ")
 
 
 def test_cyclic_deep_and_too_many_includes_are_refused(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import compile_spec, to_xml
+from pupper_analysis.models.mjcf import compile_spec, find_invalid_number, to_xml
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.tools.audit.audit import audit_model
@@ -123,6 +123,19 @@ def test_names_that_are_formats_are_refused(tmp_path: Path, word: str) -> None:
     )
     with pytest.raises(ModelError, match="takes the % for a format"):
         read_mjcf(file)
+
+
+@pytest.mark.parametrize("word", ["100 % of it", "50%", "%d", "%%"])
+def test_other_percent_signs_in_names_are_accepted(tmp_path: Path, word: str) -> None:
+    file = tmp_path / "robot.xml"
+    file.write_text(mjcf_text(quadruped()).replace("foot0", word))
+    assert read_mjcf(file).refusal is None
+
+
+def test_limits_of_1e300_are_accepted() -> None:
+    """Public files have such limits for continuous joints."""
+    text = mjcf_text(quadruped()).replace('range="-1.0 0.9"', 'range="-1e300 1e300"', 1)
+    assert find_invalid_number(mujoco.MjModel.from_xml_string(text)) is None
 
 
 def test_mujoco_crashes_on_a_format_string_in_a_class_name(tmp_path: Path) -> None:

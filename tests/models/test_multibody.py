@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,11 +23,14 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from tests.support.engines import to_pinocchio
 from tests.support.robots import (
+    arm,
     change_part,
     compare_files,
+    list_differences,
     match_files,
     mjcf_text,
     quadruped,
+    turned_about,
     turned_frames,
     urdf_text,
     write,
@@ -151,3 +155,79 @@ def test_com_difference_is_stated_in_the_urdf_frame_of_a_turned_body(tmp_path: P
     (difference,) = comparison.differences
     np.testing.assert_allclose(difference.urdf, (0.0, 0.0, -0.1), atol=1e-12)
     np.testing.assert_allclose(difference.mjcf, (0.004, 0.001, -0.12), atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_rotated_frames_are_no_difference(tmp_path: Path, seed: int) -> None:
+    """With the finest tolerances, for a quadruped, and an arm with slides and continuous joints."""
+    for number, (parts, free) in enumerate(((quadruped(), True), (arm(), False))):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        files = write(folder, urdf_text(parts), mjcf_text(parts, free=free))
+        files.mjcf.write_text(turned_frames(parts, seed))
+        comparison = compare_files(files, tolerances=Tolerances.fine())
+        assert list_differences(comparison) == []
+        assert comparison.agree
+        assert max(comparison.deviations.values()) < 1e-14
+
+
+CHANGES: dict[str, tuple[str, dict[str, Any], tuple[str, str]]] = {
+    "base mass": ("base", {"mass": 7.0}, ("mass", "base")),
+    "inertia": (
+        "thigh0",
+        {"inertia": (0.008, 0.007, 0.003, 0.0, 1e-3, 0.0)},
+        ("inertia", "hip0"),
+    ),
+    "position": ("thigh3", {"position": (-0.2, 0.13, 0.01)}, ("position", "hip3")),
+    "position below": ("shank0", {"position": (0.0, 0.08, -0.25)}, ("position", "knee0")),
+    "axis": ("shank2", {"axis": (0.0, 1.0, 0.2)}, ("axis", "knee2")),
+    "reversed": ("thigh1", {"axis": (-1.0, 0.0, 0.0)}, ("axis", "hip1")),
+    "lower": ("shank3", {"lower": -2.6}, ("lower limit", "knee3")),
+}
+"""{change: (link of the URDF, its new values, (kind, element) of the only difference)}."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", CHANGES)
+def test_changed_number_is_the_only_difference_of_files_with_rotated_frames(
+    tmp_path: Path, change: str
+) -> None:
+    """The difference explains all deviations: less than 1e-12 is left."""
+    link, values, expected = CHANGES[change]
+    files = write(tmp_path, urdf_text(change_part(quadruped(), link, **values)), "<mujoco/>")
+    files.mjcf.write_text(turned_frames(quadruped(), 1))
+    comparison = compare_files(files)
+    assert list_differences(comparison) == [expected]
+    assert comparison.complete
+    assert max(comparison.residual.values()) < 1e-12
+
+
+@pytest.mark.slow
+def test_other_zero_angle_with_rotated_frames_is_explained_completely(tmp_path: Path) -> None:
+    """The rotation about the axis cannot be distinguished from that of the frame."""
+    part = quadruped()["shank1"]
+    urdf = change_part(quadruped(), "shank1", quaternion=turned_about(part, part.axis, 0.2))
+    files = write(tmp_path, urdf_text(urdf), "<mujoco/>")
+    files.mjcf.write_text(turned_frames(quadruped(), 0))
+    comparison = compare_files(files)
+    assert not comparison.agree
+    assert comparison.complete
+    assert {element for _, element in list_differences(comparison)} <= {"knee1", "foot1"}
+
+
+def test_tree_has_the_parents_axes_and_limits_of_the_file(tiny: pa.Robot) -> None:
+    """References: the numbers of the URDF of the robot."""
+    values = multibody.from_pinocchio(tiny.pin_model, "base", tiny.joint_names, {"f": "foot"})
+    turn, bend, push = (values.joints[name] for name in ("turn", "bend", "push"))
+    assert (turn.parent, bend.parent, push.parent) == ("base", "turn", "base")
+    assert (turn.slides, bend.slides, push.slides) == (False, False, True)
+    assert (turn.lower, turn.upper) == (-np.inf, np.inf)
+    assert (bend.lower, bend.upper, bend.effort, bend.velocity) == (-1, 2, 4, 9)
+    np.testing.assert_allclose(turn.rotation, Rotation.from_euler("x", 0.3).as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(bend.axis, (0, 1, 0))
+    assert values.bodies["bend"].mass == pytest.approx(0.3)
+    assert values.frames["f"][0] == "bend"
+    np.testing.assert_allclose(values.frames["f"][1], (0, 0, -0.1))
+    assert values.children("base") == ["push", "turn"]
+    assert values.floating

@@ -57,6 +57,23 @@ def test_equality_that_is_no_mimic_is_left_out_with_a_note(tmp_path: Path, equal
     assert left == ["equality-not-in-urdf"]
 
 
+def test_each_link_of_the_urdf_states_its_mass(tmp_path: Path) -> None:
+    """PyBullet assumes 1 kg for a link without mass. Reference: total mass [kg] in MuJoCo."""
+    source, out = tmp_path / "fingers.xml", tmp_path / "fingers.urdf"
+    text = FINGERS.format("").replace(
+        '<joint name="first"/>', '<joint name="first"/><site name="tip"/>'
+    )
+    source.write_text(text)
+    pa.convert_model(source, out)
+    links = list(ElementTree.parse(out).getroot().iter("link"))
+    assert "tip" in {link.get("name") for link in links}
+    masses = [link.find("inertial/mass") for link in links]
+    assert None not in masses
+    total = sum(float(mass.get("value", "nan")) for mass in masses if mass is not None)
+    expected = mujoco.MjModel.from_xml_string(text).body_mass.sum()
+    assert total == pytest.approx(expected, rel=1e-9)
+
+
 ARM = """<body name="{name}" pos="0 {y} 1"><joint name="{name}_1" axis="0 1 0"/>
   <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>
   <body name="{name}_end" pos="0.3 0 0"><joint name="{name}_2" axis="0 0 1"/>
