@@ -4,9 +4,14 @@ output.
 
 from __future__ import annotations
 
+import pickle
+import re
 import shutil
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pinocchio as pin
 import pytest
 
 from pupper_analysis import cli
@@ -24,6 +29,29 @@ def test_blocks_of_a_page_run_and_print_the_stated_output(name: str, tmp_path: P
     if any("| jq" in block.text for block in BLOCKS[name]) and not shutil.which("jq"):
         pytest.skip("jq is not installed")
     pages.run_page(BLOCKS[name], tmp_path)
+
+
+@pytest.mark.slow
+def test_tasks_of_the_table_for_users_of_pinocchio_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Pictures are drawn in other tests. Reference of the mass matrix: raw ``pin.crba``."""
+    monkeypatch.chdir(ROOT)
+    page = (ROOT / "docs/how-to/pinocchio.md").read_text()
+    scope: dict[str, Any] = {"pickle": pickle}
+    exec(re.findall(r"```python\n(.*?)```", page, re.S)[0], scope)
+    rows = re.findall(r"^\| (?!task|---)(.+?) \| (.+) \|$", page, re.M)
+    assert len(rows) == 15
+    for task, cell in rows:
+        for code in re.findall(r"`([^`]+)`", cell):
+            if not task.startswith("plot"):
+                exec(code, scope)
+    robot, mapping = scope["robot"], scope["T"]
+    upper = np.triu(pin.crba(robot.pin_model, robot.pin_data(), scope["q"]))
+    inertia = upper + np.triu(upper, 1).T
+    np.testing.assert_allclose(
+        mapping @ scope["config"].mass_matrix() @ mapping.T, inertia, atol=1e-12
+    )
 
 
 def test_blocks_that_are_not_run_need_a_network_or_another_program() -> None:

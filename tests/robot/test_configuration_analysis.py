@@ -8,6 +8,7 @@ random robots with three to six legs, other joint orders, springs and names with
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -45,9 +46,14 @@ REFERENCES = {
 def odd_robot(
     request: pytest.FixtureRequest, tiny: pa.Robot, tmp_path_factory: pytest.TempPathFactory
 ) -> pa.Robot:
-    name, _, option = str(request.param).partition(" ")
-    if name == "tiny":
+    if request.param == "tiny":
         return tiny
+    return load_odd_robot(request.param, tmp_path_factory.mktemp("odd"))
+
+
+def load_odd_robot(label: str, folder: Path) -> pa.Robot:
+    """Load a robot of `ODD`; random robots are written to a folder."""
+    name, _, option = label.partition(" ")
     draw = {
         "drawn": random_legged.draw_robot,
         "biped": random_legged.irregular_biped,
@@ -55,7 +61,7 @@ def odd_robot(
     }
     if name not in draw:
         return load(name, fixed_base=option == "fixed")
-    pair = random_legged.write_robot(draw[name](int(option)), tmp_path_factory.mktemp(name))
+    pair = random_legged.write_robot(draw[name](int(option)), folder)
     return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, as_is=True)
 
 

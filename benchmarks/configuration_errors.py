@@ -1,0 +1,152 @@
+"""Maximum errors of `Configuration`: `python benchmarks/configuration_errors.py --table`.
+
+Eight robots in 20 random states each: variants, a fixed base, and random robots with three to six
+legs, slides, other joint orders and springs. References are raw Pinocchio (`robot.pin_model` with
+its own coordinates) and MuJoCo. Errors are relative to the largest element of the reference, or to
+1 if that is larger. `--table` writes docs/data/configuration-errors.csv.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import click
+import mujoco
+import numpy as np
+import pinocchio as pin
+from tables import write_csv
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import pupper_analysis as pa  # noqa: E402
+from tests.robot.test_configuration_analysis import (  # noqa: E402
+    ODD,
+    REFERENCES,
+    STATES,
+    compute_by_pinocchio,
+    links,
+    load_odd_robot,
+    states,
+)
+from tests.support.engines import addresses, evaluate_mujoco  # noqa: E402
+
+Array = np.ndarray
+Row = tuple[str, str, Array, Array]
+"""Function, engine of the reference, value, reference."""
+
+
+def compare_frames(config: pa.Configuration, mj: mujoco.MjData, offset: Array) -> Iterator[Row]:
+    """Yield the Jacobians of all links, and their time derivatives, by both engines."""
+    robot, (_, columns) = config.robot, addresses(config.robot)
+    data, _, mapping, rate = compute_by_pinocchio(config)
+    for name, body in links(robot):
+        frame = robot.pin_model.getFrameId(name, pin.FrameType.BODY)
+        for reference, constant in REFERENCES.items():
+            jacobian = pin.getFrameJacobian(robot.pin_model, data, frame, constant)
+            jacobian = jacobian.reshape(6, -1)
+            variation = pin.getFrameJacobianTimeVariation(robot.pin_model, data, frame, constant)
+            expected = variation.reshape(6, -1) @ mapping + jacobian @ rate
+            mine = config.frame_jacobian(name, reference=reference)
+            yield "frame_jacobian", "Pinocchio", mine, jacobian @ mapping
+            mine = config.frame_jacobian_time_variation(name, reference=reference)
+            yield "frame_jacobian_time_variation", "Pinocchio", mine, expected
+        point, rows = config.frame_position(name) + offset, np.zeros((6, robot.mj_model.nv))
+        mujoco.mj_jac(robot.mj_model, mj, rows[:3], rows[3:], point, body)
+        yield "frame_jacobian", "MuJoCo", config.frame_jacobian(name, offset), rows[:, columns]
+        joints = rows[:3, columns[robot.nv - robot.nu :]]
+        volume = np.sqrt(max(0.0, np.linalg.det(joints @ joints.T)))
+        measure = np.array(config.manipulability(name, offset))
+        yield "manipulability", "MuJoCo", measure, np.array(volume)
+        mujoco.mj_jacDot(robot.mj_model, mj, rows[:3], rows[3:], point, body)
+        mine = config.frame_jacobian_time_variation(name, offset)
+        yield "frame_jacobian_time_variation", "MuJoCo", mine, rows[:, columns]
+
+
+def compare_dynamics(config: pa.Configuration, mj: mujoco.MjData) -> Iterator[Row]:
+    """Yield mass matrix, bias forces, inverse dynamics and centroidal quantities."""
+    robot, model = config.robot, config.robot.mj_model
+    pin_model, (_, columns) = robot.pin_model, addresses(robot)
+    _, q, mapping, rate = compute_by_pinocchio(config)
+    velocity = mapping @ config.qvel
+    qacc = np.linspace(-4, 4, robot.nv)
+    upper = np.triu(pin.crba(pin_model, pin_model.createData(), q))
+    inertia = upper + np.triu(upper, 1).T
+    yield "mass_matrix", "Pinocchio", config.mass_matrix(), mapping.T @ inertia @ mapping
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, mj, full)
+    yield "mass_matrix", "MuJoCo", config.mass_matrix(), full[np.ix_(columns, columns)]
+    bias = pin.nonLinearEffects(pin_model, pin_model.createData(), q, velocity)
+    expected = mapping.T @ (bias + inertia @ rate @ config.qvel)
+    yield "bias_forces", "Pinocchio", config.bias_forces(), expected
+    yield "bias_forces", "MuJoCo", config.bias_forces(), mj.qfrc_bias[columns]
+    torques = config.joint_torque_regressor(qacc) @ config.dynamic_parameters()
+    acceleration = mapping @ qacc + rate @ config.qvel
+    forces = pin.rnea(pin_model, pin_model.createData(), q, velocity, acceleration)
+    expected = mapping.T @ (forces - pin_model.armature * acceleration)
+    yield "joint_torque_regressor", "Pinocchio", torques, expected
+    mj.qacc[columns] = qacc
+    theirs = np.zeros(model.nv)
+    mujoco.mj_rne(model, mj, 1, theirs)
+    yield "joint_torque_regressor", "MuJoCo", torques, theirs[columns]
+    linear, angular = np.zeros((2, 3, model.nv))
+    mujoco.mj_jacSubtreeCom(model, mj, linear, 0)
+    mujoco.mj_angmomMat(model, mj, angular, 0)
+    yield "com_jacobian", "MuJoCo", config.com_jacobian(), linear[:, columns]
+    expected = np.vstack([model.body_subtreemass[0] * linear, angular])[:, columns]
+    yield "centroidal_map", "MuJoCo", config.centroidal_map(), expected
+    if robot.floating:  # Pinocchio does not know the mass of a fixed base
+        data = pin_model.createData()
+        expected = pin.jacobianCenterOfMass(pin_model, data, q) @ mapping
+        yield "com_jacobian", "Pinocchio", config.com_jacobian(), expected
+        theirs = pin.computeCentroidalMapTimeVariation(pin_model, data, q, velocity)
+        yield "centroidal_map", "Pinocchio", config.centroidal_map(), data.Ag @ mapping
+        # Pinocchio's derivative keeps the CoM in place (pinocchio#2093).
+        moved = theirs.copy()
+        moved[3:] -= pin.skew(config.com_jacobian() @ config.qvel) @ data.Ag[:3]
+        mine = config.centroidal_map_time_variation()
+        expected = moved @ mapping + data.Ag @ rate
+        yield "centroidal_map_time_variation", "Pinocchio", mine, expected
+
+
+@click.command()
+@click.option("--table", is_flag=True, help="Write docs/data/configuration-errors.csv.")
+def main(*, table: bool) -> None:
+    """Print the maximum error of each function against each engine."""
+    errors: dict[str, dict[str, float]] = defaultdict(dict)
+    worst: dict[str, tuple[float, str]] = defaultdict(lambda: (0.0, ""))
+    for name in ODD:
+        with TemporaryDirectory() as folder:
+            robot = load_odd_robot(name, Path(folder))
+            for config, _, offset in states(robot):
+                mj = evaluate_mujoco(robot, config.qpos, config.qvel)
+                rows = [*compare_frames(config, mj, offset), *compare_dynamics(config, mj)]
+                for function, engine, value, expected in rows:
+                    size = max(1.0, float(np.abs(expected).max(initial=0.0)))
+                    error = float(np.abs(value - expected).max(initial=0.0)) / size
+                    errors[function][engine] = max(errors[function].get(engine, 0.0), error)
+                    worst[function] = max(worst[function], (error, name))
+    lines = [
+        (function, *(format_error(found.get(engine)) for engine in ("Pinocchio", "MuJoCo")),
+         worst[function][1])
+        for function, found in errors.items()
+    ]  # fmt: skip
+    for line in lines:
+        print(*line, sep="  ")
+    print(f"{len(ODD)} robots, {STATES} states each")
+    if table:
+        columns = ("function", "error against Pinocchio", "error against MuJoCo", "worst robot")
+        write_csv(ROOT / "docs" / "data" / "configuration-errors.csv", columns, lines)
+
+
+def format_error(error: float | None) -> str:
+    """Return an error with two digits; "" without a reference."""
+    return "" if error is None else f"{error:.1e}"
+
+
+if __name__ == "__main__":
+    main()
