@@ -246,3 +246,60 @@ def test_configuration_copies_and_normalises_its_state() -> None:
     gravity = config.gravity()
     gravity[:] = 0.0
     assert config.gravity()[2] == pytest.approx(3.17 * GRAVITY)
+
+
+def test_point_at_an_offset_moves_with_its_frame() -> None:
+    """Reference: finite difference of the position of a point that is fixed to the foot."""
+    robot, offset = load("v3"), np.array([0.03, -0.05, 0.07])
+    frame, (qpos, qvel) = next(iter(robot.contact_frames.values())), random_state(robot, 5)
+    config = pa.Configuration(robot, qpos)
+    fixed = config.frame_rotation(frame).T @ offset
+
+    def place(at: np.ndarray) -> np.ndarray:
+        moved = pa.Configuration(robot, at)
+        return moved.frame_position(frame) + moved.frame_rotation(frame) @ fixed
+
+    velocity = config.frame_jacobian(frame, offset)[:3] @ qvel
+    np.testing.assert_allclose(velocity, differentiate_along(robot, place, qpos, qvel), atol=1e-7)
+
+
+def test_centre_of_mass_is_the_mean_of_mujocos_bodies(any_robot: pa.Robot) -> None:
+    qpos, _ = random_state(any_robot, 4)
+    masses, centres = any_robot.mj_model.body_mass, evaluate_mujoco(any_robot, qpos).xipos
+    com = pa.Configuration(any_robot, qpos).center_of_mass()
+    np.testing.assert_allclose(com, masses @ centres / masses.sum(), atol=1e-12)
+
+
+def test_free_flight_of_mujoco_keeps_the_energy_and_the_parabola_of_the_com(
+    robot: pa.Robot,
+) -> None:
+    """MuJoCo integrates the MJCF without contacts and losses; the energy is that of the URDF."""
+    model, steps = make_free_mechanism(robot), 200
+    qpos, qvel = random_state(robot)
+    mj = evaluate_mujoco(robot, qpos, qvel, model)
+    mujoco.mj_step(model, mj, steps)
+    q, v = addresses(robot)
+    start, end = (
+        pa.Configuration(robot, qpos, qvel),
+        pa.Configuration(robot, mj.qpos[q], mj.qvel[v]),
+    )
+
+    def energy(config: pa.Configuration) -> float:
+        kinetic = config.qvel @ config.mass_matrix() @ config.qvel / 2
+        return float(kinetic + robot.total_mass * GRAVITY * config.center_of_mass()[2])
+
+    time, fall = steps * model.opt.timestep, np.array([0, 0, -GRAVITY])
+    velocity = start.com_jacobian() @ start.qvel
+    expected = start.center_of_mass() + velocity * time + fall * time**2 / 2
+    assert abs(start.center_of_mass()[2] - expected[2]) > 0.05
+    assert energy(end) == pytest.approx(energy(start), rel=1e-7)
+    np.testing.assert_allclose(end.center_of_mass(), expected, atol=1e-7)
+    np.testing.assert_allclose(end.com_jacobian() @ end.qvel, velocity + fall * time, atol=1e-6)
+
+
+def test_forces_and_accelerations_of_a_wrong_size_or_not_finite_are_refused() -> None:
+    config = pa.Configuration(load("v3"), load("v3").neutral())
+    with pytest.raises(pa.ConfigurationError, match="force"):
+        config.forward_dynamics(np.zeros(12))
+    with pytest.raises(pa.ConfigurationError, match=r"qacc.*element 3"):
+        config.imu(np.where(np.arange(18) == 3, np.nan, 0.0))

@@ -11,6 +11,7 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.simulation.monitor import find_light_bodies
 from tests.support.engines import evaluate_mujoco
+from tests.support.variants import load
 
 positive = st.floats(0.001, 2.0)
 geoms = st.fixed_dictionaries(
@@ -120,3 +121,40 @@ def test_contact_in_the_gap_beyond_the_margin_is_no_contact() -> None:
     forces, others = contact.ground_forces(model, data, {model.geom("far").id: "far foot"})
     assert not forces
     assert others == {"near"}
+
+
+@pytest.mark.parametrize(("name", "friction", "condim"), [("v3", 1.0, 6), ("original", 1.2, 3)])
+def test_friction_of_feet_and_floor_is_the_larger_one(
+    name: str, friction: float, condim: int
+) -> None:
+    """v3: 0.8 of the feet and 1.0 of the floor; the skeleton: 1.2 of the feet."""
+    robot = load(name)
+    for foot in robot.contact_points:
+        assert robot.contacts[foot].sliding_friction == friction
+        assert robot.contacts[foot].condim == condim
+    if name == "v3":  # the mean of 0.015 of the foot and 0.9 of the floor
+        assert robot.contacts["FR"].solimp[0] == pytest.approx(0.4575)
+
+
+def test_ground_is_the_plane_fixed_to_the_world() -> None:
+    model = load("v3").mj_model
+    ground = contact.ground_geom(model)
+    assert ground is not None
+    assert model.geom(ground).name == "floor"
+    bare = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom type='box' size='1 1 1'/></worldbody></mujoco>"
+    )
+    assert contact.ground_geom(bare) is None
+
+
+def test_foot_geom_is_the_colliding_sphere_at_the_site() -> None:
+    """Not the visual sphere at the same position."""
+    robot = load("v3")
+    model = robot.mj_model
+    site = model.site(robot.contact_frames["FR"])
+    body = int(site.bodyid[0])
+    found = contact.foot_geom(model, body, site.pos)
+    assert found is not None
+    assert model.geom_conaffinity[found] == 1
+    assert contact.foot_geom(model, body, site.pos + np.array([0, 0, 1e-5])) is None
+    assert contact.foot_geom(model, 0, site.pos) is None

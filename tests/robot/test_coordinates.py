@@ -2,6 +2,7 @@
 integration.
 """
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -9,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from tests.support.engines import integrate, velocity_map
-from tests.support.states import positions, velocities
+from tests.support.engines import addresses, integrate, velocity_map
+from tests.support.states import positions, quaternion, random_state, velocities
+from tests.support.variants import load
 
 
 @pytest.mark.slow
@@ -44,3 +46,50 @@ def test_whole_turns_of_a_continuous_joint_have_no_effect(tiny: pa.Robot, turns:
     np.testing.assert_allclose(convention.qpos(convention.q(turned)), qpos, atol=1e-14)
     one, two = (pa.Configuration(tiny, q).foot_positions()["foot"] for q in (qpos, turned))
     np.testing.assert_allclose(one, two, atol=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_coordinates_of_both_engines_convert_there_and_back(any_robot: pa.Robot, seed: int) -> None:
+    qpos, _ = random_state(any_robot, seed)
+    model, convention = any_robot.pin_model, any_robot.pin_convention
+    q = convention.q(qpos)
+    assert q.shape == (model.nq,)
+    assert pin.isNormalized(model, q, 1e-12)
+    np.testing.assert_allclose(convention.qpos(q), qpos, atol=1e-14)
+    velocity = np.random.default_rng(seed).uniform(-2.0, 2.0, model.nv)
+    q = pin.integrate(model, pin.neutral(model), velocity)
+    np.testing.assert_allclose(convention.q(convention.qpos(q)), q, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_state_of_mujoco_has_the_joints_by_name(any_robot: pa.Robot, seed: int) -> None:
+    """Reference: MuJoCo's named access to joint positions and velocities."""
+    qpos, qvel = random_state(any_robot, seed)
+    data = mujoco.MjData(any_robot.mj_model)
+    any_robot.mj_convention.set_state(data, qpos, qvel)
+    first = any_robot.nq - any_robot.nu
+    for index, name in enumerate(any_robot.joint_names):
+        assert data.joint(name).qpos[0] == qpos[first + index]
+        assert data.joint(name).qvel[0] == qvel[any_robot.nv - any_robot.nu + index]
+    q, v = addresses(any_robot)
+    np.testing.assert_array_equal(data.qpos[q], qpos)
+    np.testing.assert_array_equal(data.qvel[v], qvel)
+    any_robot.mj_convention.set_state(data, qpos)
+    assert not data.qvel.any()
+
+
+def test_quaternion_of_any_length_is_normalised() -> None:
+    robot = load("v3")
+    qpos, convention = robot.neutral(), robot.pin_convention
+    qpos[3:7] = quaternion(np.array([0.3, -0.2, 0.5]))
+    scaled = qpos.copy()
+    scaled[3:7] *= 7
+    np.testing.assert_allclose(convention.q(scaled), convention.q(qpos), atol=1e-15)
+
+
+def test_continuous_joint_has_no_limits_and_other_joints_have_those_of_the_file(
+    tiny: pa.Robot,
+) -> None:
+    np.testing.assert_array_equal(tiny.lower_limits, [-1, -0.3, -np.inf])
+    np.testing.assert_array_equal(tiny.upper_limits, [2, 0.4, np.inf])
+    np.testing.assert_array_equal(tiny.effort_limits, [4, 3, 5])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import gc
+import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,6 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from tests.stance.sag.test_contact_kinematics import differences
 from tests.support.states import random_state
+from tests.support.variants import load
 
 QUANTITIES: dict[str, Callable[[pa.Configuration], object]] = {
     "feet": lambda config: list(config.foot_positions().values()),
@@ -129,3 +131,13 @@ def test_changed_armature_of_pinocchios_model_is_used_by_the_same_configuration(
     np.testing.assert_allclose(added, np.full(robot.nu, 0.25), rtol=1e-12)
     slower = config.forward_dynamics(np.zeros(robot.nv))
     assert np.abs(slower[6:]).max() < 0.5 * np.abs(rest[6:]).max()
+
+
+def test_velocity_of_zero_cannot_be_changed() -> None:
+    """Configurations without a velocity share one array, also after pickling the robot."""
+    for robot in (load("v3"), pickle.loads(pickle.dumps(load("v3")))):
+        config = pa.Configuration(robot, random_state(robot, 0)[0])
+        with pytest.raises(ValueError, match="read-only"):
+            config.qvel[0] = 1.0
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            config.qvel.flags.writeable = True
