@@ -73,6 +73,116 @@ def test_feet_named_in_one_file_are_used_for_both(name: str, frame: object, tmp_
     assert robot.contact_radius["FL"] == 0.02
 
 
+@pytest.mark.slow
+def test_quadruped_without_named_feet_floor_and_servos_is_completed_and_stands(
+    tmp_path: Path,
+) -> None:
+    """Reference: MuJoCo holds the predicted stand."""
+    robot = load(quadruped(tmp_path))
+    assert set(robot.feet) == {"FL_calf", "FR_calf", "RL_calf", "RR_calf"}
+    assert "FL_calf on FL_calf" in find_note(robot, "feet detected")
+    assert "'home'" in find_note(robot, "start pose")
+    find_note(robot, "a plane with MuJoCo's default contact was added")
+    find_note(robot, "no position servos")
+    assert verify_held_stand(robot).torque_error < 1e-6
+    swing = {"FL_calf": 0.02, "RR_calf": 0.02}
+    with pytest.raises(pa.ConfigurationError, match="at least 3 must, or a flat one"):
+        pa.solve_stand(robot, pa.StandTask(swing=swing))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "keyframe", ["", "0 2.4 -2.6", "0 0.1 0.4"], ids=["none", "lies", "beyond"]
+)
+def test_start_pose_without_a_usable_keyframe_is_found(keyframe: str, tmp_path: Path) -> None:
+    """The keyframe is missing, lies on the ground, or is beyond the joint limits."""
+    robot = load(quadruped(tmp_path, keyframe=keyframe))
+    assert "a stand was found" in find_note(robot, "keyframe")
+    assert len(robot.feet) == 4
+    assert (robot.home[7:] > robot.lower_limits).all()
+    assert (robot.home[7:] < robot.upper_limits).all()
+    if not keyframe:
+        verify_held_stand(robot)
+
+
+@pytest.mark.slow
+def test_start_pose_is_that_of_the_keyframe(tmp_path: Path) -> None:
+    """Closed form: two links of 0.2 m, 0.7 rad from the vertical, on a sphere of 0.02 m."""
+    robot = load(quadruped(tmp_path, keyframe="0 0.7 -1.4"))
+    np.testing.assert_allclose(robot.home[7:], [0, 0.7, -1.4] * 4)
+    assert robot.stand_height == pytest.approx(0.4 * np.cos(0.7) + 0.02)
+
+
+@pytest.mark.slow
+def test_servos_and_floor_of_the_file_are_kept(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, actuators="position", floor=True))
+    assert not [note for note in robot.notes if "servos" in str(note) or "plane" in str(note)]
+    assert robot.mj_model.actuator_gainprm[0, 0] == 150
+    verify_held_stand(robot)
+
+
+@pytest.mark.slow
+def test_base_without_free_joint_is_freed_unless_fixed_base_is_requested(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path, free=False)
+    robot = load(pair)
+    assert robot.floating
+    find_note(robot, "a free joint was added")
+    verify_held_stand(robot)
+    held = load(pair, fixed_base=True)
+    assert not held.floating
+    assert not held.feet
+
+
+@pytest.mark.slow
+def test_foot_box_of_a_leg_with_three_joints_has_one_contact_point(tmp_path: Path) -> None:
+    """Such a leg cannot keep the box flat: the lowest corner of the start pose touches."""
+    box = '<geom type="box" size="0.02 0.02 0.02" pos="0 0 -0.2"/>'
+    robot = load(quadruped(tmp_path, foot=box))
+    assert all(len(points) == 1 for points in robot.feet.values())
+
+
+def test_limbs_without_shapes_are_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(pa.ModelError, match=r"no feet were found.*FL_calf"):
+        load(quadruped(tmp_path, foot=""))
+
+
+@pytest.mark.slow
+def test_foot_shape_of_the_mjcf_counts_if_the_urdf_has_a_cylinder(tmp_path: Path) -> None:
+    """As on B2 and M20, whose MJCF has spheres: a leaning cylinder would be in the ground."""
+    pair = quadruped(tmp_path, keyframe="")
+    text = pair.urdf.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        shape = (
+            '<origin xyz="0 0 -0.2" rpy="1.5707963 0 0"/>'
+            '<geometry><cylinder radius="0.02" length="0.03"/></geometry>'
+        )
+        head = f'<link name="{leg}_calf">'
+        assert head in text
+        text = text.replace(head, f"{head}<collision>{shape}</collision>")
+    pair.urdf.write_text(text)
+    robot = load(pair)
+    find_note(robot, "a stand was found")
+    verify_held_stand(robot)
+    pa.solve_stand(robot, pa.StandTask(roll=0.1))
+    long = '<geom type="cylinder" size="0.02 0.15" euler="1.5707963 0 0" pos="0 0 -0.188"/>'
+    rewrite_file(pair.mjcf, ('pos="0 0 -0.2"/>', f'pos="0 0 -0.2"/>{long}'))
+    with pytest.raises(pa.StanceUnreachableError, match=r"calf is .* mm in the ground"):
+        pa.solve_stand(load(pair), pa.StandTask(offset=(0.0, 0.06)))
+
+
+@pytest.mark.slow
+def test_flat_foot_is_lifted_as_a_whole(tmp_path: Path) -> None:
+    """Each contact point of the foot is 30 mm above the ground; the other foot has all forces."""
+    robot = load(biped(tmp_path))
+    task = pa.StandTask(swing={"left_tilt_link": 0.03}, com="inside", com_margin=0.005)
+    stand = pa.solve_stand(robot, task)
+    centres = pa.Configuration(robot, stand.qpos).foot_positions()
+    for point in robot.feet["left_tilt_link"]:
+        assert centres[point][2] == pytest.approx(0.03, abs=1e-9)
+    forces = pa.stance.stand_statics(robot, stand).contact_forces
+    assert forces.keys() == set(robot.feet["right_tilt_link"])
+
+
 def test_unknown_keyframe_is_refused_with_the_valid_names(tmp_path: Path) -> None:
     with pytest.raises(pa.UnknownNameError, match=r"crouch.*home"):
         load(quadruped(tmp_path), keyframe="crouch")

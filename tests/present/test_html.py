@@ -172,6 +172,14 @@ def test_element_on_several_lines_is_quoted_completely(tmp_path: Path) -> None:
         assert sources.quote_line(place, main) == ""
 
 
+def test_long_element_is_quoted_from_its_beginning(tmp_path: Path) -> None:
+    """The line in the last of six rows names the attribute."""
+    rows = ['<geom name="a"', *(f'  a{number}="1"' for number in range(4)), '  b="2"/>']
+    (tmp_path / "part.xml").write_text("<x>\n" + "\n".join(rows))
+    quoted = sources.quote_line("part.xml:7", str(tmp_path / "main.xml"))
+    assert quoted == "\n".join(row.strip() for row in rows)
+
+
 @cache
 def audit() -> pa.analysis.Audit:
     with tempfile.TemporaryDirectory() as folder:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.prepare.convert.load import read_pair
 from pupper_analysis.pupper.variants import find_model_folder
 from tests.support.corpus import INERTIAL, LIMIT, format_joint, format_link, format_urdf
 from tests.support.legged import quadruped, rewrite_file
@@ -254,3 +255,57 @@ def test_limbs_on_a_link_fixed_to_a_massless_root_are_legs(tmp_path: Path) -> No
     robot = pa.load_robot(file)
     assert robot.floating
     assert len(robot.feet) == 4
+
+
+def test_scene_without_joints_is_no_robot(tmp_path: Path) -> None:
+    """A drone: its only joint is the free joint."""
+    file = tmp_path / "drone.xml"
+    file.write_text(
+        "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(pa.ModelError, match="no joints"):
+        pa.load_robot(file)
+
+
+def test_visual_shapes_with_mass_count(tmp_path: Path) -> None:
+    """As in Gym's Ant: ``inertiafromgeom`` gives mass to shapes without contacts."""
+    leg = (
+        '<body pos="{0} {1} 0"><joint name="hip{2}" axis="0 1 0" range="-1 1" limited="true"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" contype="0" conaffinity="0"/>'
+        '<geom size="0.02" pos="0 0 -0.2"/></body>'
+    )
+    legs = "".join(leg.format(x, y, f"{x}{y}") for x in (-0.2, 0.2) for y in (-0.1, 0.1))
+    path = tmp_path / "ant.xml"
+    path.write_text(
+        '<mujoco><compiler inertiafromgeom="true" angle="radian"/><worldbody>'
+        f'<body name="trunk" pos="0 0 0.3"><freejoint/><geom type="box" size="0.2 0.1 0.05"/>{legs}'
+        "</body></worldbody></mujoco>"
+    )
+    mass = float(mujoco.MjModel.from_xml_path(str(path)).body_mass.sum())
+    robot = pa.load_robot(path, fixed_base=True, as_is=True)
+    assert robot.total_mass == pytest.approx(mass)
+
+
+def test_urdf_of_an_arm_keeps_its_base_fixed(tmp_path: Path) -> None:
+    """Closed form: a mass of 2 kg, 0.2 m from the axis, at 0.5 rad."""
+    file = tmp_path / "arm.urdf"
+    file.write_text("""<robot name="arm"><link name="base"/>
+      <link name="upper"><inertial><origin xyz="0 0 0.2"/><mass value="2"/>
+        <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+        <origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>
+        <limit lower="-1" upper="1" effort="9" velocity="3"/></joint></robot>""")
+    robot = pa.load_robot(file)
+    assert not robot.floating
+    statics = pa.gravity_compensation(pa.Configuration(robot, np.array([0.5])), contacts=[])
+    assert statics.joint_torques == pytest.approx([-2 * 9.81 * 0.2 * np.sin(0.5)], rel=1e-9)
+
+
+def test_pair_is_read_in_any_order_and_by_keyword() -> None:
+    for pair in (
+        read_pair(URDF, MJCF),
+        read_pair(MJCF, URDF),
+        read_pair(URDF, mjcf=MJCF),
+        read_pair(urdf=URDF, mjcf=MJCF),
+    ):
+        assert (pair.urdf.path, pair.mjcf.path, pair.converted) == (URDF, MJCF, "")

@@ -14,6 +14,7 @@ import trimesh
 
 import pupper_analysis as pa
 from tests.support.conversions import (
+    compare_dynamics,
     compile_file,
     convert_file,
     format_shape,
@@ -325,3 +326,54 @@ def test_feet_are_found_if_legs_are_horizontal_at_zero_angles(tmp_path: Path) ->
     assert found.passed, found.failures
     note = next(str(note) for note in found.notes if note.code == "feet-found")
     assert note.count("_calf_collision") == 4
+
+
+@pytest.mark.slow
+def test_fixed_joint_with_the_name_of_the_base_is_converted(tmp_path: Path) -> None:
+    """PlaCo finds frames by their names alone. Reference: total mass [kg]."""
+    head = (
+        '<link name="head"><inertial><mass value="0.3"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" '
+        'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="trunk" type="fixed"><origin '
+        'xyz="0.1 0 0.05"/><parent link="trunk"/><child link="head"/></joint></robot>'
+    )
+    mjcf, found = convert_file(_write_changed(tmp_path, ("</robot>", head)), "quad.xml")
+    assert found.passed, found.failures
+    assert compile_file(mjcf).body_subtreemass[0] == pytest.approx(4 + 4 * 1.1 + 0.3)
+
+
+@pytest.mark.slow
+def test_material_and_shape_with_the_name_of_the_floor_are_kept(tmp_path: Path) -> None:
+    red = '<material name="floor"><color rgba="1 0 0 1"/></material>'
+    shapes = format_shape("visual", '<box size="0.1 0.1 0.1"/>', "0 0 0").replace(
+        "</visual>", f"{red}</visual>"
+    ) + format_shape("collision", '<box size="0.1 0.1 0.01"/>', "0 0 0").replace(
+        "<collision>", '<collision name="floor">'
+    )
+    path = write_standing_urdf(tmp_path)
+    path.write_text(path.read_text().replace("</link>", f"{shapes}</link>", 1))
+    mjcf, found = convert_file(path, "quad.xml")
+    assert found.passed, found.failures
+    model = compile_file(mjcf)
+    assert model.geom("floor").type == mujoco.mjtGeom.mjGEOM_PLANE.value
+    np.testing.assert_allclose(model.material("floor_2").rgba, [1, 0, 0, 1])
+
+
+@pytest.mark.slow
+def test_names_of_the_free_joint_floor_and_world_are_accepted(tmp_path: Path) -> None:
+    """The new MJCF uses ``root`` and ``floor`` itself; ``universe`` is Pinocchio's world."""
+    changes = ('"FR_pitch"', '"root"'), ('"FR_thigh"', '"floor"'), ('"trunk"', '"universe"')
+    urdf = _write_changed(tmp_path, *changes)
+    mjcf, found = convert_file(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert compare_dynamics(urdf, mjcf) < 1e-9
+
+
+@pytest.mark.slow
+def test_negative_effort_gazebo_and_velocity_limits_are_not_converted(tmp_path: Path) -> None:
+    changes = ('effort="80"', 'effort="-80"'), ("</robot>", '<gazebo reference="trunk"/></robot>')
+    _, found = convert_file(_write_changed(tmp_path, *changes), "quad.xml")
+    texts = [*map(str, found.not_converted)]
+    assert any("effort limit -80" in text for text in texts)
+    assert "1 <gazebo>" in texts
+    assert any(text.startswith("velocity limits of 12 joints") for text in texts)
+    assert not found.passed

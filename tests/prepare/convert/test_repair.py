@@ -95,6 +95,21 @@ def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path)
 
 
 @pytest.mark.slow
+def test_moving_link_without_mass_gets_one_gram_on_request(tmp_path: Path) -> None:
+    parts = arm()
+    parts["claw"] = Part("claw", "rod", "grip", position=(0.2, 0.0, 0.0), axis=(0.0, 0.0, 1.0))
+    urdf = write_parts(tmp_path, parts)
+    without_mass(urdf, "claw")
+    with pytest.raises(pa.ModelError, match="'claw', which joint 'grip' moves, has no mass"):
+        pa.convert_model(urdf, tmp_path / "arm.xml")
+    mjcf, found = convert_file(urdf, "arm.xml", repair_inertia=True)
+    assert found.passed, found.failures
+    assert [(repair.link, repair.new_mass) for repair in found.repairs] == [("claw", 1e-3)]
+    assert compile_file(mjcf).body("claw").mass[0] == 1e-3
+    assert {difference.element for difference in found.comparison.differences} == {"grip"}
+
+
+@pytest.mark.slow
 def test_repair_of_one_body_permits_no_difference_of_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
