@@ -237,6 +237,32 @@ def _find_feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -
     ]
 
 
+def _locate_disabled_contact(mjcf: MjcfFile, body: str, urdf_shape: _PlacedShape) -> Place:
+    """Return the location in the MJCF at which the contacts of a foot are disabled.
+
+    This is the flag that disables all contacts, otherwise the contact bits of the geom of the foot
+    that is nearest to the shape in the URDF; the body if it has no geom.
+
+    Args:
+        mjcf: The MJCF.
+        body: Body of the foot.
+        urdf_shape: Shape of the foot that touches in the URDF.
+    """
+    model = mjcf.model
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+        places = (place for words, place in mjcf.elements("flag") if "contact" in words)
+        return next(places, Place(mjcf.path))
+    data = make_start_data(model)
+    moving = model.body_weldid == model.body_weldid[model.body(body).id]
+    geoms = np.flatnonzero(moving[model.geom_bodyid])
+    if not len(geoms):
+        return mjcf.place("body", body)
+    distances = np.linalg.norm(data.geom_xpos[geoms] - urdf_shape.world.pose.position, axis=1)
+    # Of geoms at the same place, the last is usually the collision geom.
+    nearest = geoms[np.flatnonzero(distances < distances.min() + CONTACT_HEIGHT_ATOL)[-1]]
+    return place_of_geom(mjcf, int(nearest), "touches")
+
+
 _DOWN_DIRECTION = np.array([[0.0, 0.0, -1.0]])
 """Downward unit vector in the world frame, shape (1, 3), as argument of ``Shape.support``."""
 
@@ -255,7 +281,12 @@ def _compare_feet(
         )
         urdf_lowest, mjcf_lowest = sides[0][2], sides[1][2]
         link, body = matched.urdf_link[name], matched.mjcf_body[name]
-        mjcf_place = mjcf.place("body", body) if mjcf_lowest is None else mjcf_lowest.place()
+        if mjcf_lowest is not None:
+            mjcf_place = mjcf_lowest.place()
+        elif urdf_lowest is not None:
+            mjcf_place = _locate_disabled_contact(mjcf, body, urdf_lowest)
+        else:
+            mjcf_place = mjcf.place("body", body)
         places = (
             (urdf.place("link", link) if urdf_lowest is None else urdf_lowest.place()).path,
             mjcf_place.path,

@@ -248,3 +248,15 @@ def test_added_ground_is_at_the_lowest_vertex_of_a_robot_that_begins_deep() -> N
         "</worldbody></mujoco>"
     )
     assert _find_ground_height(model) == pytest.approx(-0.5, abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name, edit in FELT.items() if edit.urdf])
+def test_edit_that_a_urdf_can_state_is_a_difference_to_the_urdf(tmp_path: Path, name: str) -> None:
+    """The comparison with the URDF reports the kind of the edit, at its line."""
+    edit = FELT[name]
+    comparison = pa.compare_models(ROOT / "urdf/pupper_v3.urdf", write_edited(tmp_path, edit))
+    assert not comparison.agree
+    assert {difference.kind for difference in comparison.differences} == {edit.urdf}
+    line = f"{edit.file}:{edit.line}"
+    assert any(str(difference.mjcf_place).endswith(line) for difference in comparison.differences)
