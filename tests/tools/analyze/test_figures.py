@@ -13,7 +13,7 @@ import pytest
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.tools.analyze import figures as render
 from pupper_analysis.tools.analyze.figures import lay_out_tiles
 from tests.support.variants import load, stand_of
@@ -178,6 +178,32 @@ def test_a_fresh_process_is_quiet(
     pixels(tmp_path / "a.png")
 
 
+@pytest.mark.parametrize(
+    ("variables", "system", "expected"),
+    [
+        ({}, "Linux", ("egl", "osmesa")),
+        ({"DISPLAY": ":0"}, "Linux", ("egl", "osmesa", "glfw")),
+        ({"MUJOCO_GL": " EGL "}, "Linux", ("egl",)),
+        ({"MUJOCO_GL": "osmesa", "DISPLAY": ":0"}, "Linux", ("osmesa",)),
+        ({"MUJOCO_GL": "off"}, "Linux", ()),
+        ({}, "Darwin", ("cgl", "glfw")),
+        ({}, "Windows", ("glfw",)),
+    ],
+)
+def test_rendering_backends_follow_from_system_and_environment(
+    variables: dict[str, str],
+    system: str,
+    expected: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(render.platform, "system", lambda: system)
+    assert render._list_backends() == expected
+
+
 def test_osmesa_is_tried_after_egl_and_lines_are_drawn_at_last(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -212,3 +238,25 @@ def test_no_robot_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="no robot"):
         render.render_variants([], tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("no_opengl")
+def test_path_below_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(OutputError):
+        render.render_variants(pairs("original"), tmp_path / "file" / "a.png", width=WIDTH)
+
+
+def test_tiles_of_robots_of_different_size_have_one_scale() -> None:
+    """Reference: the pixels of a vector of 0.1 m in each tile."""
+    poses = [(load(name), stand_of(name).qpos) for name in ("original", "long-leg")]
+    ends = np.array([[0.0, 0, 0], 0.1 * render.IMAGE_RIGHT])
+    lengths = [np.ptp(tile.pixels(ends)[:, 0]) for tile in lay_out_tiles(poses, WIDTH, 2)]
+    assert lengths[0] == pytest.approx(lengths[1])
+
+
+@pytest.mark.slow
+def test_rendering_keeps_the_environment(tmp_path: Path) -> None:
+    before = dict(os.environ)
+    render.render_variants(pairs("original"), tmp_path / "a.png", width=WIDTH)
+    assert dict(os.environ) == before

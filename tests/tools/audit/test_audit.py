@@ -1021,6 +1021,10 @@ def test_gravity_of_zero_is_a_warning_and_a_slope_a_note(
     path.write_text(f"<mujoco>{option}<worldbody>{body}</worldbody></mujoco>")
     (finding,) = find_findings(audit_model(path), "gravity-unusual")
     assert finding.severity == severity
+    without = audit_model(path, disabled=["gravity-unusual"])
+    assert without.disabled == ("gravity-unusual",)
+    assert "gravity-unusual" not in without.rules_run
+    assert find_findings(without, "gravity-unusual") == []
 
 
 def test_foot_site_of_a_welded_body_is_compared_with_the_sphere_of_the_moving_body(

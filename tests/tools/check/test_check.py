@@ -5,16 +5,23 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import (
     Severity,
+    catalogue,
     diagnose,
+    diagnostic,
 )
 from pupper_analysis.base.errors import OutputError
 from pupper_analysis.tools.check.check import _get_change_severity
@@ -24,6 +31,7 @@ from pupper_analysis.tools.check.remarks import (
     Remark,
     mark_known_remarks,
     read_baseline,
+    to_plain,
     values_agree,
     write_baseline,
 )
@@ -97,6 +105,49 @@ def test_equal_difference_of_several_joints_is_one_remark(folder: Path) -> None:
     assert "joint knee: damping 0.05 N m s/rad in the URDF, 0.06 N m s/rad in the MJCF" in shown
     assert "   likewise on 1 more: hip" in shown
     assert "FAILED pupper-analysis.toml: 1 to fix" in shown
+
+
+def test_each_pair_has_its_own_verdict(folder: Path) -> None:
+    with (folder / "pupper-analysis.toml").open("a") as file:
+        file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.3"')
+    check = pa.guard.check_repository(folder / "pupper-analysis.toml")
+    assert [(pair.failures, pair.known) for pair in check.pairs] == [(1, 0), (0, 0)]
+    rows = [line.split() for line in run(folder, "-v").stdout.splitlines()]
+    assert any(row[:3] == ["hopper", "FAILED", "1"] for row in rows)
+    assert any(row[:3] == ["alone", "OK", "0"] for row in rows)
+
+
+def test_known_remark_with_another_value_fails_and_its_entry_is_stale(folder: Path) -> None:
+    """The difference grows or shrinks; the entry has 0.22 kg."""
+    for mass in ("0.25", "0.21"):
+        shutil.copy(SAMPLE / "hopper.xml", folder)
+        change(folder / "hopper.xml", 'mass="0.22"', f'mass="{mass}"')
+        check = pa.guard.check_repository(folder / "pupper-analysis.toml")
+        assert not check.passed
+        (remark,) = check.remarks
+        assert not remark.known
+        assert remark.values == {"urdf": 0.2, "mjcf": float(mass)}
+        (entry,) = check.stale
+        assert entry.values == {"urdf": 0.2, "mjcf": 0.22}
+
+
+def test_known_remark_is_recognised_with_another_message(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A baseline contains codes and values; a later version may word its messages otherwise."""
+    config = folder / "pupper-analysis.toml"
+    config.write_text(re.sub("start-outside-limits = .*", "", config.read_text()))
+    change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="-0.4"/>')
+    pa.guard.check_repository(config, update_baseline=True)
+    before = {remark.message for remark in pa.guard.check_repository(config).remarks}
+    words = {"en": "put otherwise", "zh": "换了说法"}
+    monkeypatch.setattr(
+        diagnostic, "entry", lambda code: replace(catalogue.entry(code), templates=words)
+    )
+    check = pa.guard.check_repository(config)
+    assert not before & {remark.message for remark in check.remarks}
+    assert all(remark.known for remark in check.remarks)
 
 
 def test_known_remark_is_recognised_despite_rounding(folder: Path) -> None:
@@ -437,3 +488,44 @@ def test_a_change_is_an_error_if_the_new_version_falls_or_diverges(
     """A message that the simulation is unchanged does not count."""
     message: Any = SimpleNamespace(code=code, values=values)
     assert _get_change_severity((message,)) is severity
+
+
+NAMES = st.text(st.characters(codec="utf-8"), max_size=12)
+ENTRIES = st.lists(
+    st.builds(
+        BaselineEntry,
+        st.tuples(NAMES, NAMES, NAMES, NAMES, NAMES),
+        st.dictionaries(
+            st.sampled_from(["urdf", "mjcf", "code"]),
+            st.floats(allow_nan=False) | NAMES | st.lists(st.floats(allow_nan=False), max_size=3),
+        ),
+    ),
+    max_size=6,
+)
+
+
+@pytest.mark.slow
+@settings(max_examples=30)
+@given(entries=ENTRIES)
+def test_baseline_is_read_as_it_was_written(
+    entries: list[BaselineEntry], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Names and texts contain any characters, also ends of lines and comment signs."""
+
+    def listed(entries: Iterable[BaselineEntry]) -> list[str]:
+        return sorted(str((entry.identity, dict(entry.values))) for entry in entries)
+
+    path = tmp_path_factory.getbasetemp() / "known.txt"
+    path.unlink(missing_ok=True)
+    write_baseline(path, read_baseline(path), entries)
+    back = read_baseline(path)
+    assert listed(back.entries) == listed(entries)
+    write_baseline(path, back, reversed(back.entries))
+    assert read_baseline(path).entries == back.entries
+
+
+def test_baseline_values_have_no_digits_of_rounding() -> None:
+    assert to_plain(np.float64(0.1 + 0.2)) == 0.3
+    assert to_plain(np.array([1.0, 1e-17, -0.0])) == [1.0, 0.0, 0.0]
+    assert to_plain((np.int64(3), "x", None, -0.0)) == [3, "x", None, 0.0]
+    assert to_plain({"rest": np.array([1 / 3])}) == {"rest": [0.333333333]}

@@ -8,6 +8,7 @@ import csv
 import os
 import pickle
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -177,3 +178,19 @@ def test_the_config_is_found_in_a_folder_above(
 def test_missing_configuration_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(os.fspath(tmp_path))):
         find_config(tmp_path)
+
+
+@pytest.mark.slow
+def test_line_of_each_key_is_that_of_its_statement() -> None:
+    """Reference: the text of pyproject.toml, a long file with nested tables and arrays."""
+    text = (ROOT / "pyproject.toml").read_text()
+    lines = text.split("\n")
+    for name in tomllib.loads(text)["project"]:
+        line = config.find_key_line(text, ("project", name))
+        assert line is not None
+        assert lines[line - 1].startswith((name, f"[project.{name}"))
+    line = config.find_key_line(text, ("tool", "mypy", "overrides", 0, "module"))
+    assert line is not None
+    assert lines[line - 1].startswith("module = ")
+    for key in (("tool", "nothing"), ("project", "dependencies", 99), ("project", 0)):
+        assert config.find_key_line(text, key) is None

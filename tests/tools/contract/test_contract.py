@@ -101,6 +101,23 @@ def test_invalid_motor_numbers_are_ignored_with_a_note(
     assert "contract-motors-unread" in notes
 
 
+def test_names_are_matched_without_a_common_prefix_and_by_a_mapping(
+    sources: dict[str, Path],
+) -> None:
+    """Reference: the twelve joints; names without relation to them need a mapping."""
+    path = sources["config.yaml"]
+    text = path.read_text()
+    path.write_text(text.replace("leg_", "robot_leg_"))
+    assert contract(sources["gym_cfg.py"], path).findings == ()
+    other = [f"motor{number}" for number in range(12)]
+    path.write_text(text.replace(format_list(JOINTS), format_list(other)))
+    with pytest.raises(ModelError, match="joint"):
+        contract(path)
+    names = dict(zip(other, JOINTS, strict=True))
+    found = read_contract(URDF, path, names=names, stand=False)
+    assert len([fact for fact in found.facts if fact.quantity == "kp"]) == 12
+
+
 def test_number_of_network_actions_is_compared_with_other_sources(
     sources: dict[str, Path],
 ) -> None:

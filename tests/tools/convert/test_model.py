@@ -4,6 +4,7 @@ stands.
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from xml.etree import ElementTree
@@ -339,6 +340,28 @@ def test_invalid_command_line_is_refused_in_one_line(
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "quad.urdf", "robot.urdf", "robot.xml",
     ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_command_states_the_file_the_agreement_and_the_stand(tmp_path: Path) -> None:
+    """References: MuJoCo's ``dof_armature`` of the written file, and the message of a second run
+    without --force."""
+    write_standing_urdf(tmp_path)
+    feet = [word for leg in ("FL", "FR", "RL", "RR") for word in ("--foot", f"{leg}_calf")]
+    done = answer(
+        *("convert", "quad.urdf", "-o", "quad.xml", "--armature", "*_knee=0.01"),
+        *("--json", "out.json", *feet),
+        folder=tmp_path,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "quad.xml" in done.stdout
+    assert "STANDS for 12 s in MuJoCo" in done.stdout
+    assert json.loads((tmp_path / "out.json").read_text())["passed"]
+    model = compile_file(tmp_path / "quad.xml")
+    assert model.dof_armature.tolist() == [0.0] * 6 + [0, 0, 0.01] * 4
+    again = answer("convert", "quad.urdf", "-o", "quad.xml", folder=tmp_path)
+    assert again.returncode == 2
+    assert again.stderr.startswith("error: cannot write quad.xml: it exists; add --force")
 
 
 # ------------------ What a converted robot's base does: free or fixed, from `qpos0`, and on a slope

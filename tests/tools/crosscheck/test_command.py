@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
 from tests.support.commands import Answer, answer, run_command
-from tests.support.robots import quadruped, write_parts
+from tests.support.robots import change_part, mjcf_text, quadruped, write_parts
 
 
 def run(folder: Path, *arguments: str) -> Answer:
@@ -17,10 +18,14 @@ def run(folder: Path, *arguments: str) -> Answer:
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a folder with a URDF, an equal MJCF, and a text that is no model."""
+    """Write a folder with a URDF, an equal MJCF, an MJCF with a heavier base, and a text that is no
+    model.
+    """
     folder = tmp_path_factory.mktemp("models")
     robot = quadruped()
     write_parts(folder, robot, robot)
+    heavier = mjcf_text(change_part(robot, "base", mass=7.5))
+    (folder / "heavier.xml").write_text(heavier)
     (folder / "folder").mkdir()
     (folder / "text.urdf").write_text("a robot\n")
     return folder
@@ -38,6 +43,23 @@ def test_guessed_name_is_an_error_with_strict(models: Path, tmp_path: Path) -> N
     assert strict.returncode == 1
     assert ": joint knee2: it is called lh_kfe in the URDF, knee2 in the" in strict.stdout
     assert run(tmp_path, *pair, "--strict", "--map", "lh_kfe=knee2").returncode == 0
+
+
+def test_equal_models_agree_with_exit_status_0(models: Path) -> None:
+    result = run(models, "robot.urdf", "robot.xml")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout.startswith("AGREE robot.urdf and robot.xml: ")
+
+
+def test_findings_are_failed_cases_of_junit(models: Path) -> None:
+    """References: the counts of the suite, and the element with the other mass."""
+    result = run(models, "robot.urdf", "heavier.xml", "--format", "junit")
+    assert result.returncode == 1
+    root = ElementTree.fromstring(result.stdout.encode())
+    failures = list(root.iter("failure"))
+    assert int(root.get("tests", "0")) == len(list(root.iter("testcase")))
+    assert int(root.get("failures", "0")) == len(failures) >= 1
+    assert any("6 kg in the URDF, 7.5 kg" in (one.get("message") or "") for one in failures)
 
 
 BAD: dict[str, tuple[list[str], str]] = {

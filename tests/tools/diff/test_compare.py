@@ -379,6 +379,7 @@ def test_file_with_the_name_of_a_revision_is_read_as_a_file(repository: Path) ->
 
 
 REFUSED = {
+    "a folder": ("HEAD:./", "HEAD:robots: it is a folder"),
     "no such path": ("HEAD:./none.urdf", "git does not have it: path 'robots/none.urdf' does not"),
     "no such revision": ("v9:./robot.urdf", "git does not have it: "),
     "an option": ("--output=x:robot.urdf", "No such option"),
@@ -517,3 +518,25 @@ def test_text_is_refused_by_functions_that_write_files_in_place() -> None:
     with pytest.raises(pa.ConfigurationError, match="urdf: ") as error:
         pa.sync_models(load("v3").pin_model, ROOT / "mjcf" / "pupper_v3.xml")  # type: ignore[arg-type]
     assert "\n" not in str(error.value)
+
+
+def test_equal_versions_have_no_change(tmp_path: Path) -> None:
+    write_both(tmp_path, urdf_text(ROBOT), urdf_text(ROBOT), "urdf")
+    result = run(tmp_path, "old.urdf", "new.urdf")
+    assert result.returncode == 0
+    assert result.stdout.startswith("SAME old.urdf and new.urdf: no change\n")
+
+
+def test_tolerance_of_diff_is_used_and_options_are_checked(tmp_path: Path) -> None:
+    """A mass that differs by 1e-4 relative is no change with a tolerance of 1e-3."""
+    new = change_part(ROBOT, "base", mass=6.0006)
+    write_both(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
+    assert run(tmp_path, "old.urdf", "new.urdf").returncode == 1
+    assert run(tmp_path, "old.urdf", "new.urdf", "--tolerance", "mass=1e-3").returncode == 0
+    for option, message in (
+        (("--tolerance", "mas=1"), "no kind 'mas'"),
+        (("--package", "x=nowhere"), "is not a folder"),
+    ):
+        result = run(tmp_path, "old.urdf", "new.urdf", *option)
+        assert result.returncode == cli.EXIT_BAD_INPUT
+        assert message in result.stderr
