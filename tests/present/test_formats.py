@@ -67,6 +67,27 @@ def test_workflow_command_is_read_back_with_any_characters(title: str, message: 
         assert read == escape_controls(message)
 
 
+def test_separators_and_line_ends_of_a_workflow_command_are_escaped() -> None:
+    line = write_github([Annotation("notice", "a: b, c %\nd", "5 %: a, b\r\n100 %25", None)])
+    assert line == "::notice title=a%3A b%2C c %25%0Ad::5 %25: a, b%0D%0A100 %2525"
+
+
+@pytest.mark.parametrize(
+    ("place", "parameters"),
+    [
+        (None, "title=t"),
+        ("", "title=t"),
+        ("robot.urdf", "file=robot.urdf,title=t"),
+        ("C:/models/robot.urdf", "file=C%3A/models/robot.urdf,title=t"),
+        ("C:/models/robot.urdf:7", "file=C%3A/models/robot.urdf,line=7,title=t"),
+        ("a,b.urdf:7", "file=a%2Cb.urdf,line=7,title=t"),
+        ("50%.urdf:7", "file=50%25.urdf,line=7,title=t"),
+    ],
+)
+def test_place_of_an_annotation_is_file_and_line(place: str | None, parameters: str) -> None:
+    assert write_github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
+
+
 def test_junit_cases_fail_unless_notice_or_in_the_baseline() -> None:
     found = [
         Annotation("error", "mass", "5 % < 4 & more", "go1.urdf:7", rule="mass"),

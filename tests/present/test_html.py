@@ -43,6 +43,7 @@ from pupper_analysis.present.html.write import serialise_scene
 from pupper_analysis.present.scene import collect_visible_shapes, describe_scene
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.arm import arm
+from tests.support.commands import answer
 from tests.support.html_page import Page, read_text
 from tests.support.repository import ROOT
 from tests.support.stubs import problem
@@ -576,3 +577,58 @@ def test_bar_plot_is_one_sided_if_negative_values_are_rounding() -> None:
         return sum(mark.get("class") == "limit" for mark in drawn.marks)
 
     assert (limits(0.0), limits(-1e-17), limits(-0.01)) == (1, 1, 2)
+
+
+def test_report_is_written_to_standard_output() -> None:
+    found = answer("audit", str(ROOT / "urdf" / "pupper_v3.urdf"), "--report", "-")
+    assert Page(found.stdout).root.find(".//h1") is not None
+    assert "OK" in found.stderr
+
+
+def test_names_of_half_a_letter_and_of_a_template_are_shown_as_text() -> None:
+    """No encoding has the letter U+D800; the template engine would evaluate ``{{ 7 * 7 }}``."""
+    notes = problem("half \ud800 letter"), problem("{{ 7 * 7 }}")
+    shown = Page(write_page(replace(audit(), notes=notes, file="bad\udcff.urdf"))).shown()
+    assert "half \\ud800 letter" in shown
+    assert "{{ 7 * 7 }}" in shown
+
+
+def test_audit_with_warnings_is_not_marked_as_passed() -> None:
+    counts = {"error": 0, "warning": 2, "note": 0}
+    text = Page(write_page(replace(audit(), passed=True, counts=counts))).shown()
+    assert "! WARNINGS" in text
+    assert "✓" not in text
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "expected"),
+    [
+        (-1e-9, "+.3f", "+0.000"),
+        (None, ".1f", "-"),
+        (0.1234, ".1%", "12.3%"),
+        (float("inf"), "g", "inf"),
+    ],
+)
+def test_number_is_written_in_its_form(value: float | None, form: str, expected: str) -> None:
+    assert document.number_cell(value, form).text == expected
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_polygon_of_points_in_a_line_is_the_line(count: int) -> None:
+    points = np.array([[0.25, 0.5, 0.0], [0.5, 0.75, 0.01], [0.75, 1.0, 0.02]])[:count]
+    corners = scene.compute_polygon_corners(points)
+    assert corners[0] == pytest.approx(points[0])
+    assert corners[-1] == pytest.approx(points[-1])
+    assert len(corners) == min(count, 2)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0, 10, [0, 2, 4, 6, 8, 10]),
+        (-3, 3, [-2, 0, 2]),
+        (0.11, 0.13, [0.11, 0.115, 0.12, 0.125, 0.13]),
+    ],
+)
+def test_ticks_are_round_numbers(low: float, high: float, expected: list[float]) -> None:
+    assert plots.round_ticks(low, high) == pytest.approx(expected)

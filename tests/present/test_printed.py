@@ -55,6 +55,12 @@ def test_comparison_row_fields_come_from_the_analysis() -> None:
     assert {key: found[key] for key in numbers} == pytest.approx(numbers)
 
 
+def test_leg_with_one_joint_has_no_thigh_length() -> None:
+    stub = Stub(**{**vars(ANALYSIS), "thigh_length": None})
+    text = " ".join(print_words(comparison.analysis_document(stub)))
+    assert "thigh -, calf 112.2 mm" in text
+
+
 def test_stance_document_states_why_a_stance_fails() -> None:
     failing = stance(
         passed=False,

@@ -16,10 +16,12 @@ from pupper_analysis.present.document import (
     Number,
     Table,
     diagnostic_text,
+    text,
 )
-from pupper_analysis.present.terminal import SafeConsole, print_document
+from pupper_analysis.present.terminal import MAX_SHORT_NOTES, SafeConsole, print_document
 from tests.support.commands import run_command
 from tests.support.printing import printed
+from tests.support.repository import ROOT
 from tests.support.stubs import problem
 
 
@@ -121,3 +123,60 @@ def test_stand_fits_80_columns_and_confirms_its_files(
     tables = [line for line in lines if re.search("─|^(leg_|[FR][RL] )", line)]
     assert sum(line.startswith("leg_") for line in tables) >= 12
     assert max(map(len, tables)) <= 80
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+@pytest.mark.parametrize(("columns", "rows"), [(4, 12), (9, 3), (17, 3)])
+def test_each_cell_is_printed_once_at_any_width(columns: int, rows: int, width: int) -> None:
+    made = table(columns, rows)
+    lines = print_lines(made, width=width)
+    assert max(map(len, lines)) <= width
+    for row in made.rows:
+        for cell in row[1:]:
+            assert sum(f" {cell.text}" in line for line in lines) == 1  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("count", [1, MAX_SHORT_NOTES, MAX_SHORT_NOTES + 1, 30])
+def test_short_view_has_at_most_eight_notes(count: int) -> None:
+    notes = tuple(diagnostic_text(problem(f"note {index}")) for index in range(count))
+    document = Document(Name(""), Name("robot"), (), notes=notes)
+    lines = printed(document, everything=False).splitlines()[1:]
+    assert len(lines) == min(count, MAX_SHORT_NOTES)
+    if count > MAX_SHORT_NOTES:
+        assert lines[-1] == f"… and {count - MAX_SHORT_NOTES + 1} more notes: -v"
+    assert printed(document).count("note: note") == count
+
+
+def test_sentences_in_a_table_are_wrapped_and_names_are_not() -> None:
+    sentence, name = "it falls over " * 12, "left_shoulder_pitch_joint_of_the_robot"
+    row = (Name(name), diagnostic_text(problem(sentence.strip())), Number("1.5", 1.5))
+    columns = (Column(Name("joint")), Column(Name("why"), left=True), Column(Name("load"), "N"))
+    lines = print_lines(Table(Name("t"), columns, (row,)))
+    assert max(map(len, lines)) <= 80
+    assert any(name in line for line in lines)
+    assert " ".join(lines).count("falls") == 12
+
+
+def test_failing_verdict_is_bold_and_red() -> None:
+    file = io.StringIO()
+    out = SafeConsole(file=file, width=80, force_terminal=True, color_system="standard")
+    failed = Document(Name(""), Name("r"), (), passed=False, verdict=text("FAILS"))
+    print_document(out, failed)
+    assert "\x1b[1;31mFAILS" in file.getvalue()
+
+
+def test_short_view_names_the_tables_that_it_omits() -> None:
+    short = print_lines(table(3), table(4, detail=True), everything=False)
+    assert short[-1] == "with -v: Numbers"
+    assert sum("Numbers" in line for line in short) == 2
+    assert sum("Numbers" in line for line in print_lines(table(3), table(4, detail=True))) == 2
+
+
+def test_files_are_not_confirmed_if_data_goes_to_standard_output(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    file = str(ROOT / "urdf" / "pupper_v3.urdf")
+    _, out, err = run_command(capfd, "audit", file, "--json", "-")
+    assert out.startswith("{")
+    assert err.startswith("OK")
+    assert "written" not in out + err

@@ -10,7 +10,7 @@ import pytest
 
 from pupper_analysis.base.diagnostics import LANGUAGES, phrase
 from pupper_analysis.base.diagnostics.catalogue import LINE_ENTRY_FILES, list_entries
-from pupper_analysis.present.document import Name, text, word
+from pupper_analysis.present.document import Name, join_words, text, word
 from pupper_analysis.tools.study.measures import METRICS
 from tests.base.diagnostics.test_diagnostic import (
     HAN,
@@ -81,3 +81,30 @@ def test_text_raises_for_an_unknown_key() -> None:
 def test_text_keys_are_lower_case_with_hyphens() -> None:
     """Keys differ from the English text, so that a corrected text keeps its translation."""
     assert [key for key in TEXTS if not re.fullmatch("[a-z0-9]+(-[a-z0-9]+)*", key)] == []
+
+
+def test_values_of_a_text_are_in_its_language() -> None:
+    message = text("force-axis", axis=text("roll"))
+    assert (message.en, message.zh) == ("force roll", "力 横滚")
+    listed = join_words([text("mass"), Name("com {x}")])
+    assert (listed.en, listed.zh) == ("mass, com {x}", "质量、com {x}")
+
+
+@pytest.mark.slow
+def test_each_text_of_the_code_exists_and_gets_its_values() -> None:
+    """Calls of ``text`` with a literal key, or with one of two."""
+    count = 0
+    for module, node in made_calls():
+        if getattr(node.func, "id", "") != "text" or not node.args:
+            continue
+        given = {one.arg for one in node.keywords}
+        choices = [node.args[0]]
+        while choices:
+            one = choices.pop()
+            if isinstance(one, ast.IfExp):
+                choices += [one.body, one.orelse]
+            elif isinstance(one, ast.Constant) and isinstance(one.value, str):
+                count += 1
+                needed = list_template_names(phrase(one.value, "en"))
+                assert None in given or needed <= given, f"{module}:{node.lineno}"
+    assert count > 300

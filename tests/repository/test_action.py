@@ -265,3 +265,46 @@ def test_hook_file_is_complete() -> None:
         wanted = path.suffix in (".urdf", ".xml", ".toml")
         assert bool(re.search(hook["files"], path.name)) is wanted
     assert re.search(hook["files"], "models/robot.mjcf")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mass", ["0.22", "0.3"])
+def test_pre_commit_runs_the_hook(installed: Path, mass: str) -> None:
+    """The hook passes on the sample, and fails if the MJCF has another mass [kg]."""
+    rewritten = (installed / "hopper.xml").read_text().replace("0.22", mass)
+    (installed / "hopper.xml").write_text(rewritten)
+    local = {**HOOKS["pupper-analysis-check"], "language": "system"}
+    config = {"repos": [{"repo": "local", "hooks": [local]}]}
+    (installed / ".pre-commit-config.yaml").write_text(yaml.safe_dump(config))
+    programs = installed.parent / "temp" / "pupper-analysis" / "bin"
+    given = {
+        **environment(installed),
+        "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
+        "PRE_COMMIT_HOME": str(installed.parent / "cache"),
+        "GIT_CONFIG_GLOBAL": os.devnull,
+    }
+    for command in (["git", "init", "--quiet"], ["git", "add", "."]):
+        subprocess.run(command, cwd=installed, env=given, check=True)
+    result = subprocess.run(
+        [sys.executable, "-m", "pre_commit", "run", "--all-files"],
+        cwd=installed,
+        env=given,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    passes = mass == "0.22"
+    assert result.returncode == (0 if passes else 1), result.stdout + result.stderr
+    assert ("Passed" if passes else "Failed") in result.stdout
+    assert ("0.3 kg in the MJCF" in result.stdout) is not passes
+
+
+def test_sample_uses_the_action_and_the_hook() -> None:
+    workflow = read(SAMPLE / ".github" / "workflows" / "models.yml")
+    steps = workflow["jobs"]["check"]["steps"]
+    assert [re.sub("@.*", "", one["uses"]) for one in steps] == [
+        "actions/checkout",
+        "OWNER/pupper_analysis",
+    ]
+    (repository,) = read(SAMPLE / ".pre-commit-config.yaml")["repos"]
+    assert [hook["id"] for hook in repository["hooks"]] == list(HOOKS)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.present.formats import write_junit
+from pupper_analysis.present.formats import write_github, write_junit
 from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.crosscheck.document import (
@@ -115,3 +115,24 @@ def test_springs_of_the_mjcf_alone_are_printed_with_their_effect(tmp_path: Path)
     assert "   likewise on 1 more: hip" in out
     assert "explained: 100 % of the deviation" in out
     assert "engines differ" not in out
+
+
+def test_each_difference_has_an_annotation_and_equal_files_have_none(tmp_path: Path) -> None:
+    """Reference: a mass, and the damping of eight joints."""
+    mjcf = change_part(all_changed(quadruped(), damping=0.3), "base", mass=7.5)
+    comparison = compare_files(write_parts(tmp_path, quadruped(), mjcf))
+    found = list(make_comparison_annotations(comparison))
+    assert len(found) == len(comparison.differences) == 9
+    assert found[0].message.startswith(comparison.differences[0].message)
+    line = write_github(found).splitlines()[0]
+    assert line.endswith(" [mass-differs]")
+    equal = compare_files(write_parts(tmp_path, quadruped(), quadruped()))
+    assert list(make_comparison_annotations(equal)) == []
+
+
+def test_joint_of_one_file_alone_is_the_printed_cause(tmp_path: Path) -> None:
+    still = change_part(quadruped(), "shank3", kind="fixed")
+    comparison = compare_files(write_parts(tmp_path, still, quadruped()))
+    text = printed(comparison)
+    assert text.startswith("DISAGREE robot.urdf and robot.xml: they do not have the same joints\n")
+    assert f"only in {comparison.mjcf}, fixed at zero to compare the rest: knee3" in text
