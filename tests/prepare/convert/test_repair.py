@@ -13,7 +13,13 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.repair import find_nearest_moments, is_valid_inertia
 from pupper_analysis.tools.convert import model as conversion
-from tests.support.conversions import compare_dynamics, compile_file, convert_file
+from tests.support.conversions import (
+    compare_dynamics,
+    compile_file,
+    convert_file,
+    write_standing_urdf,
+)
+from tests.support.legged import rewrite_file
 from tests.support.robots import Part, Parts, arm, change_part, urdf_text
 
 CAMERA = (8.7e-6, 6.7e-4, 1.37e-3, 0.0, 0.0, 0.0)  # of ANYmal C's depth cameras
@@ -107,6 +113,24 @@ def test_moving_link_without_mass_gets_one_gram_on_request(tmp_path: Path) -> No
     assert [(repair.link, repair.new_mass) for repair in found.repairs] == [("claw", 1e-3)]
     assert compile_file(mjcf).body("claw").mass[0] == 1e-3
     assert {difference.element for difference in found.comparison.differences} == {"grip"}
+
+
+@pytest.mark.slow
+def test_robot_with_a_repaired_link_stands(tmp_path: Path) -> None:
+    """As for NimbRo-OP2X, whose mimic joints move links without mass."""
+    frame = (
+        '<link name="frame"/><joint name="helper" type="revolute"><parent link="trunk"/>'
+        '<child link="frame"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="9" velocity="5"/></joint></robot>'
+    )
+    path = rewrite_file(write_standing_urdf(tmp_path), ("</robot>", frame))
+    mjcf, found = convert_file(path, "quad.xml", repair_inertia=True)
+    assert [repair.link for repair in found.repairs] == ["frame"]
+    assert found.passed, found.failures
+    assert found.verification is not None
+    with pytest.raises(pa.ModelError, match="'helper' moves nothing that has mass") as raised:
+        pa.load_robot(urdf=path, mjcf=mjcf)
+    assert str(path) in raised.value.source
 
 
 @pytest.mark.slow
