@@ -15,7 +15,13 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
-from pupper_analysis.stance.branches import Branch, Limb, combine_branches, find_branches
+from pupper_analysis.stance.branches import (
+    Branch,
+    Limb,
+    combine_branches,
+    find_branches,
+    find_limbs,
+)
 from tests.support.engines import evaluate_mujoco
 from tests.support.variants import load
 
@@ -161,3 +167,41 @@ def test_best_combinations_of_many_limbs_need_little_memory() -> None:
         changed = combination - combinations[0]
         assert np.flatnonzero(changed).tolist() == [number]
         assert changed[number] == pytest.approx(step)
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_each_leg_is_a_limb(name: str) -> None:
+    robot = load(name)
+    found = find_limbs(robot)
+    assert [limb.feet for limb in found] == [(foot,) for foot in robot.contact_points]
+    assert sorted(np.concatenate([limb.joints for limb in found])) == list(range(12))
+
+
+def test_combinations_start_with_reachable_and_near_branches() -> None:
+    """By hand: a branch with a foot error is after all branches without; near ones are first."""
+    first, second, *others = find_limbs(load("v3"))
+    found = {
+        first: (Branch(np.full(3, 1.0), 0.0), Branch(np.full(3, 0.1), 0.0)),
+        second: (Branch(np.full(3, 0.2), 0.0), Branch(np.full(3, 0.0), 0.01)),
+        **{limb: (Branch(np.zeros(3), 0.0),) for limb in others},
+    }
+    chosen = list(combine_branches(found, np.zeros(12)))
+    pairs = [(row[first.joints[0]], row[second.joints[0]]) for row in chosen]
+    assert pairs == [(0.1, 0.2), (1.0, 0.2), (0.1, 0.0), (1.0, 0.0)]
+    assert len({row.tobytes() for row in chosen}) == 4
+
+
+@pytest.mark.parametrize("name", ["original", "long-leg"])
+@pytest.mark.parametrize("up", [0.02, 0.05, 0.08])
+def test_straight_legs_bend_all_in_one_direction(name: str, up: float) -> None:
+    """Both directions are equally near; rounding must not select one for each leg."""
+    robot = load(name)
+    straight = np.zeros(robot.nu)
+    qpos = robot.make_qpos(straight)
+    feet = pa.Configuration(robot, qpos).foot_positions()
+    goals = {foot: place + np.array((0.0, 0.0, up)) for foot, place in feet.items()}
+    ends = np.full(robot.nu, -3.0), np.full(robot.nu, 3.0)
+    found = find_branches(robot, qpos, goals, *ends)
+    knees = next(iter(combine_branches(found, straight)))[2::3]
+    assert abs(knees[0]) > 0.5
+    assert knees == pytest.approx(np.full(4, knees[0]), abs=1e-6)

@@ -14,6 +14,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.terrain import build_on_ground, find_touched_surface
 from pupper_analysis.stance.clearance import ClearanceShapes
+from pupper_analysis.stance.judge import is_base_in_ground
+from pupper_analysis.stance.problem import make_goal
 from tests.support.engines import evaluate_mujoco
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
@@ -255,3 +257,71 @@ def test_sunk_foot_lowers_the_ground_for_its_calf() -> None:
     assert rigid.links[0].endswith("_calf")
     assert rigid.distance == pytest.approx(-0.002)
     assert soft.distance == pytest.approx(0.007)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_limit_of_the_self_clearance_is_the_distance_of_the_nominal_stand(name: str) -> None:
+    """Reference: distance of the closest links, which other postures of the feet do not exceed."""
+    robot = load(name)
+    near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
+    assert near is not None
+    stand = pa.solve_stand(robot, pa.StandTask(self_clearance=near.distance - 1e-4))
+    assert stand.foot_error < 1e-9
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, pa.StandTask(self_clearance=near.distance + 1e-3))
+    assert list(caught.value.possible) == ["self_clearance"]
+    least = caught.value.limits["self_clearance"]["self_clearance"]
+    assert 0.99 * near.distance < least <= near.distance + 1e-9
+
+
+def test_posture_with_a_larger_distance_of_the_links_is_found() -> None:
+    """Turned by 30 deg, one branch of the legs of v3 keeps all links 15.1 mm apart."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(yaw=np.radians(30), self_clearance=0.014))
+    assert stand.self_clearance is not None
+    assert stand.self_clearance.distance >= 0.014 - 1e-6
+
+
+@pytest.mark.slow
+def test_feet_at_one_place_are_refused_if_links_must_be_apart() -> None:
+    """Both left feet are moved to one place; the nearest stance keeps the distance."""
+    robot, x = load("v3"), 0.075
+    offsets = {"FL": (-x, 0.0), "RL": (x, 0.0)}
+    pa.solve_stand(robot, pa.StandTask(foot_offsets=offsets, com="inside"))
+    task = pa.StandTask(foot_offsets=offsets, com="inside", self_clearance=0.004)
+    with pytest.raises(pa.StanceUnreachableError, match="mm in leg_") as caught:
+        pa.solve_stand(robot, task)
+    nearest = caught.value.nearest
+    assert nearest is not None
+    assert nearest.self_clearance.distance > nearest.task.self_clearance - 1e-6
+    assert "foot_offsets" in caught.value.possible
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_base_in_the_ground_is_detected_from_the_task(name: str) -> None:
+    """Reference: height of the base geoms in MuJoCo; orientation and height are those of the
+    task, whatever the legs do."""
+    robot, seen = load(name), set()
+    base = robot.mj_model.body(robot.mj_base).id
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        task = pa.StandTask(
+            height=robot.stand_height * random.uniform(0.4, 1.0),
+            pitch=random.uniform(-0.8, 0.8),
+            roll=random.uniform(-0.4, 0.4),
+            ground_clearance=float(random.choice([0.0, 0.03])),
+            com="inside",
+        )
+        qpos, _ = random_state(robot, seed)
+        goal = make_goal(robot, task, {})
+        qpos[2], qpos[3:7] = goal.height, goal.base_quaternion
+        data = evaluate_mujoco(robot, qpos)
+        up, zero = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+        height = min(
+            compute_lowest_height(robot.mj_model, data, geom, up, zero)
+            for geom in shapes_of(robot, base)
+        )
+        found = is_base_in_ground(ClearanceShapes(robot), goal)
+        assert found == (height < task.ground_clearance)
+        seen.add(found)
+    assert seen == {True, False}

@@ -211,3 +211,13 @@ def test_distance_to_a_signed_distance_field_is_refused(robot: pa.Robot) -> None
 
     with pytest.raises(pa.ModelError, match="is a sdf, for which no distance can be computed"):
         pa.solve_stand(change_model(robot, as_field))
+
+
+def test_shapes_without_contacts_have_no_clearance(tmp_path: Path) -> None:
+    """MuJoCo lets the trunk penetrate the ground if no bits of both shapes match."""
+    pair = write_meshed(tmp_path)
+    text = pair.mjcf.read_text()
+    for bits, seen in (('contype="0" conaffinity="0"', False), ('contype="1"', True)):
+        pair.mjcf.write_text(text.replace('mesh="shell" pos', f'mesh="shell" {bits} pos'))
+        robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+        assert any(shape.link == "trunk" for shape in robot.shapes) == seen

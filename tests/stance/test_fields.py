@@ -163,3 +163,47 @@ def test_task_text_has_fixed_order_and_units() -> None:
         "*elbow* at 0.5236 rad or m"
     )
     assert task.describe("zh").startswith("高度 120.0 mm，横滚 1.5°，")
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
+def test_task_is_restored_from_json_and_from_changed_values_alone(field: Field) -> None:
+    task = task_with(field)
+    assert pa.StandTask.from_dict(json.loads(to_json(task))) == task
+    alone = {
+        name: value
+        for name, value in task.values().items()
+        if value != FIELDS[name].default_value and name != "contacts"
+    }
+    if field.name != "contacts":
+        assert pa.StandTask.from_dict(alone) == task
+    with pytest.raises(pa.ConfigurationError, match="a stance has height, "):
+        pa.StandTask.from_dict({f"{field.name}s_": 0.1})
+
+
+@pytest.mark.parametrize("field", OPTION_FIELDS.values(), ids=OPTION_FIELDS)
+def test_example_of_each_option_is_a_valid_value(field: Field) -> None:
+    context = cli.find_command("stand").make_context(
+        "stand", ["v3", f"--{field.option}", field.example.strip("'")]
+    )
+    task = make_task({name: context.params[name] for name in OPTION_FIELDS})
+    assert task.values()[field.name] != pa.StandTask().values()[field.name]
+
+
+def test_examples_of_options_are_in_mm_or_degrees() -> None:
+    units = {"m": ("mm", "cm"), "rad": ("deg",)}
+    for option in cli.find_command("stand").params:
+        if option.name in OPTION_FIELDS:
+            text, unit = getattr(option, "help", "") or "", FIELDS[option.name].unit
+            assert "(m)" not in text, option.name
+            assert "(rad" not in text, option.name
+            if unit in units:
+                example = text.partition("e.g. ")[2]
+                assert any(one in example for one in units[unit]), option.name
+
+
+def test_text_of_a_task_states_a_requested_position_of_the_com() -> None:
+    assert "com" not in str(pa.StandTask(com="centre", com_margin=0.01))
+    for margin in (0.0, 0.01):
+        said = f"com in the support polygon (margin >= {1e3 * margin:.0f} mm)"
+        assert said in str(pa.StandTask(com="inside", com_margin=margin))
+    assert "com at (10, 20) mm" in str(pa.StandTask(com=(0.01, 0.02)))

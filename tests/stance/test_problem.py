@@ -38,3 +38,40 @@ def test_goal_place_is_that_of_the_com_or_of_the_base() -> None:
     base = make_goal(robot, pa.StandTask(offset=(0.01, 0.02)), {})
     assert base.by_base
     np.testing.assert_allclose(base.place - centre, (0.01, 0.02))
+
+
+def test_joint_margin_narrows_the_limits() -> None:
+    robot = load("v3")
+    goal = make_goal(robot, pa.StandTask(joint_margin=0.1), {})
+    np.testing.assert_allclose(goal.lower, robot.lower_limits + 0.1)
+    np.testing.assert_allclose(goal.upper, robot.upper_limits - 0.1)
+    with pytest.raises(pa.ConfigurationError, match="leaves no range for leg_"):
+        make_goal(robot, pa.StandTask(joint_margin=2.0), {})
+    with pytest.raises(pa.ConfigurationError, match="com_margin"):
+        make_goal(robot, pa.StandTask(com_margin=0.2), {})
+
+
+def test_three_feet_on_one_line_are_refused_as_support() -> None:
+    """The front foot is between the rear feet; 4 mm ahead of the line it forms a triangle."""
+    robot = load("original")
+    places = make_goal(robot, pa.StandTask(), {}).targets
+    middle = (places["RL"] + places["RR"]) / 2 - places["FR"]
+
+    def corners(ahead: float) -> np.ndarray:
+        offsets = {"FR": (float(middle[0]) + ahead, float(middle[1]))}
+        task = pa.StandTask(swing={"FL": 0.02}, foot_offsets=offsets)
+        return np.array(make_goal(robot, task, {}).corners)
+
+    with pytest.raises(pa.ConfigurationError, match="along a single line"):
+        corners(0.0)
+    assert np.ptp(corners(0.004)[:, 0]) == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(
+    "task", [pa.StandTask(), pa.StandTask(height=0.11), pa.StandTask(offset=(0.01, 0.0))]
+)
+def test_task_of_a_goal_is_complete_and_valid(task: pa.StandTask) -> None:
+    """Height and position of the CoM are those of the robot if the task does not state them."""
+    filled = make_goal(load("v3"), task, {}).task
+    assert filled == pa.StandTask(**vars(filled))
+    assert None not in (filled.height, filled.com)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,3 +112,45 @@ def test_joint_limits_that_change_between_calls_are_obeyed() -> None:
     robot.pin_model.upperPositionLimit[index] = upper
     again = pa.solve_stands(robot, [pa.StandTask()])[0]
     np.testing.assert_allclose(again.qpos, stand.qpos, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_stand_sequence_equals_single_calls_in_fewer_iterations(name: str) -> None:
+    robot = load(name)
+    tasks = wave(robot, 20)
+    found, singles = pa.solve_stands(robot, tasks), [pa.solve_stand(robot, one) for one in tasks]
+    for one, other in zip(found, singles, strict=True):
+        assert_same(one, other)
+    assert sum(s.iterations for s in found) < 0.8 * sum(s.iterations for s in singles)
+
+
+def test_stands_of_tasks_in_random_order_equal_single_calls() -> None:
+    """A stand that is far from the previous one does not depend on it."""
+    robot = load("v3")
+    tasks = wave(robot, 8, 1.5)
+    foot = next(iter(robot.contact_points))
+    tasks += [replace(tasks[2], swing={foot: 0.02}, com="inside", com_margin=0.004)]
+    tasks += [replace(tasks[5], offset=(0.004, -0.006), foot_offsets={})]
+    tasks += [replace(tasks[7], self_clearance=0.001)]
+    shuffled = [tasks[number] for number in np.random.default_rng(0).permutation(len(tasks))]
+    for task, one in zip(shuffled, pa.solve_stands(robot, shuffled), strict=True):
+        assert_same(one, pa.solve_stand(robot, task))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"ik_seed": (0.1, 0.8, -0.9, -0.1, -0.8, 0.9) * 2},
+        {"com": "inside", "com_margin": 0.004},
+        {"self_clearance": 0.001},
+    ],
+    ids=str,
+)
+def test_stand_that_depends_on_its_start_is_that_of_a_single_call(change: dict[str, Any]) -> None:
+    """Equal to the last bit, with the same number of iterations."""
+    robot = load("v3")
+    tasks = [replace(task, **change) for task in wave(robot, 4)]
+    for task, one in zip(tasks, pa.solve_stands(robot, tasks), strict=True):
+        expected = pa.solve_stand(robot, task)
+        np.testing.assert_array_equal(one.qpos, expected.qpos)
+        assert one.iterations == expected.iterations

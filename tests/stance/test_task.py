@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -46,3 +47,31 @@ def test_unknown_keyword_of_a_task_raises_type_error() -> None:
 def test_a_ground_refuses_slopes_out_of_range(slope: object) -> None:
     with pytest.raises(pa.ConfigurationError, match="slope"):
         pa.Ground(slope=slope)  # type: ignore[arg-type]
+
+
+@given(st.floats(0.0, 1.2), st.floats(-math.pi, math.pi), st.floats(-1, 1), st.floats(-1, 1))
+def test_centre_of_a_sphere_is_a_radius_above_the_plane_or_step(
+    slope: float, uphill: float, x: float, y: float
+) -> None:
+    """The plane contains the origin; the step is 0.05 m above the plane, along z."""
+    ground = pa.Ground(slope, uphill, {"FL": 0.05})
+    normal = ground.normal()
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    for foot, step in (("FR", 0.0), ("FL", 0.05 * math.cos(slope))):
+        centre = ground.centre(foot, (x, y), 0.02)
+        assert normal @ centre == pytest.approx(0.02 + step, abs=1e-12)
+        np.testing.assert_array_equal(centre[:2], (x, y))
+
+
+def test_ground_is_level_without_slope_and_steps() -> None:
+    assert pa.Ground().is_level
+    assert pa.Ground(uphill=1.0, heights={"FL": 0.0}).is_level
+    assert not pa.Ground(slope=0.1).is_level
+    assert not pa.Ground(heights={"FL": 0.01}).is_level
+
+
+def test_offset_is_refused_beside_a_position_of_the_com() -> None:
+    assert pa.StandTask(offset=(0.01, 0.0), com="centre").com == "centre"
+    for com in ("inside", (0.0, 0.0)):
+        with pytest.raises(pa.ConfigurationError, match="not both"):
+            pa.StandTask(offset=(0.01, 0.0), com=com)
