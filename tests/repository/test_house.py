@@ -58,6 +58,7 @@ def test_tools_import_each_other_rarely_and_without_cycles() -> None:
     graphlib.TopologicalSorter(graph).prepare()
 
 
+@pytest.mark.slow
 def test_commands_are_defined_in_the_command_modules_of_tools_only() -> None:
     """Reference: the decorator `shared.command` in the source code, and the discovered tools."""
     found = {
