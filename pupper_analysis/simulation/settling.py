@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
@@ -51,8 +52,8 @@ MAX_STAND_ROTATION = 0.1
 stand. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
-"""Value of `_rest_ratio` (largest ratio of height deviation, height drift and foot displacement to
-their bounds) up to which the settling simulation ends early. The growing modes then decide whether
+"""Largest ratio of height deviation, height drift and foot displacement to their bounds up to which
+the settling simulation ends early. The growing modes then decide whether
 the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
@@ -95,6 +96,11 @@ this ratio over 2 s has a time constant of 24 s; within the thirds of the longes
 (7 s) its ratio is 0.907, with which `measure_response` does not count the motion as decayed
 (limit 0.9)."""
 
+_DISPLACEMENT_RATE_FACTOR = 2.0
+"""Safety factor on the rate at which a displaced foot has returned toward its target in the last
+second, in the bound of its displacement at the end of the settling simulation. Chosen, not
+tuned."""
+
 
 def comes_to_rest(
     robot: Robot,
@@ -109,7 +115,8 @@ def comes_to_rest(
     The settling simulation lasts at most as long as in ``verify_stand``, but ends once the robot is
     at rest or has left the stand. Then a nudge must decay, and no mode may grow within
     ``HOLD_DURATION`` (12 s). Both simulations also end if the robot shakes without decay for
-    ``_SHAKING_SECONDS``; the robot does not come to rest then.
+    ``_SHAKING_SECONDS``, the first also if the robot rests with a foot too far from its target
+    (`_stays_displaced`); the result is then False.
 
     Args:
         robot: The robot.
@@ -222,7 +229,8 @@ def _simulate_until_rest(
 ) -> Array | None:
     """Simulate a stand until it rests; return the states of the last second, else None.
 
-    The speeds are added to ``shaking``. The simulation also ends if shaking is sustained.
+    The speeds are added to ``shaking``. The simulation also ends if shaking is sustained, or if the
+    base rests and a foot is too far from its target (`_stays_displaced`).
     """
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
@@ -231,8 +239,9 @@ def _simulate_until_rest(
         mujoco.MjData(model),
         deque[tuple[Array, Array]](maxlen=round(MEASURING_TIME / _CHECK_INTERVAL)),
     )
-    last_second, ratio = None, math.inf
-    for _ in range(round((1 - NUDGED_FRACTION) * HOLD_DURATION / _CHECK_INTERVAL)):
+    last_second, ratio, displacement_ratios = None, math.inf, list[float]()
+    num_intervals = round((1 - NUDGED_FRACTION) * HOLD_DURATION / _CHECK_INTERVAL)
+    for number in range(num_intervals):
         states = simulate_commands(model, state, ctrl)
         state = states[-1]
         if monitor.has_diverged(states, timestep):
@@ -246,32 +255,46 @@ def _simulate_until_rest(
             return None
         if len(intervals) == intervals.maxlen:
             last_second = np.concatenate([states for states, _ in intervals])
-            ratio = _rest_ratio(
-                held,
-                last_second,
-                np.mean([displacements for _, displacements in intervals], axis=0),
-            )
+            height_ratio = _height_ratio(held, last_second)
+            displacements = np.mean([displacements for _, displacements in intervals], axis=0)
+            displacement_ratios.append(_max_horizontal_norm(displacements) / MAX_FOOT_DISPLACEMENT)
+            ratio = max(height_ratio, displacement_ratios[-1])
             if ratio <= _RESTING_RATIO:
                 return last_second
+            remaining = (num_intervals - 1 - number) * _CHECK_INTERVAL
+            if height_ratio <= _RESTING_RATIO and _stays_displaced(displacement_ratios, remaining):
+                return None
     return last_second if ratio <= 1.0 else None
 
 
-def _rest_ratio(held: StandStart, states: Array, displacements: Array) -> float:
-    """Return the largest of three ratios to a bound: height deviation, drift, foot displacement.
+def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
+    """Return True if a foot will be too far from its target at the end of the simulation.
+
+    The displacement is bounded from below: it decreases at most ``_DISPLACEMENT_RATE_FACTOR`` times
+    as fast as in the last second. False if less than a second is known.
+
+    Args:
+        ratios: Largest foot displacement relative to ``MAX_FOOT_DISPLACEMENT``, once per
+            ``_CHECK_INTERVAL``.
+        remaining: Remaining simulated time [s].
+    """
+    if len(ratios) <= _INTERVALS_PER_SECOND:
+        return False
+    rate = max(ratios[-1 - _INTERVALS_PER_SECOND] - ratios[-1], 0.0)  # 1/s
+    return ratios[-1] - _DISPLACEMENT_RATE_FACTOR * rate * remaining > 1.0
+
+
+def _height_ratio(held: StandStart, states: Array) -> float:
+    """Return the larger ratio to a bound: deviation or drift of the base height.
 
     Args:
         held: Start of the simulation.
-        states: States over which deviation and drift of the base height are computed.
-        displacements: Mean displacement of each foot, shape (feet, 3) [m].
+        states: States over which deviation and drift are computed.
     """
     heights = monitor.base_heights(held.robot, states)
     duration = float(held.drive.model.opt.timestep) * (len(states) - 1)
     drift = abs(float(heights[-1] - heights[0])) / duration
-    return max(
-        float(heights.std()) / MAX_HEIGHT_DEVIATION,
-        drift / SETTLED_DRIFT,
-        _max_horizontal_norm(displacements) / MAX_FOOT_DISPLACEMENT,
-    )
+    return max(float(heights.std()) / MAX_HEIGHT_DEVIATION, drift / SETTLED_DRIFT)
 
 
 def _max_horizontal_norm(displacements: Array) -> float:

@@ -126,25 +126,47 @@ def test_mode_of_one_difference_step_is_refuted_by_the_nudge(
     assert len(confirmed) == simulated
 
 
-def test_motion_ratio_is_the_largest_share_of_its_three_bounds(
+def test_height_ratio_is_the_larger_share_of_its_two_bounds(
     standing: tuple[pa.Robot, Stand],
 ) -> None:
-    """Reference: synthetic states with a known height deviation, drift and horizontal foot
-    displacement, each relative to its bound."""
+    """Reference: synthetic states with a known height deviation and drift."""
     held = make_stand_start(*standing)
     duration = 499 * held.drive.model.opt.timestep
     height = 1 + int(held.robot.mj_convention.qpos_index[2])
-    for wave, drift, slip, expected in (
-        (0.0, 0.0, 0.0, 0.0),
-        (2 * settling.MAX_HEIGHT_DEVIATION, 0.0, 0.0, 2.0),
-        (0.0, -3e-4 / duration, 0.0, 3e-4 / duration / settling.SETTLED_DRIFT),
-        (0.0, 0.0, 3 * settling.MAX_FOOT_DISPLACEMENT, 3.0),
+    for wave, drift, expected in (
+        (0.0, 0.0, 0.0),
+        (2 * settling.MAX_HEIGHT_DEVIATION, 0.0, 2.0),
+        (0.0, -3e-4 / duration, 3e-4 / duration / settling.SETTLED_DRIFT),
     ):
-        states, ways = np.tile(held.start, (500, 1)), np.zeros((4, 3))
+        states = np.tile(held.start, (500, 1))
         states[:, height] += wave * np.tile([1, -1, -1, 1], 125)
         states[:, height] += drift * np.linspace(0.0, duration, 500)
-        ways[2, 1], ways[1, 2] = slip, 1.0  # down is no way over the ground
-        assert settling._rest_ratio(held, states, ways) == pytest.approx(expected, abs=1e-9)
+        assert settling._height_ratio(held, states) == pytest.approx(expected, abs=1e-9)
+
+
+def test_norm_of_foot_displacements_is_horizontal() -> None:
+    """Reference: the largest displacement by hand; a foot that sinks by 1 m does not count."""
+    displacements = np.zeros((4, 3))
+    displacements[2, 1], displacements[1, 2] = 0.015, 1.0
+    assert settling._max_horizontal_norm(displacements) == pytest.approx(0.015)
+
+
+@pytest.mark.parametrize(
+    ("ratios", "remaining", "displaced"),
+    [
+        ([1.27] * 5, 2.0, True),
+        ([1.27] * 4, 2.0, False),  # less than a second is known
+        ([1.0] * 5, 2.0, False),  # at the bound
+        ([1.4, 1.38, 1.36, 1.34, 1.31], 2.0, False),  # 1.31 - 2 * 0.09 * 2 = 0.95
+        ([1.4, 1.38, 1.36, 1.34, 1.33], 2.0, True),  # 1.33 - 2 * 0.07 * 2 = 1.05
+        ([1.2, 1.3, 1.4, 1.5, 1.6], 2.0, True),  # moves away
+    ],
+)
+def test_foot_stays_displaced_if_its_return_is_too_slow(
+    ratios: list[float], remaining: float, displaced: bool
+) -> None:
+    """Reference: the bound by hand, twice the rate of the last second for the remaining time."""
+    assert settling._stays_displaced(ratios, remaining) == displaced
 
 
 def _make_oscillation(
@@ -210,3 +232,25 @@ def test_settling_ends_early_if_the_robot_shakes_without_decay(
     monkeypatch.setattr(settling, "simulate_commands", shake)
     assert not comes_to_rest(robot, stand)
     assert sum(simulated) == pytest.approx(3.0)
+
+
+def test_settling_ends_early_if_the_robot_rests_with_displaced_feet(
+    standing: tuple[pa.Robot, Stand], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: 2 s, after which the displacement of a second is known, instead of 5 s."""
+    robot, stand = standing
+    step, simulated = float(robot.mj_model.opt.timestep), []
+
+    def shift(model: Any, start: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
+        """Return a stand at rest, shifted by 1.4 times the bound along x from the first call on."""
+        states = np.tile(start, (len(ctrl), 1))
+        states[:, 0] += step * np.arange(1, len(ctrl) + 1)
+        if not simulated:
+            column = 1 + robot.mj_convention.qpos_index[0]
+            states[:, column] += 1.4 * settling.MAX_FOOT_DISPLACEMENT
+        simulated.append(len(ctrl) * step)
+        return states
+
+    monkeypatch.setattr(settling, "simulate_commands", shift)
+    assert not comes_to_rest(robot, stand)
+    assert sum(simulated) == pytest.approx(2.0)
