@@ -105,3 +105,8 @@ def test_contract_guard_imports_no_placo() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert done.stdout.strip() == "False"
+
+
+def test_agreeing_sources_pass(folder: Path) -> None:
+    done = run(folder)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -250,3 +250,16 @@ def test_a_light_welded_base_does_not_shake(tmp_path: Path) -> None:
     task = pa.StandTask(height=1.0, contacts={"base": pa.Weld()})
     stand = pa.stance.solve_stand_as_simulated(robot, task)
     assert pa.verify_stand(robot, stand, duration=4.0).passed
+
+
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        ({"elbow": 3.0}, "171.9 deg, outside"),
+        ({"knee": 0.0}, "shoulder"),
+        ({"elbow": np.nan}, "finite"),
+    ],
+)
+def test_invalid_posture_is_refused(joints: dict[str, float], said: str) -> None:
+    with pytest.raises((pa.ConfigurationError, pa.UnknownNameError), match=said):
+        find_posture(arm(), joints)

@@ -13,7 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.tools.path.dynamics import inverse_dynamics, joint_resistance, rolling_levers
-from tests.support.engines import velocity_map, velocity_map_rate
+from tests.support.engines import integrate, velocity_map, velocity_map_rate
 from tests.support.variants import NAMES, load, stand_of
 
 Array = np.ndarray
@@ -217,3 +217,35 @@ def test_spinning_foot_has_only_torsional_friction() -> None:
         spin, roll = robot.contacts[foot].friction[2:4]
         assert roll > 0
         np.testing.assert_allclose(lever, (0.0, 0.0, -spin), atol=1e-2 * spin)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_inverse_dynamics_at_rest_equals_the_gravity_compensation(name: str) -> None:
+    robot, stand = load(name), stand_of(name)
+    config = pa.Configuration(robot, stand.qpos)
+    found = inverse_dynamics(config, np.zeros(robot.nv))
+    still = pa.gravity_compensation(
+        config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
+    np.testing.assert_allclose(found.joint_torques, still.joint_torques, atol=1e-12)
+    assert found.zmp_margin == pytest.approx(still.com_margin, abs=1e-12)
+    np.testing.assert_allclose(found.zero_moment_point[:2], still.center_of_mass[:2], atol=1e-12)
+
+
+def test_accelerations_are_derivatives_of_velocities() -> None:
+    """Reference: central differences along a motion with constant acceleration."""
+    robot, stand, step = load("v3"), stand_of("v3"), 1e-5
+    qvel, qacc = motion("v3", 3)
+
+    def at(time: float) -> pa.Configuration:
+        qpos = integrate(robot, stand.qpos, qvel + time / 2 * qacc, time)
+        return pa.Configuration(robot, qpos, qvel + time * qacc)
+
+    now, before, after = at(0.0), at(-step), at(step)
+    for foot, found in now.foot_accelerations(qacc).items():
+        frame = robot.contact_frames[foot]
+        rates = [one.frame_jacobian(frame) @ one.qvel for one in (before, after)]
+        np.testing.assert_allclose(found, (rates[1] - rates[0]) / (2 * step), atol=1e-8)
+    rates = [one.com_jacobian() @ one.qvel for one in (before, after)]
+    found = now.com_acceleration(qacc)
+    np.testing.assert_allclose(found, (rates[1] - rates[0]) / (2 * step), atol=1e-8)

@@ -318,3 +318,40 @@ def test_paths_keep_the_margin_of_the_com() -> None:
     stances = [Task(com=(x, 0.0), com_margin=margin) for x, margin in ((0.0, 0.0), (0.03, 0.04))]
     path = pa.stance.stance_path(robot, stances, 2.0, rate=10.0)
     assert path.com_margin[-1] >= 0.04 - 1e-9
+
+
+def test_feet_of_a_squat_roll_by_radius_times_angle() -> None:
+    robot, path = load("original"), path_of("original", "squat")
+    top, low = (pa.Configuration(robot, path.qpos[i]) for i in (0, (len(path.time) - 1) // 2))
+    for foot, frame in robot.contact_frames.items():
+        turn = pin.log3(low.frame_rotation(frame) @ top.frame_rotation(frame).T)
+        rolled = low.foot_positions()[foot] - top.foot_positions()[foot]
+        assert abs(turn[1]) > 0.05
+        assert rolled[0] == pytest.approx(robot.contact_radius[foot] * turn[1], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_velocity_and_acceleration_at_a_stance_vanish_with_the_step() -> None:
+    """Differences of joint positions: the velocity shrinks as step^2, the acceleration as step."""
+    rates = []
+    for rate in (30.0, 60.0):
+        path = stance_path(load("v3"), stances("v3", "squat"), 2.0, rate=rate)
+        joints, step, at = path.joint_positions(), path.time[1], len(path.time) // 2
+        ahead, further = joints[at + 1] - joints[at], joints[at + 2] - joints[at]
+        rates.append((np.abs(ahead).max() / step, np.abs(further - 2 * ahead).max() / step**2))
+    assert rates[1][0] == pytest.approx(rates[0][0] / 4, rel=0.15)
+    assert rates[1][1] == pytest.approx(rates[0][1] / 2, rel=0.15)
+
+
+@pytest.mark.slow
+def test_inertial_torques_grow_with_the_square_of_the_speed() -> None:
+    """Without damping and dry friction; at rest the torques are those of gravity."""
+    robot, torques = load("original"), []
+    for seconds in (1e4, 1.0, 0.5):
+        path = stance_path(robot, stances("original", "squat"), seconds, rate=32 / seconds)
+        motion = zip(path.qvel, path.qacc, strict=True)
+        resistance = np.array([joint_resistance(robot, *row)[6:] for row in motion])
+        torques.append(path.torques - resistance)
+    slow, fast = np.abs(torques[1] - torques[0]).max(), np.abs(torques[2] - torques[0]).max()
+    assert fast > 0.05
+    assert fast == pytest.approx(4 * slow, rel=1e-3)

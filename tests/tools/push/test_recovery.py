@@ -391,3 +391,39 @@ def test_pushes_are_deterministic() -> None:
     options = {"directions": 3, "duration": 3.0, "resolution": 0.5}
     one, two = (push_recovery(load("v3"), stand_of("v3"), **options) for _ in range(2))  # type: ignore[arg-type]
     assert one.to_json() == two.to_json()
+
+
+def test_stand_without_a_push_does_not_move() -> None:
+    trial = pa.simulation.simulate_push(load("v3"), stand_of("v3"), 0.0, duration=2.0)
+    assert trial.recovered
+    assert np.ptp(trial.motion, axis=0).max() < 2e-3
+
+
+@pytest.mark.parametrize("feedforward", [True, False])
+def test_push_result_states_gains_and_settings(*, feedforward: bool) -> None:
+    trial = pa.simulation.simulate_push(
+        load("v3"), stand_of("v3"), 0.1, duration=2.0, kp=8.0, kd=0.3, feedforward=feedforward,
+        integrator="implicitfast",
+    )  # fmt: skip
+    assert trial.feedforward is feedforward
+    assert trial.integrator == "implicitfast"
+    assert (trial.timestep, trial.duration, trial.pulse) == (0.002, 2.0, 0.02)
+    np.testing.assert_array_equal(trial.kp, np.full(12, 8.0))
+    np.testing.assert_array_equal(trial.kd, np.full(12, 0.3))
+
+
+@pytest.mark.slow
+def test_single_push_at_the_limit_recovers_and_a_larger_push_fails() -> None:
+    """Reference: limits of `push_recovery` with a resolution of 0.1 N s."""
+    robot, stand = load("original"), stand_of("original")
+    found = pa.push_recovery(robot, stand, directions=3, duration=2.0, resolution=0.1)
+    for direction, impulse in zip(found.directions, found.impulses, strict=True):
+        good, bad = (
+            pa.simulation.simulate_push(robot, stand, size, float(direction), duration=2.0)
+            for size in (float(impulse), float(impulse) + 0.1)
+        )
+        assert good.recovered
+        assert good.failure is None
+        assert not bad.recovered
+        assert bad.failure
+        assert good.velocity_step == pytest.approx(good.impulse / robot.total_mass)

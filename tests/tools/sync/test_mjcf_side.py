@@ -28,3 +28,22 @@ def test_mass_is_changed_in_the_child_body_that_has_the_mass(tmp_path: Path) -> 
     model = mujoco.MjModel.from_xml_path(str(files.mjcf))
     assert model.body("core").mass[0] == pytest.approx(1.25)
     assert model.body("thigh1").mass[0] == 0
+
+
+MOTORS = {
+    "control": '<motor joint="hip1" gear="3" ctrllimited="true" ctrlrange="-5 5"/>',
+    "force": '<motor joint="hip1" gear="3" forcelimited="true" forcerange="-5 5"/>',
+    "gain": '<general joint="hip1" gear="-2" gainprm="1.5" ctrllimited="true" ctrlrange="-5 5"/>',
+}
+
+
+@pytest.mark.parametrize("kind", MOTORS)
+def test_effort_of_the_urdf_is_written_before_the_gear(tmp_path: Path, kind: str) -> None:
+    """All three permit 15 N m at the joint; 21 N m of the URDF need 7 in place of 5."""
+    robot = quadruped()
+    text, count = re.subn('<motor [^>]*joint="hip1"[^>]*/>', MOTORS[kind], mjcf_text(robot))
+    assert count == 1
+    files = write(tmp_path, urdf_text(robot), text)
+    result = pa.sync_models(files.urdf, files.mjcf, take="urdf")
+    assert result.agree
+    assert [edit.new for edit in result.edits] == ["-7 7"]

@@ -190,3 +190,11 @@ def test_missing_library_is_named_by_its_extra(
     monkeypatch.setitem(sys.modules, "pxr", None)
     with pytest.raises(MissingPackageError, match=r"pupper-analysis\[usd\]"):
         read_usd(usd.write(tmp_path))
+
+
+def test_changed_file_is_read_again(tmp_path: Path) -> None:
+    """USD keeps open layers in memory."""
+    first = read_usd(usd.write(tmp_path))
+    second = read_usd(usd.write(tmp_path, ('def Xform "rod"', 'def Xform "stick"')))
+    assert "stick" in second.bodies
+    assert "rod" in first.bodies

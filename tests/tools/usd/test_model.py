@@ -148,3 +148,53 @@ def test_usd_that_no_engine_accepts_is_refused(
     with pytest.raises(ModelError, match=r"leg\.usda:</leg/") as refused:
         model(usd.write(tmp_path, change))
     assert refused.value.diagnostic.values["problem"].code == code
+
+
+def test_fixed_joint_to_the_world_fixes_the_base(tmp_path: Path) -> None:
+    """At a height of 70 cm; y is up in the file, z in the model."""
+    held = """def PhysicsFixedJoint "root"
+        {
+            rel physics:body1 = </leg/base>
+            point3f physics:localPos0 = (0, 70, 0)
+            quatf physics:localRot0 = (0.70710677, -0.70710677, 0, 0)
+        }
+
+        def PhysicsFixedJoint "ankle\""""
+    mine = model(usd.write(tmp_path, ('def PhysicsFixedJoint "ankle"', held)))
+    assert not mine.floating
+    np.testing.assert_allclose(mine.mount.position, (0, 0, 0.7), atol=1e-9)
+    np.testing.assert_allclose(mine.mount.rotation, np.eye(3), atol=1e-9)
+    assert not mine.loops
+
+
+def test_hinge_at_the_world_is_the_first_joint_of_its_tree(tmp_path: Path) -> None:
+    mine = model(
+        usd.write(
+            tmp_path,
+            ("rel physics:body0 = </leg/base>", "rel physics:body0 = </leg>"),
+            ("localPos0 = (10, 20, 0)", "localPos0 = (1, 2, 3)"),
+        )
+    )
+    assert mine.base == "thigh"
+    assert not mine.floating
+    (hip,) = mine.links["thigh"].joints
+    assert (hip.kind, hip.parent, hip.upper) == ("hinge", "world", pytest.approx(math.pi / 3))
+    assert np.allclose(mine.mount.position, (0.01, -0.03, 0.02))  # y up: z is -y
+    assert [joint.kind for joint in mine.links["base"].joints] == ["free"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("float physics:mass = 500", 'string physics:mass = "heavy"'),
+        ("double mjc:damping = 1000000", "double[] mjc:damping = [1, 2]"),
+        ('uniform token physics:axis = "X"', 'uniform token physics:axis = "W"'),
+        ("localPos0 = (10, 20, 0)", "localPos0 = (inf, 20, 0)"),
+    ],
+    ids=str,
+)
+def test_value_of_another_type_is_refused_at_its_prim(
+    change: tuple[str, str], tmp_path: Path
+) -> None:
+    with pytest.raises(ModelError, match=r"leg\.usda:</leg/.*physics|leg\.usda:</leg/.*mjc"):
+        model(usd.write(tmp_path, change))

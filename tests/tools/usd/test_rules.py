@@ -73,3 +73,10 @@ def test_the_command_shows_the_prim(tmp_path: Path) -> None:
     annotated = answer("audit", str(path), "--format", "github").stdout
     assert f"file={path}" in annotated
     assert "line=" not in annotated
+
+
+def test_sound_usd_file_has_no_finding_of_usd_rules(tmp_path: Path) -> None:
+    audit = audit_model(usd.write(tmp_path))
+    assert audit.format == "usd"
+    assert audit.passed
+    assert not {found.rule for found in audit.findings} & set(SLIPS)

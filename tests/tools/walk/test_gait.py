@@ -216,3 +216,34 @@ def test_stance_torques_equal_the_energy_gradient(tmp_path: Path) -> None:
             torque.append((rise[0] - rise[1]) / 2e-6)
         assert moment.static == pytest.approx(torque, abs=5e-3)
     assert pairs > 10
+
+
+def test_states_of_a_run_do_not_depend_on_the_workers(still: Policy) -> None:
+    """To the last bit; runs with different seeds start in different states."""
+    stage = prepare_stage(load("v3"), still)
+    cases = [stage.make_case(np.zeros(3), seed) for seed in range(5)]
+    one = list(simulate_cases(stage, cases, 0.4, 0.1, workers=1))
+    for workers in (2, 5):
+        many = list(simulate_cases(stage, cases, 0.4, 0.1, workers=workers))
+        assert all((a.states == b.states).all() for a, b in zip(one, many, strict=True))
+    alone = list(simulate_cases(stage, cases[3:4], 0.4, 0.1))
+    assert (alone[0].states == one[3].states).all()
+    assert (one[1].states[0] != one[2].states[0]).any()
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"command": (math.nan, 0, 0)}, "command"),
+        ({"command": (1, 0)}, "command"),
+        ({"seeds": 0}, "seeds"),
+        ({"seconds": math.inf}, "seconds"),
+        ({"seconds": 0.1}, "seconds"),
+    ],
+    ids=str,
+)
+def test_invalid_arguments_of_a_walk_are_refused(
+    still: Policy, changed: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(PupperAnalysisError, match=text):
+        simulate_walk(load("v3"), still, **changed)
