@@ -5,7 +5,6 @@ The objects are not modified. Names of files and line numbers are unknown; a not
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -185,19 +184,35 @@ def _read_object(
 def _read_spec(path: Path, spec: mujoco.MjSpec, name: str) -> MjcfFile:
     """Return the model file of a spec.
 
-    MuJoCo cannot write the XML of a spec to which a model with other compiler settings is attached.
-    Such a spec is read from its compiled model, with a note.
+    MuJoCo cannot write the XML of a spec to which a model with other compiler settings is attached,
+    and does not state the folder of the files of an attached model. Such a spec is read from its
+    compiled model, with a note.
     """
-    note = _make_memory_note(name)
-    with silence_mujoco():
-        try:
+    note, file = _make_memory_note(name), None
+    problem: Exception | None = None
+    try:
+        with silence_mujoco():
             to_xml(spec)
-        except (ValueError, RuntimeError, mujoco.FatalError) as unwritten:
-            with contextlib.suppress(ValueError, RuntimeError):
-                model = spec.copy().compile()
-                notes = (note, diagnose("spec-read-compiled", message=one_line(unwritten)))
-                return mjcf_of_spec(path, make_spec_of_model(model, name), notes)
-    return mjcf_of_spec(path, spec, (note,))
+        file = mjcf_of_spec(path, spec, (note,))
+        if all(found.code != "files-missing" for found in file.notes):
+            return file
+    except (ValueError, RuntimeError, mujoco.FatalError) as unwritten:
+        problem = unwritten
+    except ModelError as error:
+        if error.cause.code != "mass-of-missing-mesh":
+            raise
+        problem = error
+    try:
+        with silence_mujoco():
+            decompiled = make_spec_of_model(spec.copy().compile(), name)
+    except (ValueError, RuntimeError, ModelError):  # files are missing, or the spec is not valid
+        if file is not None:
+            return file
+        if isinstance(problem, ModelError):
+            raise problem from None
+        return mjcf_of_spec(path, spec, (note,))
+    reason = "" if file or isinstance(problem, ModelError) else one_line(problem)
+    return mjcf_of_spec(path, decompiled, (note, diagnose("spec-read-compiled", message=reason)))
 
 
 def _make_memory_note(name: str) -> Diagnostic:

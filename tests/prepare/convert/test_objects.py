@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 import yourdfpy
 
 import pupper_analysis as pa
@@ -261,6 +262,32 @@ def test_spec_with_other_compiler_settings_attached_is_read_from_its_model() -> 
     broken.joints[1].range = (2.0, 1.0)
     with pytest.raises(pa.ModelError, match="range"):
         pa.load_robot(broken)
+
+
+@pytest.mark.parametrize("mass", ['mass="0.4"', 'density="400"'])
+def test_meshes_of_a_robot_that_is_attached_to_a_scene_are_read(mass: str, tmp_path: Path) -> None:
+    """A scene, as of mjlab: MuJoCo knows the folder of the attached meshes, its API does not state
+    it. Reference: MuJoCo's mass, and size of its mesh [m].
+    """
+    (tmp_path / "parts").mkdir()
+    trimesh.creation.box((0.1, 0.2, 0.05)).export(tmp_path / "parts" / "box.stl")
+    robot_file = tmp_path / "robot.xml"
+    robot_file.write_text(f"""<mujoco><compiler meshdir="parts"/><asset><mesh name="box"
+        file="box.stl"/></asset><worldbody><body name="base"><geom size="0.1" mass="1"/>
+        <body name="arm"><joint name="turn" range="-90 90"/><geom type="mesh" mesh="box" {mass}/>
+        </body></body></worldbody></mujoco>""")
+    scene = mujoco.MjSpec()
+    child = mujoco.MjSpec.from_file(str(robot_file))
+    scene.attach(child, prefix="robot/", frame=scene.worldbody.add_frame())
+    robot, model = pa.load_robot(scene, fixed_base=True), scene.copy().compile()
+    assert robot.joint_names == ("robot/turn",)
+    moving = robot.pin_model.inertias[1].mass
+    assert moving == pytest.approx(model.body("robot/arm").mass[0], rel=1e-9)
+    assert robot.mj_model.nmesh == 1
+    np.testing.assert_allclose(np.ptp(robot.mj_model.mesh_vert, axis=0).max(), 0.2, atol=1e-6)
+    (tmp_path / "parts" / "box.stl").unlink()
+    with pytest.raises(pa.ModelError, match=r"box\.stl"):
+        pa.load_robot(scene, fixed_base=True)
 
 
 def test_unset_force_range_of_an_attached_servo_is_no_motor_without_torque() -> None:
