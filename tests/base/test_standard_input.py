@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from pupper_analysis.base.inputs import STANDARD_INPUT, is_held
 from tests.support.commands import run_command
-from tests.support.robots import arm, urdf_text
+from tests.support.robots import arm, mjcf_text, quadruped, urdf_text
 
 MESH = """solid one
 facet normal 0 0 1
@@ -86,3 +87,65 @@ def test_missing_standard_input_is_refused(capfd, monkeypatch) -> None:
     status, _, err = run_command(capfd, "audit", "-")
     assert status == 2
     assert "standard input cannot be read" in err
+
+
+def write_results(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    """Return exit status and JSON of a command, without the command line and the input files."""
+    status, _, err = run_command(capfd, *arguments, "--json", "out.json", "--force")
+    assert err == ""
+    found = json.loads(Path("out.json").read_text())
+    del found["provenance"]
+    return status, json.dumps(found)
+
+
+@pytest.mark.parametrize("suffix", ["urdf", "xml"])
+def test_audit_of_standard_input_equals_that_of_the_file(capfd, given, suffix: str) -> None:
+    text = (urdf_text if suffix == "urdf" else mjcf_text)(arm()).replace('"1.0"', '"0.0001"')
+    path = Path(f"robot.{suffix}")
+    path.write_text(text)
+    of_file = write_results(capfd, "audit", str(path))
+    given(text)
+    of_input = write_results(capfd, "audit", "-")
+    assert json.loads(of_input[1])["findings"]
+    assert of_input == (of_file[0], of_file[1].replace(str(path), str(STANDARD_INPUT)))
+
+
+@pytest.mark.parametrize("suffix", ["urdf", "xml"])
+def test_crosscheck_of_standard_input_equals_that_of_the_files(capfd, given, suffix: str) -> None:
+    text = {"urdf": urdf_text(quadruped()), "xml": mjcf_text(quadruped())}
+    text["xml"] = text["xml"].replace('mass="0.5"', 'mass="0.6"', 1)
+    for name, content in text.items():
+        Path(f"robot.{name}").write_text(content)
+    names = ["robot.urdf", "robot.xml"]
+    of_files = write_results(capfd, "crosscheck", *names)
+    given(text[suffix])
+    typed = ["-" if name.endswith(suffix) else name for name in names]
+    status, of_input = write_results(capfd, "crosscheck", *typed)
+    assert status == of_files[0]
+    assert of_input == of_files[1].replace(f"robot.{suffix}", str(STANDARD_INPUT))
+
+
+def test_include_of_standard_input_is_read_from_the_current_folder(capfd, given) -> None:
+    Path("more.xml").write_text('<mujoco><option gravity="0 0 -1"/></mujoco>')
+    given(mjcf_text(arm()).replace("<worldbody>", '<include file="more.xml"/><worldbody>', 1))
+    _, said, err = run_command(capfd, "audit", "-", "-v")
+    assert err == ""
+    assert "gravity is (0, 0, -1)" in said
+    assert "more.xml" in said
+
+
+def test_file_called_standard_input_is_a_file(capfd) -> None:
+    Path("standard input").write_text(urdf_text(arm()))
+    status, _, _ = run_command(capfd, "audit", "standard input")
+    assert status in (0, 1)
+
+
+def test_conversion_of_standard_input_equals_that_of_the_file(capfd, given) -> None:
+    text = urdf_text(arm())
+    Path("robot.urdf").write_text(text)
+    run_command(capfd, "convert", "robot.urdf", "-o", "one.xml")
+    given(text)
+    status, _, err = run_command(capfd, "convert", "-", "-o", "two.xml")
+    assert status in (0, 1), err
+    expected = Path("one.xml").read_text().replace("robot.urdf", str(STANDARD_INPUT))
+    assert Path("two.xml").read_text() == expected

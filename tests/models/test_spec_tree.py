@@ -68,3 +68,59 @@ def test_coupled_joints_stay_on_their_line_in_a_simulation(angle: str, ref: floa
         mujoco.mj_step(model, data)
     assert abs(data.qpos[0] - 0.8) > 0.01
     assert data.qpos[1] == pytest.approx(0.25 - 0.5 * data.qpos[0], abs=1e-3)
+
+
+def test_spec_tree_has_the_structure_of_the_model() -> None:
+    one = tree()
+    assert tuple(one.names) == ("base", "arm", "tip")
+    assert [one.parent(name) for name in one.names] == [None, "base", "arm"]
+    assert [one.movers(name) for name in one.names] == [(), ("j",), ()]
+    assert one.fixed_group("arm") == [*one.subtree("arm")] == ["arm", "tip"]
+    assert one.moved_by("j") == "arm"
+    assert one.moved_by("k") is None
+
+
+@pytest.mark.parametrize("name", ["base", "arm"])
+def test_scaled_mass_scales_the_inertia_and_keeps_the_com(name: str) -> None:
+    """Reference: MuJoCo's compiled bodies; the base states its mass, the arm has it from geoms."""
+    before, one = tree().spec.compile(), tree()
+    one.scale_mass(name, 1.5)
+    after, body = one.spec.compile(), before.body(name).id
+    assert after.body_mass[body] == pytest.approx(1.5 * before.body_mass[body], rel=1e-12)
+    np.testing.assert_allclose(after.body_inertia[body], 1.5 * before.body_inertia[body])
+    np.testing.assert_allclose(after.body_ipos[body], before.body_ipos[body], atol=1e-12)
+    assert one.link_mass(name) == pytest.approx(1.5 * tree().link_mass(name))
+
+
+@pytest.mark.parametrize("name", ["base", "arm"])
+def test_moved_com_keeps_mass_and_inertia(name: str) -> None:
+    """Reference: MuJoCo's compiled bodies."""
+    before, one, offset = tree().spec.compile(), tree(), np.array([0.01, -0.02, 0.03])
+    one.move_com(name, offset)
+    after, body = one.spec.compile(), before.body(name).id
+    moved = after.body_ipos[body] - before.body_ipos[body]
+    np.testing.assert_allclose(moved, offset, atol=1e-12)
+    np.testing.assert_allclose(after.body_mass, before.body_mass, rtol=1e-12)
+    np.testing.assert_allclose(after.body_inertia, before.body_inertia, rtol=1e-9)
+
+
+def test_added_link_has_the_given_inertia() -> None:
+    """Reference: the tensor of the compiled body, from its principal moments and axes."""
+    tensor = np.array([[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]])
+    inertia = pin.Inertia(0.5, np.array([0.1, 0.0, 0.2]), tensor)
+    one = tree()
+    one.add_link("load", "arm", "weld", np.array([0.0, 0.5, 0.0]), inertia)
+    model = one.spec.compile()
+    body, turn = model.body("load"), np.zeros(9)
+    mujoco.mju_quat2Mat(turn, body.iquat)
+    axes = turn.reshape(3, 3)
+    np.testing.assert_allclose(axes @ np.diag(body.inertia) @ axes.T, tensor, atol=1e-9)
+    np.testing.assert_allclose(body.ipos, inertia.lever)
+    assert (body.mass[0], model.body("arm").id) == (0.5, int(body.parentid[0]))
+
+
+def test_subtree_is_removed_with_its_joints() -> None:
+    one = tree()
+    one.remove_subtree("arm")
+    assert tuple(one.names) == ("base",)
+    assert one.spec.compile().njnt == 1

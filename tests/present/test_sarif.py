@@ -5,8 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
-from pupper_analysis.present.formats import Annotation, write_sarif
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pupper_analysis.present.formats import Annotation, relative_to_checkout, write_sarif
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -110,3 +115,52 @@ def test_commands_write_sarif(tmp_path: Path) -> None:
     assert found["ruleId"] == "crosscheck/mass"
     assert found["level"] == "error"
     assert "mass 1.7 kg in the URDF, 1.506 kg in the MJCF" in found["message"]["text"]
+
+
+def test_log_without_findings_is_valid() -> None:
+    """Code scanning closes the earlier findings with it."""
+    assert checked_log(write_sarif([]))["results"] == []
+
+
+@given(name=st.text("ab#?%ä ", min_size=1, max_size=8))
+def test_file_names_are_quoted_and_restored(name: str) -> None:
+    run = checked_log(write_sarif([finding(place=f"x/{name}.urdf:3")]))
+    (one,) = run["results"]
+    uri = one["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
+    assert unquote(uri) == f"x/{name}.urdf"
+    assert not set(uri) & set("?# ")
+
+
+def test_paths_are_relative_to_the_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A link in the checkout is shown as such, whatever it points to."""
+    inside = tmp_path / "models"
+    inside.mkdir()
+    monkeypatch.delenv("GITHUB_WORKSPACE", raising=False)
+    monkeypatch.chdir(inside)
+    assert relative_to_checkout("a.urdf") == relative_to_checkout(inside / "a.urdf") == "a.urdf"
+    assert relative_to_checkout("../b.urdf") == (tmp_path / "b.urdf").as_posix()
+    monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path))
+    assert relative_to_checkout("a.urdf") == "models/a.urdf"
+    assert relative_to_checkout("../b.urdf") == "b.urdf"
+    (tmp_path / "elsewhere").mkdir()
+    (inside / "link.urdf").symlink_to(tmp_path / "elsewhere" / "a.urdf")
+    assert relative_to_checkout("link.urdf") == "models/link.urdf"
+    (tmp_path / "linked").symlink_to(inside)
+    monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path / "linked"))
+    assert relative_to_checkout(inside / "a.urdf") == "a.urdf"
+
+
+def test_file_outside_the_checkout_has_an_absolute_uri(tmp_path: Path) -> None:
+    run = checked_log(write_sarif([finding(place=f"{tmp_path / 'a b.urdf'}:3")]))
+    uri = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
+    assert uri == (tmp_path / "a b.urdf").as_uri()
+
+
+def test_links_in_messages_are_escaped() -> None:
+    """SARIF 2.1.0, 3.11.6: a viewer would show "[click](address)" as a link."""
+    name = r"[click](javascript:alert(1)) a\b"
+    log = checked_log(write_sarif([finding(message=f"joint {name}")]))
+    text = log["results"][0]["message"]["text"]
+    assert text == r"joint \[click\](javascript:alert(1)) a\\b"

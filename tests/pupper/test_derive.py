@@ -16,8 +16,10 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.pupper import derive as urdf
+from pupper_analysis.pupper.variant_files import describe_variant
 from tests.support.bodies import BODIES, Body, assert_same_bodies, mujoco_bodies, pinocchio_bodies
 from tests.support.engines import evaluate_mujoco
+from tests.support.repository import ROOT
 from tests.support.variants import load
 
 leg_scales = st.floats(0.3, 3.0)
@@ -274,3 +276,106 @@ def test_scaled_home_has_the_foot_height_of_the_base_model(base: str, scale: flo
         feet = pa.Configuration(robot, robot.home).foot_positions().values()
         heights.append(min(foot[2] for foot in feet))
     assert heights[1] == pytest.approx(heights[0], abs=1e-12)
+
+
+def test_urdf_and_mjcf_of_the_variants_have_the_same_bodies(robot: pa.Robot) -> None:
+    assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-12)
+
+
+@pytest.mark.parametrize("source", BODIES)
+@pytest.mark.parametrize(
+    ("base", "legs", "torso"), [("skeleton", 0.3, 5.0), ("v3", 0.3, 0.2), ("v3", 3.0, 5.0)]
+)
+def test_scaled_bodies_have_positive_second_moments(
+    source: str, base: str, legs: float, torso: float
+) -> None:
+    """The triangle inequality of the principal moments holds."""
+    for name, body in bodies_of(source, base, legs, torso).items():
+        assert body.mass > 0
+        assert np.linalg.eigvalsh(second_moments(body.inertia)).min() > 0, name
+
+
+@given(mass=st.floats(0.01, 5), size=st.floats(0.001, 0.2))
+def test_capsule_inertia_becomes_that_of_a_sphere_or_a_rod(mass: float, size: float) -> None:
+    """Closed forms: 2/5 m r^2 without a cylinder, and m l^2 / 12 across a thin rod."""
+    axis = np.array([0.0, 0.6, 0.8])
+    sphere = 0.4 * mass * size**2 * np.eye(3)
+    found = urdf.compute_capsule_inertia(mass, size, 0.0, axis)
+    np.testing.assert_allclose(found, sphere, rtol=1e-12, atol=1e-15)
+    rod = mass * size**2 / 12 * (np.eye(3) - np.outer(axis, axis))
+    thin = urdf.compute_capsule_inertia(mass, 1e-9 * size, size, axis)
+    np.testing.assert_allclose(thin, rod, atol=1e-8 * mass * size**2)
+
+
+@pytest.mark.parametrize(("radius", "length"), [(0.005, 0.3), (0.05, 0.01), (0.011, 0.11)])
+def test_capsule_inertia_equals_that_of_mujoco(radius: float, length: float) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body><freejoint/>
+        <geom type="capsule" size="{radius!r}" fromto="0 0 0 0 0 {length!r}" mass="0.3"/>
+        </body></worldbody></mujoco>"""
+    )
+    ours = urdf.compute_capsule_inertia(0.3, radius, length, np.array([0, 0, 1.0]))
+    np.testing.assert_allclose(sorted(np.diag(ours)), sorted(model.body_inertia[1]), rtol=1e-10)
+
+
+def test_meshes_are_stretched_with_their_links() -> None:
+    """v3-long-leg: thigh and calf are longer along the leg, as thick as in v3, and the foot is
+    1.5 times as far below the hip."""
+    short, long = (
+        mujoco_extent(load(name), load(name).neutral()) for name in ("v3", "v3-long-leg")
+    )
+    for body in ("base_link", "leg_front_r_1"):
+        np.testing.assert_allclose(long[body], short[body], atol=1e-7)
+    for body in ("leg_front_r_2", "leg_front_r_3"):
+        assert np.ptp(long[body][:, 2]) > 1.2 * np.ptp(short[body][:, 2])
+        np.testing.assert_allclose(long[body][:, 1], short[body][:, 1], atol=1e-7)
+    reach = [-extent["leg_front_r_3"][0, 2] for extent in (short, long)]
+    assert reach[1] / reach[0] == pytest.approx(1.5, abs=0.05)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.5, 2.0])
+def test_shapes_of_the_skeleton_are_stretched_in_both_files(scale: float) -> None:
+    """By hand: capsules of the MJCF and cylinders of the URDF with the scaled length."""
+    description = describe_variant(pa.pupper.VariantSpec("skeleton", scale))
+    model = description.mjcf.copy().compile()
+    links = {
+        link.attrib["name"]: link for link in ElementTree.fromstring(description.urdf).iter("link")
+    }
+    for part, length, radius in (("thigh", 0.08, 0.013), ("calf", 0.11, 0.011)):
+        for leg in ("FL", "FR", "RL", "RR"):
+            geom = int(model.body(f"{leg}_{part}").geomadr[0])
+            half = scale * length / 2
+            np.testing.assert_allclose(model.geom_size[geom, :2], [radius, half])
+            np.testing.assert_allclose(model.geom_pos[geom], [0, 0, -half], atol=1e-15)
+            for kind in ("visual", "collision"):
+                cylinder = links[f"{leg}_{part}"].find(f"{kind}/geometry/cylinder")
+                assert cylinder is not None
+                assert float(cylinder.attrib["length"]) == pytest.approx(scale * length)
+                assert float(cylinder.attrib["radius"]) == radius
+
+
+def test_written_variant_of_any_scale_has_all_digits(tmp_path: Path) -> None:
+    spec = pa.pupper.VariantSpec("v3", 1 / 3, np.pi, name="odd")
+    paths = pa.pupper.write_variant(spec, tmp_path)
+    feet = list(load("v3").contact_frames.values())
+    again, ours = pa.load_robot(urdf=paths[0], mjcf=paths[1], feet=feet), pa.load_variant(spec)
+    assert again.name == "odd"
+    assert_same_bodies(mujoco_bodies(ours), mujoco_bodies(again), 1e-12)
+    assert_same_bodies(pinocchio_bodies(again), mujoco_bodies(again), 1e-12)
+
+
+def test_writing_a_variant_does_not_change_the_base_files(tmp_path: Path) -> None:
+    files = [
+        path for kind in ("urdf", "mjcf") for path in (ROOT / kind).rglob("*") if path.is_file()
+    ]
+    before = {path: path.stat().st_mtime_ns for path in files}
+    for _ in range(2):  # the second time over its own files
+        pa.pupper.write_variant("v3-long-leg", tmp_path)
+    assert {path: path.stat().st_mtime_ns for path in files} == before
+
+
+def test_two_descriptions_of_a_variant_are_equal() -> None:
+    """A description that changed the base model would be scaled twice."""
+    one, two = describe_variant("v3-long-leg"), describe_variant("v3-long-leg")
+    assert one.urdf == two.urdf
+    assert one.mjcf.to_xml() == two.mjcf.to_xml()

@@ -26,11 +26,14 @@ from pupper_analysis.base.diagnostics import (
     Quantity,
     Severity,
     Source,
+    Term,
     Vector,
     codes,
     diagnose,
     entry,
     is_term,
+    merge_diagnostics,
+    term,
 )
 from pupper_analysis.base.diagnostics.catalogue import word_files
 from pupper_analysis.base.diagnostics.templates import fill_template
@@ -316,3 +319,23 @@ def test_arrays_become_tuples_and_unsupported_values_raise() -> None:
     assert diagnose("problem", problem=Path("a/b")).values["problem"] == "a/b"
     with pytest.raises(TypeError):
         diagnose("problem", problem=object())
+
+
+def test_terms_are_translated_and_unknown_terms_are_kept() -> None:
+    assert term("joint", "zh") == "关节"
+    assert term("no such term", "zh") == "no such term"
+
+
+def test_diagnostic_within_another_has_the_same_language() -> None:
+    inner = diagnose("name-unknown", kind=Term("joint"), unknown="knee", known=("hip", "foot"))
+    assert inner.text("en") == "no joint 'knee'; there are: hip, foot"
+    assert inner.text("zh") == "没有关节 'knee'；现有：hip、foot"
+    outer = diagnose("argument-not-valid", field="feet", problem=inner)
+    assert outer.text("zh") == "feet：没有关节 'knee'；现有：hip、foot"
+
+
+def test_merged_diagnostics_are_sorted_by_severity_without_repetitions() -> None:
+    near, wrong = diagnose("try-another-height"), diagnose("joint-at-limit", subject=("joint", "a"))
+    lesser = diagnose("problem", problem="less", severity=Severity.WARNING)
+    worst = diagnose("problem", problem="worst")
+    assert merge_diagnostics([near, lesser, wrong, worst, near]) == (worst, lesser, near, wrong)
