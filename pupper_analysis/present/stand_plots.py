@@ -1,20 +1,25 @@
-"""Plots of stands and of their verification, in figures of ``pyplot``."""
+"""Plots of stands, of their statics and of their verification, in figures of ``pyplot``."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present.documents.standing import height_plot
-from pupper_analysis.present.plots import create_figure, draw_result, name_kind
+from pupper_analysis.present.plots import create_figure, draw_result, make_axes, name_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.statics.equilibrium import Equilibrium
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+_ROW_HEIGHT = 0.22
+"""Height of the row of a joint in the plot of motor torques [inch]. Chosen for labels of 9 pt."""
 
 
 @draw_result.register(Stand)
@@ -47,3 +52,22 @@ def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[A
 
     height = run.base_height + run.height_loss
     return tuple(make_plots_figure([height_plot([run], height)], create=create_figure).axes)
+
+
+@draw_result.register(Equilibrium)
+def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes, ...]:
+    """Draw the motor torques [N m, N] as bars, one row per joint, and return the axes.
+
+    Beside each bar is the utilisation of the motor, if its torque limit is known.
+    """
+    axes = make_axes("Static motor torques", 1.0 + _ROW_HEIGHT * len(statics.joint_names))
+    torques = statics.joint_torques.tolist()
+    bars = axes.barh(statics.joint_names, torques, color="tab:blue")
+    shares = statics.motor_utilisation.tolist()
+    labels = ["" if math.isnan(share) else f"{100 * share:.0f} %" for share in shares]
+    axes.bar_label(bars, labels, padding=3)
+    axes.axvline(0.0, color="black", linewidth=0.8)
+    axes.margins(x=0.15)
+    axes.invert_yaxis()  # the first joint is at the top
+    axes.set_xlabel("torque (N m; slides: N), with the utilisation of the limit")
+    return (axes,)

@@ -73,6 +73,18 @@ def test_plot_of_a_verification_shows_the_height() -> None:
     assert np.ptp(drawn) > 1.0
 
 
+def test_plot_of_statics_has_a_bar_per_motor_with_its_utilisation() -> None:
+    """Reference: joint torques [N m]; utilisation as torque divided by the limit of 3 N m."""
+    robot, stand = load("v3"), stand_of("v3")
+    statics = pa.stance.stand_statics(robot, stand)
+    (axes,) = statics.plot()
+    widths = [patch.get_width() for patch in axes.patches]
+    np.testing.assert_allclose(widths, statics.joint_torques)
+    assert [label.get_text() for label in axes.get_yticklabels()] == list(robot.joint_names)
+    expected = [f"{100 * abs(torque) / 3:.0f} %" for torque in statics.joint_torques]
+    assert [text.get_text() for text in axes.texts] == expected
+
+
 def test_missing_robot_and_result_without_plot_are_refused() -> None:
     robot, stand = load("v3"), stand_of("v3")
     assert len(stand.plot()) == 2  # a solved stand references its robot
@@ -81,7 +93,7 @@ def test_missing_robot_and_result_without_plot_are_refused() -> None:
         pickle.loads(pickle.dumps(stand)).plot()
     with pytest.raises(pa.ConfigurationError):
         stand.plot(load("original"))
-    statics = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
-    with pytest.raises(pa.ConfigurationError, match="GravityCompensation has no plot"):
-        statics.plot()
+    posture = pa.solve_posture(robot, [pa.stance.CoMTask((0, 0, 0.1))], start=stand)
+    with pytest.raises(pa.ConfigurationError, match="SolvedPosture has no plot"):
+        posture.plot()
     assert not plt.get_fignums()
