@@ -187,7 +187,9 @@ def _find_base_pose(
 
     None if no joint is on the base, if a joint has the same placement in both trees (the frames are
     equal), if the joints on the base do not correspond, or if no pose decreases the deviation
-    enough. For a ``fixed`` base, exchanged axes that remove the whole deviation are also accepted.
+    enough. Also None if limbs have exchanged names, and the base body is equal without the pose
+    only: a half turn about x exchanges left and right, too. For a ``fixed`` base, exchanged axes
+    that remove the whole deviation are also accepted.
     """
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):
@@ -197,6 +199,10 @@ def _find_base_pose(
         return None  # a joint has the same placement, so the base frames are equal
     shown = _find_pose_of_joints(first, second, tolerances)
     if shown is not None:
+        has_mass = bool(first.bodies[first.base].mass and second.bodies[second.base].mass)
+        if has_mass and body == 0 and _are_names_exchanged(first, second, tolerances):
+            moved_body, _ = _base_deviation(with_base(first, shown), second, tolerances)
+            return None if moved_body > 0 else shown
         return shown
     total = body + sum(joints)
     best, best_cost = None, total
@@ -261,6 +267,19 @@ def _find_pose_of_joints(
     distance = float(np.linalg.norm(pose.translation))
     is_moved = distance > tolerances.position or angle > tolerances.rotation
     return pose if is_moved else None
+
+
+def _are_names_exchanged(
+    first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
+) -> bool:
+    """Return True if each joint on the base has the position and axis of a joint with any name."""
+    names = first.children(first.base)
+    anchors, axes = _list_anchors_and_axes(first, names)
+    other_anchors, other_axes = _list_anchors_and_axes(second, names)
+    gaps = np.linalg.norm(anchors[:, None] - other_anchors, axis=2)
+    angles = np.linalg.norm(axes[:, None] - other_axes, axis=2)
+    agrees = (gaps <= tolerances.position) & (angles <= tolerances.axis)
+    return bool(agrees.any(axis=0).all() and agrees.any(axis=1).all())
 
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3

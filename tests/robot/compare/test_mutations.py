@@ -485,3 +485,19 @@ def test_joint_that_is_fixed_in_one_file_is_reported(tmp_path: Path) -> None:
     assert comparison.only_mjcf == ("RL_KFE",)
     assert not comparison.differences  # with the knee fixed in both, they agree
     assert comparison.complete
+
+
+def test_exchanged_limbs_are_no_half_turn_of_the_base(tmp_path: Path) -> None:
+    """v3's hips are symmetric: a half turn about x brings them into place as well, but not the
+    base's CoM [m] and inertia. With the names exchanged all differences are gone.
+    """
+    urdf, mjcf = sources("v3")
+    for end in ("front", "back"):
+        for joint in (1, 2, 3):
+            left, right = (f'"leg_{end}_{side}_{joint}"' for side in "lr")
+            urdf = urdf.replace(left, "@").replace(right, left).replace("@", right)
+    comparison = compare_texts(tmp_path, urdf, mjcf, configurations=2)
+    assert "base frame" not in {difference.kind for difference in comparison.differences}
+    (cause,) = comparison.causes
+    assert (cause.kind, len(cause.differences)) == ("exchanged", len(comparison.differences))
+    assert "leg_back_l_1 and leg_back_r_1, leg_front_l_1 and leg_front_r_1" in cause.message
