@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import orjson
 import pytest
+from click.testing import CliRunner
 
 import pupper_analysis as pa
-from tests.support.repository import ROOT
+from tests.support.repository import ROOT, benchmark
 from tests.support.variants import load, stand_of
 
 sys.path.append(str(ROOT / "benchmarks"))  # where its modules find each other
@@ -200,3 +201,38 @@ def test_foot_of_the_grid_search_is_where_pinocchio_has_it() -> None:
     config = pa.Configuration(robot, robot.make_qpos(joints))
     place = config.foot_positions()["FL"] - config.joint_position("FL_HFE")
     np.testing.assert_allclose(place[[0, 2]], (x, z - height), atol=1e-12)
+
+
+def test_robots_with_unchanged_files_are_not_run_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The row of a removed robot is made again; a robot with another file as well."""
+    robots = benchmark("robots")
+    made = []
+
+    def make_row(name: str, files: object, shown: str, digest: str) -> tuple[str, ...]:
+        made.append(name)
+        return (name, shown, *[""] * (len(robots.COLUMNS) - 3), digest)
+
+    files = {name: tmp_path / f"{name}.urdf" for name in ("a1", "go2")}
+    for name, file in files.items():
+        file.write_text(name)
+    table = tmp_path / "robots.csv"
+    table.write_text(",".join(robots.COLUMNS) + "\n")
+    monkeypatch.setattr(robots, "make_row", make_row)
+    monkeypatch.setattr(robots, "list_robots", lambda _: [(n, (f,)) for n, f in files.items()])
+
+    def run() -> str:
+        made.clear()
+        done = CliRunner().invoke(robots.main, [str(tmp_path), "--csv", str(table)])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    assert run().endswith("2 robots, 2 rows changed\n")
+    assert run() == "2 robots, 0 rows changed\n"
+    table.write_text("".join(x for x in table.read_text().splitlines(True) if "go2" not in x))
+    assert run().endswith("2 robots, 1 rows changed\n")
+    assert made == ["go2"]
+    files["a1"].write_text("another file")
+    run()
+    assert made == ["a1"]

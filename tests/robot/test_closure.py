@@ -5,6 +5,7 @@ simulation.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -25,6 +26,7 @@ from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import minimise_foot_errors
 from pupper_analysis.stance.solver import SearchContext
 from tests.support.bound import LEGS, belts, four_bars
+from tests.support.commands import run_command
 from tests.support.legged import Pair, quadruped, rewrite_file
 
 
@@ -367,6 +369,44 @@ def test_mimic_of_the_urdf_alone_is_added_to_the_mjcf(tmp_path: Path) -> None:
     for stand, give in ((verify_held_stand(robot), 0.05), (pa.solve_stand(robot), 1e-9)):
         motor, knee = (joint_value(robot, stand.qpos, f"FL_{name}") for name in ("motor", "knee"))
         assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=give)
+
+
+@pytest.mark.slow
+def test_mimic_joint_with_its_own_motor_is_free_with_a_note(tmp_path: Path) -> None:
+    """The MJCF drives the knees, which the URDF couples to other motors."""
+    pair = belts(tmp_path, in_mjcf=False)
+    knees = "".join(f'<motor joint="{leg}_knee" ctrlrange="-30 30"/>' for leg in LEGS)
+    rewrite_file(pair.mjcf, ("<actuator>", f"<actuator>{knees}"))
+    robot = load(pair)
+    assert robot.closure is None
+    assert any(note.code == "mimics-taken-as-free" for note in robot.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [belts, four_bars])
+def test_stand_command_holds_and_names_the_coupled_joints(
+    make: Callable[[Path], Pair], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    files = make(tmp_path)
+    status, out, err = run_command(
+        capfd, "stand", "-v", "--urdf", str(files.urdf), "--mjcf", str(files.mjcf)
+    )
+    assert status == 0, err
+    printed = " ".join((out + err).split())
+    assert "HOLDS in MuJoCo" in printed
+    assert "joints that follow others" in printed
+
+
+@pytest.mark.slow
+def test_coupled_legs_squat_shift_lift_a_foot_and_lean_on_a_slope(tmp_path: Path) -> None:
+    """Reference: simulation of each stand; on the slope the feet creep."""
+    robot = load(belts(tmp_path))
+    verify_held_stand(robot, pa.StandTask(height=0.9 * robot.stand_height))
+    verify_held_stand(robot, pa.StandTask(offset=(0.02, 0.01)))
+    verify_held_stand(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
+    task = pa.StandTask(ground=pa.Ground(slope=0.02))
+    found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, task))
+    assert max(found.torque_error, found.force_error) < 1e-3
 
 
 def test_loops_with_rods_that_the_urdf_lacks_are_refused(tmp_path: Path) -> None:

@@ -54,6 +54,31 @@ def test_contact_radius_of_a_foot_that_is_a_body_or_a_geom(tmp_path: Path, kind:
     assert robot.contact_radius["foot"] == 0.02
 
 
+@pytest.mark.slow
+def test_feet_are_named_by_a_list_or_a_mapping(tmp_path: Path) -> None:
+    files = write(tmp_path)
+    listed = load_files(files, feet=["foot"])
+    assert listed.contact_points == ("foot",)
+    renamed = load_files(files, feet={"left": "foot"}, name="other")
+    assert renamed.contact_points == ("left",)
+    assert dict(renamed.contact_radius) == {"left": 0.02}
+    assert renamed.name == "other"
+
+
+def test_variants_have_the_feet_efforts_and_home_of_their_files(
+    robot: pa.Robot, variant: str
+) -> None:
+    """Reference: radii [m] and torque limits [N m] in the files of v3 and of the skeleton."""
+    assert robot.name == variant
+    assert robot.imu == "body_imu_site"
+    assert robot.floating
+    radius, effort = (0.01995, 3.0) if variant.startswith("v3") else (0.018, 18.0)
+    assert set(robot.contact_radius.values()) == {radius}
+    np.testing.assert_array_equal(robot.effort_limits, [effort] * 12)
+    home = robot.home[7:]
+    assert ((robot.lower_limits <= home) & (home <= robot.upper_limits)).all()
+
+
 # ------------------------------------------------------------------------------------- wrong
 
 

@@ -48,3 +48,11 @@ def check_robot(seed: int, folder: Path) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_random_robot_stands_as_published_or_with_a_cause(seed: int, tmp_path: Path) -> None:
     check_robot(seed, tmp_path)
+
+
+def test_seeds_draw_robots_of_all_kinds() -> None:
+    """The seeds of the test above, or of a new draw, must not leave out a kind."""
+    words = {word for seed in SEEDS for word in random_legged.draw_robot(seed).said}
+    kinds = {"springs", "free", "held", "motor", "position", "none", "general"}
+    kinds |= {"limits of motors", "limits of joints", "2 legs of 6", "4 legs of 3", "6 legs of 3"}
+    assert kinds <= words

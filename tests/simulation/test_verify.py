@@ -18,7 +18,7 @@ from pupper_analysis.simulation.verify import describe_deviations
 from tests.support.engines import change_model
 from tests.support.legged import edited_by
 from tests.support.slips import standing
-from tests.support.variants import load, stand_of
+from tests.support.variants import NAMES, load, stand_of
 
 GRAVITY = 9.81
 SERVOS = {"v3": (5.0, 0.1), "skeleton": (60.0, 1.0)}
@@ -313,6 +313,17 @@ def test_gain_sweep_equals_a_loop_of_single_steps(name: str, kp: float, kd: floa
         heights.append(data.qpos[2])
     deviation = np.std(heights[-round(1 / model.opt.timestep) :])
     assert cells.height_deviation[1, 1] == pytest.approx(deviation, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_each_variant_stands_on_stiff_servos_in_a_sweep() -> None:
+    """With kp = 30 N m/rad and kd = 1 N m s/rad the height deviates by less than 5 mm."""
+    for name in NAMES:
+        result = pa.simulation.sweep_gains(
+            load(name), stand_of(name), kp=[30], kd=[1], duration=2.0
+        )
+        assert not result.fell.any()
+        assert result.height_deviation[0, 0] < 5e-3
 
 
 def test_sweep_marks_falls_also_if_the_robot_rests() -> None:

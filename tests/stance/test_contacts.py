@@ -752,3 +752,19 @@ def test_scene_shows_the_plane_of_a_hand_contact(armed: pa.Robot, tmp_path: Path
     assert top[2] == pytest.approx(TABLE, abs=1e-12)
     assert {contact.foot for contact in scene.contacts} == {*armed.feet, HAND}
     pa.report.write_report(stand, tmp_path / "stand.html", robots=[armed])
+
+
+@pytest.mark.slow
+def test_stand_on_the_planes_of_slopes_equals_the_stand_on_the_slopes() -> None:
+    """Reference: the stand between two slopes of 30 deg, described by angles in place of planes."""
+    robot, slopes = load("v3"), roof(30)
+    one = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=slopes))
+    planes = {
+        foot: pa.Contact(pa.Plane(tuple(one.contact_points[foot]), tuple(one.normals[foot])))
+        for foot in robot.feet
+    }
+    two = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=planes))
+    np.testing.assert_allclose(two.qpos, one.qpos, atol=1e-9)
+    assert two.com_margin == pytest.approx(one.com_margin, abs=1e-9)
+    sags = [pa.steady_state(robot, stand) for stand in (one, two)]
+    np.testing.assert_allclose(sags[1].qpos, sags[0].qpos, atol=1e-9)

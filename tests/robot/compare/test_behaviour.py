@@ -53,7 +53,7 @@ def workspaces(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     workspace = Structure.acquire_workspace
 
     def counted(self: Structure) -> object:
-        if not self._spare:
+        if not self._spare_data:
             made.append(self.model.nv)
         return workspace(self)
 
@@ -161,6 +161,16 @@ def test_a_large_robot_agrees_until_one_com_is_moved(written: Written) -> None:
     assert set(worse.check.quantities[1].evaluations) == {URDF_MUJOCO, "MJCF in MuJoCo"}
 
 
+def test_compared_trees_of_one_structure_share_pinocchios_data(
+    written: Written, workspaces: list[int]
+) -> None:
+    """Eight differing masses: at most one set of data per file, and one for the changed trees."""
+    result = pa.compare_models(*written(10, 4, heavier=8))
+    assert len(result.differences) == 8
+    assert result.complete
+    assert len(workspaces) <= 3
+
+
 def test_fewer_states_are_compared_for_a_very_large_robot_with_a_note() -> None:
     """2,006 degrees of freedom: 2 of 20 states; v3 keeps all requested states."""
     robot = load("v3")
@@ -202,3 +212,14 @@ def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> No
         _count_calls(lambda files=files: pa.compare_models(*files)) for files in (one, two)
     )
     assert large < 2.2 * small
+
+
+@pytest.mark.slow
+def test_twice_the_bodies_are_twice_the_audit(tmp_path: Path) -> None:
+    """Count of Python calls: at most 2.2 times for twice as many free bodies."""
+    calls = []
+    for number in (10, 100, 200):  # the first call imports
+        file = tmp_path / f"{number}.xml"
+        file.write_text(size.make_free_bodies(number))
+        calls.append(_count_calls(lambda file=file: pa.audit_model(file)))
+    assert calls[2] < 2.2 * calls[1]
