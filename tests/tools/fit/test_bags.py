@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import os
 import sys
+import tracemalloc
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from lz4 import frame as lz4_frame
 from rosbags import rosbag1
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import (
+    CompressionFormat,
+    CompressionMode,
+    StoragePlugin,
+    Writer,
+    storage_mcap,
+)
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, MissingPackageError
@@ -69,11 +77,16 @@ Message = tuple[str, str, float, Any]
 
 
 def bag(
-    folder: Path, messages: Sequence[Message], plugin: StoragePlugin = StoragePlugin.MCAP
+    folder: Path,
+    messages: Sequence[Message],
+    plugin: StoragePlugin = StoragePlugin.MCAP,
+    mode: CompressionMode = CompressionMode.NONE,
 ) -> Path:
     path = folder / "bag"
     connections: dict[str, Any] = {}
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
+    writer = Writer(path, version=9, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
         for topic, kind, moment, message in messages:
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
@@ -269,6 +282,62 @@ def test_bag_beyond_the_size_limit_is_refused(
     monkeypatch.setattr(bags, "MAX_MESSAGE_BYTES", 10_000)
     with pytest.raises(MeasurementError) as refused:
         read_log(path)
+    assert refused.value.cause.code == "bag-too-large"
+
+
+def test_chunk_of_zeros_is_refused_before_it_is_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two frames of 10 MB are unpacked; of 200 frames no more than the limit of 25 MB is in memory.
+    Without a limit 2 GB are allocated.
+    """
+    piece = lz4_frame.compress(bytes(10_000_000))
+    unpack = bags.limit_decompressor(lz4_frame.LZ4FrameDecompressor)
+    assert unpack(piece + piece) == bytes(20_000_000)
+    with pytest.raises(ValueError, match="in the midst"):
+        unpack(piece[:-10])
+    monkeypatch.setattr(bags, "MAX_CHUNK_BYTES", 25_000_000)
+    tracemalloc.start()
+    with pytest.raises(MeasurementError) as refused:
+        unpack(piece * 200)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert refused.value.cause.code == "bag-too-large"
+    assert peak < 100_000_000
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+def test_packed_chunk_is_unpacked_within_the_limit_and_refused_beyond(
+    compression: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The decompression functions of rosbags are restored."""
+    before = dict(storage_mcap.DECOMPRESSORS)
+    monkeypatch.setattr(bags, "MAX_CHUNK_BYTES", 1000)
+    with bags.limit_unpacking():
+        packed = {"lz4": lz4_frame.compress, "zstd": storage_mcap.zstd.compress}[compression]
+        unpack = storage_mcap.DECOMPRESSORS[compression]
+        assert unpack(packed(bytes(900)), 900) == bytes(900)
+        with pytest.raises(MeasurementError):
+            unpack(packed(bytes(1100)), 1100)
+    assert before == storage_mcap.DECOMPRESSORS
+
+
+@pytest.mark.parametrize(
+    ("mode", "limit"),
+    [
+        (CompressionMode.FILE, "MAX_BAG_BYTES"),
+        (CompressionMode.MESSAGE, "MAX_CHUNK_BYTES"),
+        (CompressionMode.STORAGE, "MAX_CHUNK_BYTES"),
+    ],
+)
+def test_packed_bag_is_read_unless_it_is_too_large_when_unpacked(
+    mode: CompressionMode, limit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: the written positions."""
+    path = bag(tmp_path, states(), mode=mode)
+    _, kinds = bags.read_bag(path, {}, ())
+    np.testing.assert_array_equal(kinds["position"]["hip"], POSITION[:, 1])
+    monkeypatch.setattr(bags, limit, 20)
+    with pytest.raises(MeasurementError) as refused:
+        bags.read_bag(path, {}, ())
     assert refused.value.cause.code == "bag-too-large"
 
 

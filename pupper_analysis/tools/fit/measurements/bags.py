@@ -7,9 +7,11 @@ is measured most frequently: positions are interpolated, and commands hold until
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import bz2
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +56,11 @@ MAX_MESSAGE_BYTES: Final = 500_000_000
 """Upper bound of the total size of the messages that are read [bytes]. Chosen, not tuned."""
 
 
+MAX_CHUNK_BYTES: Final = 500_000_000
+"""Upper bound of the size of an unpacked chunk or message [bytes]. Writers make chunks of some MB;
+500 kB of packed zeros are 2 GB. Chosen, not tuned."""
+
+
 def is_bag(path: Path) -> bool:
     """Return True if a path is an MCAP file, a ROS 1 bag or a ROS 2 bag."""
     return path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
@@ -86,7 +93,10 @@ def read_bag(
     except ImportError as error:
         raise MissingPackageError("rosbags", "bags") from error
     try:  # bags before ROS 2 Iron contain no message definitions
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with (
+            limit_unpacking(),
+            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
+        ):
             types = {connection.topic: connection.msgtype for connection in reader.connections}
             return _resample_to_common_clock(
                 _read_series(reader, _choose_topics(types, topics), joints)
@@ -98,6 +108,95 @@ def read_bag(
     except Exception as error:  # readers of damaged files raise any exception
         reason = f"{type(error).__name__}: {error}".replace(str(path), path.name).splitlines()[0]
         raise MeasurementError(str(path), diagnose("no-bag", problem=reason)) from error
+
+
+# A bag is unpacked within limits: rosbags unpacks each chunk, message or file as a whole.
+
+
+@contextmanager
+def limit_unpacking() -> Iterator[None]:
+    """Let rosbags refuse chunks, messages and files that are too large when unpacked.
+
+    The decompression functions of rosbags are replaced while the block runs.
+
+    Raises:
+        MeasurementError: If a chunk or message exceeds ``MAX_CHUNK_BYTES``, or a file of a bag
+            ``MAX_BAG_BYTES``.
+    """
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+    from rosbags.rosbag1 import reader as ros1
+    from rosbags.rosbag2 import reader as ros2_module
+    from rosbags.rosbag2 import storage_mcap as mcap
+
+    ros2: Any = ros2_module
+    zstd = ros2.zstd  # of Python, or its backport
+    unpack_lz4 = limit_decompressor(LZ4FrameDecompressor)
+    unpack_bz2 = limit_decompressor(bz2.BZ2Decompressor)
+    unpack_zstd = limit_decompressor(zstd.ZstdDecompressor)
+
+    class LimitedZstd:
+        """Functions of the module ``zstd`` that rosbags uses."""
+
+        decompress = staticmethod(unpack_zstd)
+
+        @staticmethod
+        @contextmanager
+        def open(file: IO[bytes], mode: str) -> Iterator[_LimitedFile]:
+            with zstd.open(file, mode) as unpacked:
+                yield _LimitedFile(unpacked)
+
+    tables: tuple[dict[str, Any], ...] = (ros1.decompressors, mcap.DECOMPRESSORS)
+    before = [dict(table) for table in tables]
+    tables[0].update({"bz2": unpack_bz2, "lz4": unpack_lz4})
+    tables[1].update(
+        {"lz4": lambda data, _: unpack_lz4(data), "zstd": lambda data, _: unpack_zstd(data)}
+    )
+    ros2.zstd = LimitedZstd
+    try:
+        yield
+    finally:
+        for table, own in zip(tables, before, strict=True):
+            table.update(own)
+        ros2.zstd = zstd
+
+
+def limit_decompressor(decompressor: Callable[[], Any]) -> Callable[[bytes], bytes]:
+    """Return a function that unpacks a chunk frame by frame, up to ``MAX_CHUNK_BYTES``."""
+
+    def unpack(data: bytes) -> bytes:
+        parts, size = [], 0
+        while data:
+            frame = decompressor()
+            part = frame.decompress(data, MAX_CHUNK_BYTES + 1 - size)
+            size += len(part)
+            _check_unpacked_size(size, MAX_CHUNK_BYTES)
+            if not frame.eof:
+                raise ValueError("a chunk ends in the midst of a frame")
+            parts.append(part)
+            data = frame.unused_data or b""
+        return b"".join(parts)
+
+    return unpack
+
+
+class _LimitedFile:
+    """Unpacked file that is read up to ``MAX_BAG_BYTES``."""
+
+    def __init__(self, file: Any) -> None:
+        self._file, self._size = file, 0
+
+    def read(self, size: int) -> bytes:
+        """Return up to ``size`` further bytes."""
+        data: bytes = self._file.read(size)
+        self._size += len(data)
+        _check_unpacked_size(self._size, MAX_BAG_BYTES)
+        return data
+
+
+def _check_unpacked_size(size: int, maximum: int) -> None:
+    """Raise MeasurementError if a size [bytes] exceeds the maximum."""
+    if size > maximum:
+        raise MeasurementError("", diagnose("bag-too-large", most=maximum / 1e6))
 
 
 def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> dict[str, str]:
