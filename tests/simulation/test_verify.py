@@ -282,6 +282,11 @@ def test_default_grid_of_gains_contains_the_gains_of_the_model() -> None:
     robot, stand = load("v3"), stand_of("v3")
     result = pa.simulation.sweep_gains(robot, stand)
     np.testing.assert_allclose(result.kp, [1.25, 2.5, 5, 10, 20])
+    shape = (len(result.kp), len(result.kd))
+    assert result.height_deviation.shape == result.fell.shape == result.lasts.shape == shape
+    assert np.isfinite(result.height_deviation[~result.fell]).all()
+    assert (result.amplitude, result.frequency, result.duration) == (2.0, 1.2, pytest.approx(4.0))
+    assert result.integrator == "implicitfast"
     alone = pa.simulation.sweep_gains(robot, stand, kp=[5.0], kd=[0.1])  # the model's own
     cell = result.kp.tolist().index(5.0), result.kd.tolist().index(0.1)
     found = result.height_deviation[cell]

@@ -122,6 +122,13 @@ def test_inertia_deviation_is_relative_to_its_own_link() -> None:
     assert found.relative > 0.3e-6 / scale
 
 
+def test_cross_check_passes_within_the_given_tolerance() -> None:
+    """A mass that differs by 7e-8 relative: above the default of rounding errors, below 1e-3."""
+    robot = _with_urdf(pa.load_variant("v3"), 'value="1.506"', 'value="1.5060001"')
+    assert not cross_check(robot).passed
+    assert cross_check(robot, tolerance=1e-3).passed
+
+
 def test_cross_check_is_deterministic_and_depends_on_the_seed() -> None:
     robot = pa.load_variant("v3")
     one, same, other = (cross_check(robot, seed=seed, configurations=3) for seed in (1, 1, 2))
