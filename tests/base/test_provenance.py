@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import mujoco
 import pytest
 from PIL import Image
 
+from pupper_analysis.base.provenance import collect_provenance
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -38,3 +40,15 @@ def test_json_page_markdown_and_pictures_contain_their_provenance(tmp_path: Path
         assert found["command"] in shown
         assert f"own.urdf sha256:{digest[:12]}" in shown
         assert f"mujoco {mujoco.__version__}" in shown
+
+
+def test_provenance_in_python_has_no_command() -> None:
+    found = collect_provenance()
+    assert (found.command, found.files) == ("", {})
+    assert found.lines()[0] == found.date
+
+
+def test_provenance_of_many_files_lists_the_first_ones() -> None:
+    many = replace(collect_provenance(), files={f"{n:02}.stl": "0" * 64 for n in range(20)})
+    assert "11.stl" in many.lines()[-2]
+    assert many.lines()[-1].startswith("... 8 more")

@@ -19,6 +19,7 @@ import click
 import pytest
 
 from pupper_analysis import cli
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli.process import ProcessEnded
 from tests.support.repository import ROOT
 
@@ -315,3 +316,16 @@ def test_a_signal_that_a_library_suppresses_is_raised_again() -> None:
     process = start(sys.executable, "-c", textwrap.dedent(code))
     assert process.communicate(timeout=25) == ("3\n", "")
     assert process.returncode == 0
+
+
+def test_control_characters_of_an_error_are_escaped(capsys: pytest.CaptureFixture[str]) -> None:
+    """A name with a line break could start a command of a CI workflow."""
+
+    @click.command()
+    def named() -> None:
+        raise ConfigurationError("x", "\n::error::forged\x1b[31m\u009b\u202e")
+
+    with pytest.raises(SystemExit):
+        cli.run(named, [])
+    err = capsys.readouterr().err
+    assert err == "error: x: \\n::error::forged\\x1b[31m\\x9b\\u202e\n"

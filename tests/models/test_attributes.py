@@ -13,12 +13,19 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE_ATTRIBUTES, TREE_ATTRIBUTES
+from pupper_analysis.models.attributes import (
+    JOINT_ATTRIBUTES,
+    PASSIVE_ATTRIBUTES,
+    TREE_ATTRIBUTES,
+    JointAttribute,
+)
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
+from pupper_analysis.models.stated.urdf import read_urdf_model
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from tests.support.corpus import INERTIAL, format_joint, format_link, format_urdf
@@ -127,3 +134,56 @@ def test_springdamper_equals_its_stiffness_and_damping(tmp_path: Path) -> None:
     assert found["damping"].old == pytest.approx(made[0])
     assert found["damping"].new == pytest.approx(made[0] / 2)
     assert found["damping"].old_place.endswith("one.xml:1")
+
+
+def test_both_models_state_the_values_of_their_files(files: tuple[Path, Path]) -> None:
+    one = read_urdf_model(read_urdf(files[0])).joints["j"].stated
+    two = read_mjcf_model(read_mjcf(files[1])).joints["j"].stated
+    assert one == {a.kind: VALUES[a.kind] for a in JOINT_ATTRIBUTES if a.urdf}
+    assert two == {a.kind: VALUES[a.kind] for a in JOINT_ATTRIBUTES if a.mjcf}
+
+
+def test_missing_value_is_unknown_and_a_stated_zero_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "r.xml"
+    bare = MJCF.replace('damping="0.125" frictionloss="0.0625"', 'damping="0"')
+    path.write_text(bare.replace('armature="0.03"', "").replace('stiffness="0.7"', ""))
+    stated = read_mjcf_model(read_mjcf(path)).joints["j"].stated
+    assert stated["damping"] == 0.0
+    assert not {"friction", "armature", "spring"} & set(stated)
+    default = '<default><joint armature="0"/></default><worldbody>'
+    path.write_text(path.read_text().replace("<worldbody>", default))
+    assert read_mjcf_model(read_mjcf(path)).joints["j"].stated["armature"] == 0.0
+
+
+@pytest.mark.parametrize("attribute", PASSIVE_ATTRIBUTES, ids=lambda one: one.kind)
+def test_factor_changes_its_attribute_only(
+    attribute: JointAttribute, files: tuple[Path, Path]
+) -> None:
+    """References: texts of the URDF, and MuJoCo's compiled model."""
+    urdf, mjcf = stated_urdf(), SpecTree(read_mjcf(files[1]).spec.copy())
+    before = {a.kind: urdf.joints["j"].parameter_text(a) for a in JOINT_ATTRIBUTES if a.urdf}
+    urdf.scale("j", attribute, 2.0)
+    after = {a.kind: urdf.joints["j"].parameter_text(a) for a in JOINT_ATTRIBUTES if a.urdf}
+    changed = {kind for kind in before if before[kind] != after[kind]}
+    assert changed == ({attribute.kind} if attribute.urdf else set())
+    old = mjcf.spec.copy().compile()
+    mjcf.scale("j", attribute, 2.0)
+    new = mjcf.spec.compile()
+    for one in PASSIVE_ATTRIBUTES:
+        name, ratio = one.mujoco or one.of_joints, 2.0 if one == attribute else 1.0
+        assert getattr(new, name)[-1] == ratio * getattr(old, name)[-1], one.kind
+
+
+def test_comparison_names_each_value_that_differs(files: tuple[Path, Path]) -> None:
+    """One value of the URDF is 10 % smaller than in the MJCF."""
+    compared = [one for one in TREE_ATTRIBUTES if one.urdf and one.mjcf]
+    assert len(compared) >= 4
+    for one in compared:
+        tree = stated_urdf()
+        tree.joints["j"].set_parameter(one, 0.9 * VALUES[one.kind])
+        files[0].write_text(to_text(tree.root))
+        found = pa.compare_models(*files, configurations=1).differences
+        (difference,) = (found for found in found if found.kind != "spring")
+        assert difference.kind == one.kind
+        assert difference.urdf == pytest.approx(0.9 * VALUES[one.kind])
+        assert difference.mjcf == VALUES[one.kind]

@@ -505,3 +505,25 @@ def test_joint_has_an_actuator_if_its_tendon_is_driven(coefficient: float, expec
     assert bool(data.qfrc_actuator[1]) is (expected is Drive.TENDON)
     assert classify_joint_drive(model, 1) is expected
     assert classify_joint_drive(model, 0) is Drive.MOTOR
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_simulated_torque_is_at_most_the_smallest_limit(way: str) -> None:
+    """Commands are 1 rad away: MuJoCo applies 3 N m of the URDF, or 0.7 N m behind a gear of 2."""
+    stand, signs = stand_of("v3"), np.tile([1.0, -1.0], 6)
+    for limit, most in ((50.0, 3.0), (0.7, 0.7)):
+        robot = limit_torque(way, limit, gear=2.0)
+        drive = model_with_servos(robot, kp=100.0, kd=0.0)
+        data = mujoco.MjData(drive.model)
+        robot.mj_convention.set_state(data, stand.qpos)
+        data.ctrl[:] = drive.command(robot, stand.qpos[7:] + signs)
+        mujoco.mj_forward(drive.model, data)
+        torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+        np.testing.assert_allclose(torques, most * signs, rtol=1e-12)
+
+
+def test_affine_bias_that_opposes_the_servo_reduces_its_stiffness() -> None:
+    """Closed form: kp minus the bias coefficient of the position, 30 - 40 and 50 - 40 N m/rad."""
+    away = '<general joint="hinge" gainprm="40" biastype="affine" biasprm="0 40 0"/>'
+    assert classify_drive(position(30) + away) is Drive.WRONG_SIGN
+    assert classify_drive(position(50) + away) is Drive.SERVO

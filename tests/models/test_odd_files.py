@@ -111,3 +111,18 @@ def test_gyro_and_accelerometer_of_one_site_are_the_imu(tmp_path: Path) -> None:
 def test_zero_damping_of_the_urdf_is_a_difference(tmp_path: Path) -> None:
     comparison = compare_files(write(tmp_path, URDF.replace('damping="0.1"', 'damping="0"'), MJCF))
     assert {kind for kind, _ in list_differences(comparison)} == {"damping"}
+
+
+def test_damping_that_the_urdf_does_not_state_is_a_note(tmp_path: Path) -> None:
+    files = write(tmp_path, URDF.replace('damping="0.1" ', ""), MJCF)
+    comparison = compare_files(files)
+    assert comparison.agree
+    (note,) = [str(note) for note in comparison.notes if str(note).startswith("damping")]
+    assert "0.1 N m s/rad" in note
+
+
+def test_differences_are_ordered_by_their_effect(tmp_path: Path) -> None:
+    """An effort of a third of the other, and 1 g of 6 kg."""
+    mjcf = change_part(change_part(quadruped(), "base", mass=6.001), "shank0", effort=7.0)
+    found = list_differences(compare_files(write(tmp_path, URDF, mjcf_text(mjcf))))
+    assert [kind for kind, _ in found] == ["effort", "mass"]

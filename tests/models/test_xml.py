@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from lxml import etree
 
+from pupper_analysis.models.xml import new_file_text
 from tests.support.commands import answer
 from tests.support.legged import quadruped
 
@@ -19,3 +21,11 @@ def test_file_is_converted_if_its_name_has_an_escape(tmp_path: Path) -> None:
     assert "\x1b" not in given.stdout + given.stderr
     tree = etree.parse(tmp_path / "new.urdf")
     assert any("\\x1b[31m- -b.xml" in str(one.text) for one in tree.xpath("//comment()"))
+
+
+@pytest.mark.parametrize("header", ["a\x1b[31mb", "a--b", "--->", "a\0b", "\ufffe", "b-"])
+def test_header_of_any_characters_is_a_valid_comment(header: str) -> None:
+    root = etree.fromstring(new_file_text(etree.Element("robot"), header).encode())
+    [comment] = root.itersiblings(preceding=True)
+    assert comment.tag is etree.Comment
+    assert "a" not in header or comment.text.strip().startswith("a")

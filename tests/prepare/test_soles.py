@@ -343,3 +343,10 @@ def test_fitted_sphere_has_the_centre_and_radius_of_its_points() -> None:
     found, size = fit_sphere(points, centre + radius * down, down)
     np.testing.assert_allclose(found, centre, atol=1e-9)
     assert size == pytest.approx(radius, abs=1e-9)
+
+
+def test_box_feet_of_a_quadruped_with_three_joints_per_leg_are_contact_points(
+    tmp_path: Path,
+) -> None:
+    foot = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2"/>'
+    assert len(load(quadruped(tmp_path, foot=foot)).contact_points) == 4

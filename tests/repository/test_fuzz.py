@@ -23,3 +23,8 @@ def test_seeds_that_once_failed_pass(path: Path) -> None:
 @given(fuzz.on_files())
 def test_randomly_damaged_files_have_no_defect(case: fuzz.Case) -> None:
     assert fuzz.found_in(case) == []
+
+
+def test_case_is_restored_from_json() -> None:
+    case = fuzz.Case(("audit", "\u202e"), {"robot.xml": b"\xff\x00<a/>", "robot.urdf": b"<r/>"})
+    assert fuzz.Case.from_json(case.to_json()) == case

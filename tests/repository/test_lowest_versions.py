@@ -6,6 +6,8 @@ import runpy
 from collections.abc import Callable
 from importlib.metadata import version
 
+import pytest
+
 from tests.support.repository import ROOT
 
 PROJECT = (ROOT / "pyproject.toml").read_text()
@@ -24,3 +26,15 @@ def test_each_requirement_has_a_lowest_version_below_the_installed_one() -> None
     for name, bound in found.items():
         assert f'"{name}>={bound}' in PROJECT
         assert numbers(version(name)) >= numbers(bound), name
+
+
+@pytest.mark.parametrize("requirement", ["numpy", "numpy==2.3", "numpy<3"])
+def test_requirement_without_a_lowest_version_is_refused(requirement: str) -> None:
+    text = f"""
+    [project]
+    dependencies = ["{requirement}"]
+    [dependency-groups]
+    test = []
+    """
+    with pytest.raises(ValueError, match="no lower bound"):
+        lowest(text)

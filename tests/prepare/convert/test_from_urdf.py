@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import mujoco
+import numpy as np
 from lxml import etree
 
 import pupper_analysis as pa
@@ -30,3 +33,14 @@ def test_geoms_without_mesh_use_no_mesh() -> None:
     geoms = '<geom type="sphere" size="1"/><geom type="mesh" mesh="toe"/>'
     root = etree.fromstring(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
     assert MjcfXml(root).used_meshes == {"toe"}
+
+
+def test_small_effort_is_the_force_range_of_the_motor(tmp_path: Path) -> None:
+    """Servos of 0.5 N m, as in small robots."""
+    file = tmp_path / "arm.xml"
+    text = re.sub(r'effort="[^"]*"', 'effort="0.5"', urdf_text(arm()))
+    (tmp_path / "arm.urdf").write_text(text)
+    pa.convert_model(tmp_path / "arm.urdf", file)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    assert model.nu > 0
+    np.testing.assert_allclose(np.abs(model.actuator_forcerange).max(axis=1), 0.5)

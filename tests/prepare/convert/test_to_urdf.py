@@ -193,3 +193,25 @@ def test_contact_parameters_and_options_that_a_urdf_cannot_state_are_listed(
         "integrator": ("1",),
     }
     assert not any(word in urdf.read_text() for word in listed)
+
+
+def test_linear_equality_of_joints_becomes_a_mimic(tmp_path: Path) -> None:
+    """second = 0.1 - 2 first."""
+    (joint,), left = convert_equality(
+        tmp_path, '<joint joint1="second" joint2="first" polycoef="0.1 -2 0 0 0"/>'
+    )
+    assert left == []
+    assert joint.get("name") == "second"
+    mimic = joint.find("mimic")
+    assert mimic is not None
+    assert mimic.get("joint") == "first"
+    assert float(mimic.get("multiplier", "1")) == -2
+    assert float(mimic.get("offset", "0")) == pytest.approx(0.1)
+
+
+def test_mjcf_with_several_robots_requires_a_name(tmp_path: Path) -> None:
+    left, right = ARM.format(name="left", y=0), ARM.format(name="right", y=1)
+    file = scene(tmp_path, left, right)
+    with pytest.raises(pa.ModelError, match=r"'left' with 2 joints, 'right' .*; name one"):
+        pa.load_robot(file)
+    assert pa.load_robot(file, body="right").joint_names == ("right_1", "right_2")
