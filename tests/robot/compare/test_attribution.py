@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,8 +26,10 @@ from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.differences import Difference, Explanation
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.support.robots import (
+    FEET,
     Part,
     Parts,
+    all_changed,
     arm,
     change_part,
     compare_files,
@@ -206,6 +209,87 @@ def test_limits_are_ordered_by_the_part_of_the_range_that_differs(tmp_path: Path
     ]
 
 
+def test_effect_of_a_mass_equals_that_of_mujoco(tmp_path: Path) -> None:
+    """Reference: bias forces and mass matrices of two compiled MJCFs at the same states."""
+    robot = robot_of(tmp_path, quadruped(), change_part(quadruped(), "shank1", mass=0.5))
+    effects = get_difference(explain_differences(robot)).effects
+    lighter = robot.description.mjcf.copy().compile()
+    lighter.body("shank1").mass[0] = quadruped()["shank1"].mass
+    largest = {"bias forces": 0.0, "mass matrix": 0.0}
+    states = random_states(robot, 10, seed=0)
+    for qpos, qvel in zip(states.qpos, states.qvel, strict=True):
+        bias, matrices = [], []
+        for model in (robot.mj_model, lighter):
+            data = mujoco.MjData(model)
+            robot.mj_convention.set_state(data, qpos, qvel)
+            mujoco.mj_forward(model, data)
+            matrix = np.zeros((model.nv, model.nv))
+            mujoco.mj_fullM(model, data, matrix)
+            bias.append(data.qfrc_bias[robot.mj_convention.qvel_index].copy())
+            matrices.append(matrix)
+        for name, (one, two) in (("bias forces", bias), ("mass matrix", matrices)):
+            largest[name] = max(largest[name], float(np.abs(one - two).max()))
+    for name, deviation in largest.items():
+        assert effects[name].deviation == pytest.approx(deviation, rel=1e-9)
+
+
+def test_moved_frame_has_an_effect_on_its_own_position_only(tmp_path: Path) -> None:
+    """The foot frame is 3 mm lower: between 3 mm / sqrt(3) and 3 mm along a world axis."""
+    moved = [f._replace(position=(0.002, 0.0, -0.203)) if f.name == "foot1" else f for f in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
+    difference = get_difference(explain_differences(match_files(files).robot))
+    assert (difference.kind, difference.element, difference.unit) == ("frame", "foot1", "m")
+    assert difference.message.startswith("frame foot1 is 3 mm apart: (0.002, 0, -0.203) m in the")
+    assert set(difference.effects) == {"foot positions"}
+    assert 0.003 / math.sqrt(3) <= difference.effects["foot positions"].deviation <= 0.003
+
+
+def test_frame_on_another_body_names_both_bodies(tmp_path: Path) -> None:
+    moved = [f._replace(link="thigh1") if f.name == "foot1" else f for f in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
+    explanation = explain_differences(match_files(files).robot)
+    assert list_differences(explanation) == [("frame", "foot1")]
+    message = get_difference(explanation).message
+    assert "is on link thigh1 in the URDF, on shank1 in the MJCF" in message
+    assert explanation.complete
+
+
+def test_differences_are_ordered_by_effect_before_limits_and_the_rest(tmp_path: Path) -> None:
+    """Masses of 0.27 and 0.1 kg, damping (accelerations alone), limits, and a CoM of 0.1 mm."""
+    mjcf = change_part(quadruped(), "base", mass=6.1, com=(0.01, 0.002, -0.0051))
+    mjcf = change_part(mjcf, "thigh0", damping=0.2, effort=25.0, lower=-0.7)
+    mjcf = change_part(mjcf, "shank3", mass=0.5, friction=0.9)
+    explanation = explain_parts(tmp_path, quadruped(), mjcf)
+    assert list_differences(explanation) == [
+        ("mass", "knee3"),
+        ("mass", "base"),
+        ("damping", "hip0"),
+        ("lower limit", "hip0"),
+        ("effort", "hip0"),
+        ("com", "base"),
+        ("friction", "knee3"),
+    ]
+    tiers = [difference.tier for difference in explanation.differences]
+    assert tiers == [1, 1, 1, 2, 2, 3, 3]
+
+
+def test_differences_of_a_slide_have_units_of_lengths_and_forces(tmp_path: Path) -> None:
+    mjcf = change_part(arm(), "rod", lower=-0.1, effort=7.0, damping=0.3, friction=0.4)
+    explanation = explain_parts(tmp_path, arm(), mjcf, free=False)
+    units = {difference.kind: difference.unit for difference in explanation.differences}
+    assert units == {"lower limit": "m", "effort": "N", "damping": "N s/m", "friction": "N"}
+    messages = {difference.kind: difference.message for difference in explanation.differences}
+    assert "0 m in the URDF, -0.1 m in the MJCF" in messages["lower limit"]
+    assert "0.1 N s/m in the URDF, 0.3 N s/m in the MJCF" in messages["damping"]
+
+
+def test_any_damping_differs_from_none(tmp_path: Path) -> None:
+    bare = all_changed(quadruped(), damping=0.0, friction=0.0)
+    assert explain_parts(tmp_path, bare, bare).differences == ()
+    damped = explain_parts(tmp_path, bare, change_part(bare, "thigh0", damping=1e-6))
+    assert list_differences(damped) == [("damping", "hip0")]
+
+
 # ------------------------------------------------------------------------------------- completeness
 
 
@@ -343,6 +427,12 @@ def test_unknown_tolerance_is_refused_with_the_valid_names() -> None:
         Tolerances().with_values({"masses": 1.0})
 
 
+@pytest.mark.parametrize("value", [0.0, -1e-3, math.nan])
+def test_tolerance_that_is_not_positive_is_refused(value: float) -> None:
+    with pytest.raises(ConfigurationError, match="is not positive"):
+        Tolerances().with_values({"mass": value})
+
+
 # ------------------------------------------------------------------------------------- words
 
 
@@ -477,3 +567,12 @@ def test_armature_that_differs_between_left_and_right_is_reported(
     }
     slide = get_difference(explain_parts(tmp_path, slides, change_part(slides, odd, armature=0.2)))
     assert (slide.unit, "armature 0.2 kg in" in slide.message) == ("kg", True)
+
+
+def test_damping_of_a_free_joint_is_a_difference_of_the_accelerations(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped()).replace("<freejoint/>", '<joint type="free" damping="0.5"/>')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    difference = get_difference(explain_differences(match_files(files).robot))
+    assert (difference.kind, difference.element, difference.mjcf) == ("damping", "base", 0.5)
+    assert "use <freejoint/>" in difference.message
+    assert set(difference.effects) == {"forward dynamics"}

@@ -4,6 +4,8 @@ notes.
 
 from __future__ import annotations
 
+import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,12 @@ from tests.support.robots import (
     FEET,
     Files,
     Part,
+    all_changed,
+    arm,
     change_part,
     compare_files,
     line_at,
+    list_differences,
     mjcf_text,
     quadruped,
     urdf_text,
@@ -113,7 +118,101 @@ def test_the_place_of_an_effort_without_a_motor(tmp_path: Path) -> None:
     assert '<joint name="knee1"' in lines_of(difference, files)[1]
 
 
+def test_line_of_a_default_is_that_of_the_innermost_class_with_the_attribute(
+    tmp_path: Path,
+) -> None:
+    """A value that no class states is located at the joint."""
+    text = mjcf_text(quadruped())
+    for part in quadruped().values():
+        text = text.replace(f'range="{part.lower!r} {part.upper!r}" damping="0.1" ', "", 1)
+    classes = (
+        '<default>\n<joint damping="0.3"/>\n<default class="leg">\n<joint range="-1 1"/>\n'
+        "</default>\n</default>\n<worldbody>"
+    )
+    text = text.replace("<worldbody>", classes)
+    text = text.replace('<body name="thigh0"', '<body childclass="leg" name="thigh0"')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    differences = {(d.kind, d.element): d for d in compare_files(files).differences}
+    assert lines_of(differences["damping", "knee0"], files)[1] == '<joint damping="0.3"/>'
+    assert lines_of(differences["damping", "knee1"], files)[1] == '<joint damping="0.3"/>'
+    assert lines_of(differences["upper limit", "knee0"], files)[1] == '<joint range="-1 1"/>'
+    assert 'name="knee1"' in lines_of(differences["upper limit", "knee1"], files)[1]
+
+
+def test_line_of_an_included_element_is_that_of_the_included_file(tmp_path: Path) -> None:
+    text = mjcf_text(change_part(quadruped(), "base", mass=7.0))
+    start, end = text.index('<body name="base"'), text.index("</worldbody>")
+    (tmp_path / "body.xml").write_text(f"<mujocoinclude>\n{text[start:end]}</mujocoinclude>")
+    text = f'{text[:start]}<include file="body.xml"/>\n{text[end:]}'
+    place = first_of(
+        compare_files(write(tmp_path, urdf_text(quadruped()), text)), "mass"
+    ).mjcf_place
+    assert 'mass="7.0"' in line_at(place, {"body.xml": tmp_path / "body.xml"})
+
+
+def test_lines_of_a_mapped_joint_are_those_of_its_name_in_each_file(tmp_path: Path) -> None:
+    urdf = change_part(quadruped(), "shank2", joint="lh_kfe", damping=0.4)
+    files = write_parts(tmp_path, urdf, quadruped())
+    difference = first_of(compare_files(files, names={"lh_kfe": "knee2"}), "damping")
+    in_urdf, in_mjcf = lines_of(difference, files)
+    assert in_urdf.startswith('<dynamics damping="0.4"')
+    assert '<joint name="knee2"' in in_mjcf
+
+
+def test_empty_range_of_one_file_is_a_difference(tmp_path: Path) -> None:
+    """An upper limit in degrees below the lower limit, as by a slip."""
+    files = write_parts(tmp_path, change_part(quadruped(), "shank0", upper=-28.6), quadruped())
+    assert list_differences(compare_files(files)) == [("upper limit", "knee0")]
+
+
 # ------------------------------------------------------------------------------------- verdict
+
+
+def test_explained_share_and_deviation_of_a_mass_have_their_closed_form(tmp_path: Path) -> None:
+    """Closed form: 0.6 kg of the robot's 11.16 kg."""
+    comparison = compare_files(
+        write_parts(tmp_path, quadruped(), change_part(quadruped(), "base", mass=6.6))
+    )
+    assert not comparison.agree
+    assert comparison.complete
+    assert comparison.explained == pytest.approx(1.0, abs=1e-12)
+    assert comparison.deviations["gravity"] == pytest.approx(0.6 / 11.16, rel=1e-9)
+    assert comparison.residual["gravity"] < 1e-12
+
+
+def test_fixed_base_is_compared_in_both_engines(tmp_path: Path) -> None:
+    comparison = compare_files(
+        write_parts(tmp_path, arm(), arm(), free=False, base_position=(0.1, -0.2, 0.4))
+    )
+    assert comparison.agree
+    assert all(len(quantity.edge_deviations) >= 4 for quantity in comparison.check.quantities)
+    assert comparison.check.passed
+
+
+@pytest.mark.parametrize("case", ["equal", "different", "unlimited"])
+def test_json_of_a_comparison_has_all_fields_and_no_infinite_number(
+    tmp_path: Path, case: str
+) -> None:
+    """Reference: the fields of the result."""
+    urdf, mjcf = quadruped(), quadruped()
+    if case == "different":
+        mjcf = all_changed(change_part(mjcf, "shank1", mass=0.5), damping=0.3)
+    elif case == "unlimited":
+        urdf = change_part(urdf, "thigh0", kind="continuous")
+    comparison = compare_files(write_parts(tmp_path, urdf, mjcf))
+    strict = {"parse_constant": lambda word: pytest.fail(f"{word} is not JSON")}
+    content = json.loads(comparison.to_json(), **strict)
+    assert set(content) >= {field.name for field in fields(Comparison)}
+    assert content["agree"] == comparison.agree
+    assert len(content["differences"]) == len(comparison.differences)
+    for written, difference in zip(content["differences"], comparison.differences, strict=True):
+        assert written["kind"] == difference.kind
+        assert written["diagnostic"]["code"] == difference.diagnostic.code
+        assert written["urdf_place"] == difference.urdf_place
+        for name, effect in difference.effects.items():
+            assert written["effects"][name]["deviation"] == effect.deviation
+    if case == "unlimited":
+        assert content["differences"][0]["urdf"] is None
 
 
 def test_engine_disagreement_is_distinguished_from_model_difference(

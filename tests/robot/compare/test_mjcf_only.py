@@ -14,11 +14,17 @@ import pytest
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot.compare import mjcf_only as mjcf_only_module
 from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.differences import Effect
-from pupper_analysis.robot.compare.mjcf_only import mjcf_only_effects, split_mimics
+from pupper_analysis.robot.compare.mjcf_only import (
+    make_passive_model,
+    mjcf_only_effects,
+    split_mimics,
+    without_effects,
+)
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.tools.crosscheck.crosscheck import EXTRAS_EDGE, Comparison
@@ -26,6 +32,7 @@ from tests.support.robots import (
     Files,
     all_changed,
     arm,
+    change_part,
     compare_files,
     line_at,
     list_differences,
@@ -390,18 +397,15 @@ def test_force_of_an_element_that_is_not_found_leaves_a_deviation_unexplained(
     assert comparison.engines == ()
 
 
-def test_flex_between_bodies_of_the_robot_is_no_agreement(tmp_path: Path) -> None:
-    """A URDF has no flex: the deviation of the accelerations is not explained."""
+def test_flex_between_bodies_of_the_robot_is_refused_by_name(tmp_path: Path) -> None:
+    """A URDF has no flex, and the vertices of a flex would count as bodies of the robot."""
     rope = (
         '<deformable><flex name="rope" dim="1" body="shank0 shank1 shank2" '
         'vertex="0 0 0 0 0 0 0 0 0" element="0 1 1 2"><edge stiffness="50" damping="2"/></flex>'
         "</deformable>"
     )
-    comparison = pair(tmp_path, mjcf_text(quadruped(), extra=rope))
-    assert not comparison.agree
-    assert not comparison.complete
-    assert {message.code for message in comparison.objections} == {"deviation-unexplained"}
-    assert comparison.engines == ()
+    with pytest.raises(ModelError, match=r"robot\.xml: .*flex rope"):
+        pair(tmp_path, mjcf_text(quadruped(), extra=rope))
 
 
 def test_spring_of_a_slide_of_a_fixed_robot_is_the_only_difference(tmp_path: Path) -> None:
@@ -428,6 +432,70 @@ def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
         (message.code, message.subject.name) for message in comparison.objections
     ]
     assert compare_files(files, tolerances=Tolerances().with_values({"dynamics": 0.05})).agree
+
+
+@pytest.mark.parametrize("gravity", [9.8, 9.80665, 9.81])
+def test_usual_gravities_agree_unless_strict(tmp_path: Path, gravity: float) -> None:
+    text = replace_once(MJCF, **{"<worldbody>": f'<option gravity="0 0 -{gravity}"/><worldbody>'})
+    assert pair(tmp_path, text).agree
+    assert pair(tmp_path, text, tolerances=Tolerances.strict()).agree == (gravity == 9.81)
+
+
+def test_forces_of_a_controlled_motor_are_no_difference(tmp_path: Path) -> None:
+    """They depend on the command; the motor has no torque limit any more."""
+    text = mjcf_text(pendulum(), free=False)
+    for motor in (
+        DC.format('input="pos" controller="10 0 0"'),
+        '<position joint="swing" kp="30" kv="2"/></actuator>',
+        '<velocity joint="swing" kv="2"/></actuator>',
+    ):
+        mjcf = replace_once(text, **{"</actuator>": motor})
+        comparison = pair(tmp_path, mjcf, urdf_text(pendulum()))
+        assert list_differences(comparison) == [("effort", "swing")], motor
+        assert max(comparison.deviations.values()) < 1e-12, motor
+
+
+def test_inactive_equality_is_no_difference(tmp_path: Path) -> None:
+    extra = '<equality><joint joint1="hip0" joint2="hip1" active="false"/></equality>'
+    assert pair(tmp_path, mjcf_text(quadruped(), extra=extra)).agree
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicit", "implicitfast", "discrete"])
+def test_integrator_makes_no_difference(tmp_path: Path, integrator: str) -> None:
+    """MuJoCo's ``discrete`` includes the time step in qacc."""
+    option = f'<option integrator="{integrator}"/><worldbody>'
+    assert pair(tmp_path, replace_once(MJCF, **{"<worldbody>": option})).agree
+
+
+def test_model_without_effects_has_linear_damping_only() -> None:
+    """Reference: MuJoCo's passive forces equal -damping qvel; the original is unchanged."""
+    text = MJCF
+    for kind in ("spring", "gravity compensation", "spatial spring", "viscosity"):
+        text = add_acting_element(kind, "2", text)
+    model = mujoco.MjModel.from_xml_string(text)
+    names = tuple(f"{part}{leg}" for leg in range(4) for part in ("hip", "knee"))
+    reference = Reference(model, model, names, "base")
+    effects = mjcf_only_effects(reference)
+    assert len(effects) == 4
+    for bare, is_bare in (
+        (without_effects(model, effects), True),
+        (make_passive_model(model), False),
+    ):
+        data = mujoco.MjData(bare)
+        data.qpos[7:], data.qvel[:] = 0.3, 1.0
+        mujoco.mj_forward(bare, data)
+        damping = -bare.dof_damping * data.qvel
+        assert np.allclose(data.qfrc_passive, damping, rtol=0, atol=1e-15) == is_bare
+    assert model.opt.viscosity == 2.0
+
+
+def test_impossible_inertials_of_a_urdf_are_differences(tmp_path: Path) -> None:
+    wrong = change_part(quadruped(), "shank1", inertia=(-0.1, 0.1, 0.1, 0, 0, 0))
+    comparison = pair(tmp_path, MJCF, urdf_text(wrong))
+    assert list_differences(comparison)[0] == ("inertia", "knee1")
+    assert comparison.complete
+    lighter = change_part(quadruped(), "shank1", mass=-0.3)
+    assert ("mass", "knee1") in list_differences(pair(tmp_path, MJCF, urdf_text(lighter)))
 
 
 # ------------------------------------------------------------------------------------- couplings
