@@ -8,7 +8,7 @@ run MuJoCo from a state and return the states after each step.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -231,6 +231,7 @@ def roll_out(
     control: Array,
     *,
     control_spec: int = int(mujoco.mjtState.mjSTATE_CTRL.value),
+    warmstarts: Array | None = None,
 ) -> Array:
     """Simulate a model from several initial states, in parallel threads.
 
@@ -243,13 +244,20 @@ def roll_out(
         starts: Initial states (mjSTATE_FULLPHYSICS), shape (runs, size) or (size,).
         control: Controls in each step, shape (runs, steps, n).
         control_spec: MuJoCo's specification of the controls; actuator commands by default.
+        warmstarts: Accelerations with which MuJoCo's solver starts, shape (runs, model.nv)
+            [rad/s^2, m/s^2]; zero by default.
 
     Returns:
         States after each step, shape (runs, steps, size).
     """
     with silence_mujoco():
         states, _ = mujoco.rollout.rollout(
-            model, workers, starts, control, control_spec=control_spec
+            model,
+            workers,
+            starts,
+            control,
+            control_spec=control_spec,
+            initial_warmstart=warmstarts,
         )
     return np.asarray(states)
 
@@ -267,6 +275,32 @@ def simulate_commands(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array
     """
     states: Array = roll_out(model, mujoco.MjData(model), start, ctrl[None])[0]
     return states
+
+
+def simulate_in_intervals(
+    model: mujoco.MjModel, start: Array, ctrl: Array, steps: int, interval: int
+) -> Iterator[Array]:
+    """Simulate a model with a constant command, and yield the states of each interval.
+
+    The states equal those of a single simulation (`simulate_commands`) to the last bit, since each
+    interval starts with the solver's result of the interval before.
+
+    Args:
+        model: MuJoCo model.
+        start: Initial state (mjSTATE_FULLPHYSICS).
+        ctrl: Actuator commands, shape (model.nu,).
+        steps: Number of steps.
+        interval: Number of steps of an interval; the last interval may be shorter.
+
+    Yields:
+        States after each step of an interval, shape (n, size).
+    """
+    data, state, warmstart = mujoco.MjData(model), start, None
+    for begin in range(0, steps, interval):
+        control = np.tile(ctrl, (1, min(interval, steps - begin), 1))
+        states = roll_out(model, data, state, control, warmstarts=warmstart)[0]
+        state, warmstart = states[-1], data.qacc_warmstart[None].copy()
+        yield states
 
 
 def make_forced_controls(

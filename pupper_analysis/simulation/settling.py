@@ -27,12 +27,14 @@ from pupper_analysis.simulation.rollout import (
     StandStart,
     make_stand_start,
     simulate_commands,
+    simulate_in_intervals,
 )
 from pupper_analysis.simulation.stability import (
+    count_nudged_steps,
     find_final_spectrum,
     measure_response,
     measure_speed_deviation,
-    simulate_nudge,
+    nudge_state,
 )
 from pupper_analysis.simulation.verify import NUDGED_FRACTION, SETTLED_DRIFT
 from pupper_analysis.stance.stand import Stand
@@ -114,9 +116,9 @@ def comes_to_rest(
 
     The settling simulation lasts at most as long as in ``verify_stand``, but ends once the robot is
     at rest or has left the stand. Then a nudge must decay, and no mode may grow within
-    ``HOLD_DURATION`` (12 s). Both simulations also end if the robot shakes without decay for
-    ``_SHAKING_SECONDS``, the first also if the robot rests with a foot too far from its target
-    (`_stays_displaced`); the result is then False.
+    ``HOLD_DURATION`` (12 s). Both simulations also end if the robot leaves the stand, or shakes
+    without decay for ``_SHAKING_SECONDS``; the first also if the robot rests with a foot too far
+    from its target (`_stays_displaced`). The result is then False.
 
     Args:
         robot: The robot.
@@ -147,13 +149,8 @@ def comes_to_rest(
     slowest = spectrum.least_damped
     decay_time = _DECAY_TIME_CONSTANTS * (0.0 if slowest is None else slowest.time_constant)
     nudge_time = min(max(decay_time, _MIN_NUDGE_TIME), NUDGED_FRACTION * HOLD_DURATION)
-    if shaking.is_shaking and nudge_time > _SHAKING_SECONDS - MEASURING_TIME:
-        first_states = simulate_nudge(model, state, held.ctrl, _SHAKING_SECONDS - MEASURING_TIME)
-        shaking.add(first_states)
-        if shaking.is_sustained:
-            return False
-    nudged_states = simulate_nudge(model, state, held.ctrl, nudge_time)
-    if monitor.has_diverged(nudged_states, float(model.opt.timestep)):
+    nudged_states = _simulate_nudge(held, reference, state, nudge_time, shaking)
+    if nudged_states is None:
         return False
     nudge = measure_response(model, state, nudged_states, last_second)
     response_alone = replace(spectrum, unstable=())
@@ -265,6 +262,47 @@ def _simulate_until_rest(
             if height_ratio <= _RESTING_RATIO and _stays_displaced(displacement_ratios, remaining):
                 return None
     return last_second if ratio <= 1.0 else None
+
+
+def _simulate_nudge(
+    held: StandStart,
+    reference: monitor.StandReference,
+    state: Array,
+    duration: float,
+    shaking: _ShakingRecord,
+) -> Array | None:
+    """Simulate a nudged state; return the states after each step, shape (n, size).
+
+    None, before the end, if the simulation diverges, the robot leaves the stand, or the robot
+    shakes without decay.
+
+    Args:
+        held: Start of the settling simulation, with model and command.
+        reference: The stand.
+        state: State at rest (mjSTATE_FULLPHYSICS), without the nudge.
+        duration: Simulated time [s].
+        shaking: Speeds of the settling simulation; the speeds after the nudge are added.
+    """
+    model = held.drive.model
+    timestep = float(model.opt.timestep)
+    intervals = []
+    for states in simulate_in_intervals(
+        model,
+        nudge_state(model, state),
+        held.ctrl,
+        count_nudged_steps(model, duration),
+        max(2, round(_CHECK_INTERVAL / timestep)),
+    ):
+        if monitor.has_diverged(states, timestep):
+            return None
+        if _has_left_stand(reference, states[-1], _LOST_RATIO * MAX_STAND_ROTATION):
+            return None
+        shaking.add(states)
+        if shaking.is_sustained:
+            return None
+        intervals.append(states)
+    nudged_states = np.concatenate(intervals)
+    return None if monitor.has_diverged(nudged_states, timestep) else nudged_states
 
 
 def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:

@@ -338,10 +338,23 @@ def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: f
     Returns:
         States after each step, shape (n, size).
     """
-    start, first = state.copy(), 1 + model.nq
-    start[first : first + model.nv] += nudge_velocity(model)
-    steps = max(3, round(duration / model.opt.timestep))
-    return simulate_commands(model, start, np.tile(ctrl, (steps, 1)))
+    steps = count_nudged_steps(model, duration)
+    return simulate_commands(model, nudge_state(model, state), np.tile(ctrl, (steps, 1)))
+
+
+def nudge_state(model: mujoco.MjModel, state: Array) -> Array:
+    """Return a state (mjSTATE_FULLPHYSICS) with the velocities of a nudge added."""
+    nudged, first = state.copy(), 1 + model.nq
+    nudged[first : first + model.nv] += nudge_velocity(model)
+    return nudged
+
+
+def count_nudged_steps(model: mujoco.MjModel, duration: float) -> int:
+    """Return the number of steps of a nudged simulation of ``duration`` [s], at least 3.
+
+    `measure_response` divides the states into thirds.
+    """
+    return max(3, round(duration / float(model.opt.timestep)))
 
 
 @np.errstate(invalid="ignore", over="ignore")  # diverged values: not decayed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -12,8 +13,14 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.stability import Stability
 from pupper_analysis.simulation import settling
-from pupper_analysis.simulation.rollout import make_stand_start
+from pupper_analysis.simulation.monitor import StandReference
+from pupper_analysis.simulation.rollout import (
+    make_stand_start,
+    simulate_commands,
+    simulate_in_intervals,
+)
 from pupper_analysis.simulation.settling import comes_to_rest
+from pupper_analysis.simulation.stability import nudge_state
 from pupper_analysis.stance.stand import Stand
 from tests.support.variants import load
 
@@ -167,6 +174,60 @@ def test_foot_stays_displaced_if_its_return_is_too_slow(
 ) -> None:
     """Reference: the bound by hand, twice the rate of the last second for the remaining time."""
     assert settling._stays_displaced(ratios, remaining) == displaced
+
+
+def test_states_of_intervals_equal_those_of_a_single_simulation(
+    standing: tuple[pa.Robot, Stand],
+) -> None:
+    """Reference: the same steps in a single rollout, to the last bit."""
+    held = make_stand_start(*standing, kp=2.0, kd=0.05)
+    model, start = held.drive.model, nudge_state(held.drive.model, held.start)
+    intervals = list(simulate_in_intervals(model, start, held.ctrl, 700, 125))
+    assert [len(states) for states in intervals] == [125] * 5 + [75]
+    whole = simulate_commands(model, start, np.tile(held.ctrl, (700, 1)))
+    np.testing.assert_array_equal(np.concatenate(intervals), whole)
+
+
+@pytest.mark.parametrize(
+    ("change", "seconds"),
+    [("shakes", 2.0), ("falls", 0.25), ("diverges", 0.25), ("rests", 1.5)],
+)
+def test_nudged_simulation_ends_once_the_robot_shakes_or_falls(
+    standing: tuple[pa.Robot, Stand], monkeypatch: pytest.MonkeyPatch, change: str, seconds: float
+) -> None:
+    """Reference: 2 s of shaking after a second of it, a quarter of a second for the other failures,
+    and 1.5 s for a robot that rests."""
+    robot, stand = standing
+    held = make_stand_start(robot, stand)
+    model, simulated = held.drive.model, []
+    base = 1 + robot.mj_convention.qpos_index
+
+    def simulate(
+        model: Any, start: np.ndarray, ctrl: np.ndarray, steps: int, interval: int
+    ) -> Iterator[np.ndarray]:
+        """Yield states at rest, with the change."""
+        time = start[0] + model.opt.timestep * np.arange(1, steps + 1)
+        states = np.tile(held.start, (steps, 1))
+        states[:, 0] = time
+        if change == "shakes":
+            states[:, 1 + model.nq] = 0.05 * np.sin(20 * np.pi * time)
+        elif change == "falls":
+            states[:, base[3:7]] = np.cos(0.4), np.sin(0.4), 0.0, 0.0  # tilted by 0.8 rad
+        elif change == "diverges":
+            states[:, base[2]] = np.nan
+        for begin in range(0, steps, interval):
+            simulated.append(min(interval, steps - begin) * float(model.opt.timestep))
+            yield states[begin : begin + interval]
+
+    monkeypatch.setattr(settling, "simulate_in_intervals", simulate)
+    shaking = settling._ShakingRecord(model)
+    if change == "shakes":
+        shaking.add(_make_oscillation(model, 10.0, 0.05)[: round(1.0 / model.opt.timestep)])
+    reference = StandReference.from_configuration(robot, stand.qpos, stand.task.rotation())
+    duration = 7.0 if change == "shakes" else 1.5
+    states = settling._simulate_nudge(held, reference, held.start, duration, shaking)
+    assert (states is not None) == (change == "rests")
+    assert sum(simulated) == pytest.approx(seconds)
 
 
 def _make_oscillation(
