@@ -60,6 +60,26 @@ def test_import_loads_no_engine_and_no_heavy_package(tmp_path: Path) -> None:
     assert run_python(code, tmp_path) == "[]"
 
 
+def test_import_does_not_change_the_import_system(tmp_path: Path) -> None:
+    code = (
+        "import sys; kept = sys.meta_path[:], sys.path_hooks[:], sys.path[:]; "
+        "import pupper_analysis; print(kept == (sys.meta_path, sys.path_hooks, sys.path))"
+    )
+    assert run_python(code, tmp_path) == "True"
+
+
+@pytest.mark.slow
+def test_diff_imports_no_scipy_and_finds_models_from_any_folder(tmp_path: Path) -> None:
+    """The heavy variant has 4.216 kg."""
+    loaded = LOADED.format(names=("scipy", "shapely", "trimesh"))
+    code = (
+        "import pupper_analysis as pa; pa.load_variant('v3'); "
+        f"from pupper_analysis.tools.diff import compare; {loaded}; "
+        "print(round(pa.load_variant('heavy').total_mass, 9))"
+    )
+    assert run_python(code, tmp_path).split() == ["[]", "4.216"]
+
+
 @pytest.mark.slow
 def test_loading_a_base_model_needs_no_drawing_and_no_urdf_writer(tmp_path: Path) -> None:
     code = "import pupper_analysis as pa; pa.load_variant('v3'); " + LOADED.format(names=HEAVY)

@@ -95,3 +95,14 @@ def test_placeholder_effort_is_judged_by_the_links_and_armature_of_its_motor(
     """
     codes = [message.code for _, message in placeholder_efforts([motor], 100.0)]
     assert codes == ([] if code is None else [code])
+
+
+def test_equal_efforts_of_all_motors_are_judged_by_the_weight_of_the_robot() -> None:
+    """By hand: 6 motors of 10 N m are 60 N m, 91 and 89 times the robot's; the limit is 90."""
+    motors = [Motor(f"joint{number}", 10.0, 0.1) for number in range(6)]
+    assert not list(placeholder_efforts(motors, 60 / 89))
+    ((joints, message),) = placeholder_efforts(motors, 60 / 91)
+    assert len(joints) == 6
+    assert message.code == "efforts-beyond-robot"
+    assert message.values["same"]
+    assert message.values["share"] == pytest.approx(91)

@@ -38,6 +38,27 @@ def test_stand_is_refused_if_gravity_is_not_downwards(option: str, tmp_path: Pat
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ('<option gravity="0 0 -1.62"/>', "gravity is taken from the MJCF: (0, 0, -1.62) m/s^2"),
+        ('<option gravity="1 0 -9.81"/>', "gravity is taken from the MJCF: (1, 0, -9.81) m/s^2"),
+        ('<option><flag contact="disable"/></option>', "nothing touches the ground"),
+        ('<option><flag constraint="disable"/></option>', "nothing touches the ground"),
+        ('<option><flag actuation="disable"/></option>', "no motor has any torque"),
+        ('<option actuatorgroupdisable="0"/>', "actuatorgroupdisable disables actuators: "),
+        ('<option gravity="0 0 -9.80665" timestep="0.001"/>', None),
+    ],
+)
+def test_unusual_options_give_a_note(option: str, message: str | None, tmp_path: Path) -> None:
+    notes = [str(note) for note in load_quadruped(tmp_path, option).notes]
+    if message is None:
+        assert not [note for note in notes if "gravity" in note or "flag" in note]
+    else:
+        assert [note for note in notes if message in note], notes
+
+
+@pytest.mark.slow
 def test_friction_of_a_free_joint_does_not_hold_the_base(tmp_path: Path) -> None:
     """With 500 N of dry friction at the free joint, the base would stand on disabled servos."""
     free = '<joint type="free" frictionloss="500" damping="0" armature="0"/>'
@@ -97,3 +118,14 @@ def test_planar_or_floating_joint_of_a_urdf_is_fixed_with_a_note(
     status, _, err = run_command(capfd, *arguments)
     assert status == 2
     assert "touches the ground at only 1 points (foot)" in err
+
+
+def test_refusal_of_a_colour_with_commas_is_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "colour.xml"
+    path.write_text(TINY_MJCF.replace('type="sphere"', 'type="sphere" rgba="1,0,0,1"'))
+    status, _, err = run_command(capfd, "audit", str(path))
+    assert status == 2
+    assert "rgba" in err
+    assert len(err.splitlines()) == 1

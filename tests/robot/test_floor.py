@@ -5,6 +5,7 @@ MuJoCo's contacts and the stands on a level plane are the references.
 
 from __future__ import annotations
 
+import copy
 import math
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
 from tests.support.legged import Pair, quadruped
 
@@ -49,6 +51,22 @@ def verify_stand_on_scene(robot: Robot, **task: Any) -> pa.simulation.StandVerif
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
     return found
+
+
+def test_a_plane_at_zero_is_not_changed(tmp_path: Path) -> None:
+    spec = mujoco.MjSpec.from_file(str(write_scene(tmp_path, PLANE + "/>").mjcf))
+    before = spec.to_xml()
+    assert level_ground(spec) == []
+    assert spec.to_xml() == before
+
+
+def test_a_table_is_not_part_of_the_centre_of_mass(tmp_path: Path) -> None:
+    """The URDF has no table; with its 5 kg, the MJCF's centre of mass was another one."""
+    table = '<body name="table" pos="1 0 0.1"><geom type="box" size="1 1 0.01" mass="5"/></body>'
+    comparison = pa.compare_models(*write_scene(tmp_path, PLANE + "/>" + table))
+    assert not [one for one in comparison.differences if one.kind != "effort"]
+    assert comparison.deviations["com"] < 1e-9
+    assert not [note for note in comparison.notes if "engines differ" in str(note)]
 
 
 @pytest.mark.slow
@@ -137,6 +155,32 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
     flat = pa.solve_stand(robot, pa.StandTask(height=0.28, ground=pa.Ground(slope=0.34)))
     for used in pa.stance.stand_statics(robot, flat).friction_utilisation.values():
         assert used == pytest.approx(math.tan(0.34) / 0.37, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_motion_on_converted_pairs_equals_that_of_the_unmodified_file(tmp_path: Path) -> None:
+    """Reference: MuJoCo on the published file. The robot falls and random torques move it."""
+    values = 'friction="0.6 0.6 0.01 0.001 0.001" solref="0.02 1" condim="3"'
+    pairs = "".join(f'<pair geom1="ground" geom2="foot{leg}" {values}/>' for leg in range(4))
+    files = write_scene(tmp_path, PLANE + "/>", pairs)
+    robot = load_pair(files)
+    models = (mujoco.MjModel.from_xml_path(str(files.mjcf)), copy.copy(robot.mj_model))
+    for model in models:  # the robot has servos, and time steps that suit them
+        model.opt.timestep, model.opt.integrator = 0.002, mujoco.mjtIntegrator.mjINT_EULER
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    draw, touched = np.random.default_rng(3), 0
+    data = [mujoco.MjData(model) for model in models]
+    for one in data:
+        one.qpos[2], one.qpos[3] = robot.stand_height + 0.02, 1.0
+        one.qpos[7:] = robot.mj_model.key_qpos[0][7:]
+    for _ in range(800):
+        forces = 0.5 * draw.normal(size=robot.nv - 6)
+        for model, one in zip(models, data, strict=True):
+            one.qfrc_applied[6:] = forces
+            mujoco.mj_step(model, one)
+        touched += data[0].ncon
+        np.testing.assert_allclose(data[0].qpos, data[1].qpos, atol=1e-9)
+    assert touched > 400
 
 
 @pytest.mark.slow

