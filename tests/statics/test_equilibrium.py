@@ -2,6 +2,7 @@
 Euler, and with MuJoCo's inverse dynamics.
 """
 
+import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -783,3 +784,105 @@ def test_three_feet_share_the_weight_by_barycentric_coordinates() -> None:
         loads = [result.contact_forces[foot][2] for foot in feet]
         np.testing.assert_allclose(loads, shares * 3.170 * GRAVITY, atol=1e-5)
         assert set(result.contact_forces) == set(feet)
+
+
+def test_torques_do_not_depend_on_the_velocity() -> None:
+    still = at_stand("v3")
+    moving = pa.Configuration(still.robot, still.qpos, np.ones(18))
+    one, two = (pa.gravity_compensation(config) for config in (still, moving))
+    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
+
+
+def test_more_friction_needs_no_more_torque() -> None:
+    """More friction permits more forces, so the smallest torque does not increase."""
+    config, least = at_stand("v3"), pa.statics.ForceDistribution.MIN_TORQUE
+    torques = [
+        np.linalg.norm(
+            pa.gravity_compensation(config, friction=mu, distribution=least).joint_torques
+        )
+        for mu in (0.0, 0.05, 0.1, 0.2, 0.5, 1.0)
+    ]
+    assert all(after <= before + 1e-6 for before, after in itertools.pairwise(torques))
+    assert torques[0] > 1.02 * torques[-1]
+
+
+def test_forces_without_friction_are_vertical() -> None:
+    result = pa.gravity_compensation(at_stand("v3"), friction=0.0)
+    for force in result.contact_forces.values():
+        np.testing.assert_allclose(force[:2], 0, atol=1e-9)
+    check_newton_euler(at_stand("v3"), result)
+
+
+@pytest.mark.parametrize("name", ["long-leg", "v3"])
+def test_minimum_tangential_forces_are_vertical_on_level_steps(name: str) -> None:
+    """Minimum torque has horizontal forces of more than 0.5 % of the weight there."""
+    robot = load(name)
+    ground = pa.Ground(heights={"FR": 0.02, "RL": 0.01})
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground, com=(0.02, -0.015)))
+    distributions = pa.statics.ForceDistribution
+    horizontal = {
+        distribution: max(
+            np.linalg.norm(force[:2])
+            for force in pa.stance.stand_statics(
+                robot, stand, distribution=distribution
+            ).contact_forces.values()
+        )
+        for distribution in (distributions.MIN_TANGENTIAL, distributions.MIN_TORQUE)
+    }
+    scale = weight(at_stand(name))
+    assert horizontal[distributions.MIN_TANGENTIAL] < 1e-6 * scale
+    assert horizontal[distributions.MIN_TORQUE] > 5e-3 * scale
+
+
+def test_stands_of_variants_share_the_weight_in_quarters_with_the_margin_of_their_feet(
+    variant: str,
+) -> None:
+    """The CoM is at the centre of the feet, 0.075 m from the front and the rear edge."""
+    config = at_stand(variant)
+    result = pa.gravity_compensation(config)
+    for force in result.contact_forces.values():
+        np.testing.assert_allclose(force, [0.0, 0.0, weight(config) / 4], atol=1e-7)
+    assert result.com_margin == pytest.approx(0.075, abs=1e-9)
+    np.testing.assert_allclose(result.center_of_mass, config.center_of_mass())
+
+
+def test_torques_of_a_fixed_base_equal_those_of_the_hanging_robot() -> None:
+    free, fixed = load("v3"), load("v3", fixed_base=True)
+    qpos = free.neutral()
+    qpos[7:] = np.linspace(-0.3, 0.4, 12)
+    hanging = pa.gravity_compensation(pa.Configuration(free, qpos), [])
+    held = pa.gravity_compensation(pa.Configuration(fixed, qpos[7:]))
+    np.testing.assert_allclose(held.joint_torques, hanging.joint_torques, atol=1e-12)
+    assert held.contact_forces == {}
+
+
+def test_friction_between_two_walls_carries_the_weight() -> None:
+    """The normals of left and right feet are opposite and horizontal."""
+    config = at_stand("original")
+    normals = {
+        foot: np.array([0, -1.0 if foot.endswith("L") else 1.0, 0])
+        for foot in config.robot.contact_points
+    }
+    result = pa.gravity_compensation(config, friction=0.8, normals=normals)
+    check_newton_euler(config, result)
+    check_cones(result, 0.8, normals)
+    assert all(result.contact_forces[foot] @ normal > 1 for foot, normal in normals.items())
+
+
+@settings(max_examples=30)
+@given(com=numbers(2, 3.0))
+def test_com_margin_of_a_triangle_ignores_a_contact_inside(com: np.ndarray) -> None:
+    """Reference: the half-planes of the three edges."""
+    corners = np.array([[0.0, 0], [2, 0], [0, 1]])
+    points = {str(i): np.array([*corner, 0]) for i, corner in enumerate([*corners, (0.4, 0.3)])}
+    inward = [(0, 1), (1, 0), (-1 / math.sqrt(5), -2 / math.sqrt(5))]
+    edges = [
+        np.dot(normal, com - corner)
+        for normal, corner in zip(inward, [corners[0], corners[0], corners[1]], strict=True)
+    ]
+    margin = com_margin(np.array([*com, 1.0]), points)
+    if min(edges) > 0:
+        assert margin == pytest.approx(min(edges), abs=1e-12)
+    else:  # the nearest point may be a corner
+        assert margin <= min(edges) + 1e-12
+        assert margin >= -np.linalg.norm(corners - com, axis=1).min() - 1e-12

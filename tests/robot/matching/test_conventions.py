@@ -272,3 +272,37 @@ def test_link_frames_moved_along_their_axes_agree(tmp_path: Path) -> None:
             shift = random.normal() * 0.1 * np.array(mjcf[link].axis)
             mjcf, feet = change_frame(mjcf, feet, link, turn, shift)
     assert compare_files(pair(tmp_path, mjcf, feet)).agree
+
+
+@pytest.mark.parametrize(("parts", "link"), [(quadruped(), "thigh0"), (arm(), "rod")])
+def test_origin_moved_along_the_axis_or_anywhere_on_a_slide_is_no_difference(
+    tmp_path: Path, parts: Parts, link: str
+) -> None:
+    """By 138 mm along the axis of a hinge; a slide has no position of its axis."""
+    shift = 0.138 * np.array(parts[link].axis) if link == "thigh0" else np.array([0.1, -0.2, 0.05])
+    mjcf, feet = change_frame(parts, FEET, link, Rotation.identity(), shift)
+    comparison = compare_files(pair(tmp_path, mjcf, feet, urdf=parts))
+    assert comparison.agree
+    assert max(quantity.relative for quantity in comparison.check.quantities) < 1e-9
+
+
+def test_zero_and_frame_of_one_joint_are_one_difference(tmp_path: Path) -> None:
+    """The frame is turned and moved, which is a convention, and the zero is shifted by 0.4 rad."""
+    turn = Rotation.from_rotvec([0.4, 1.0, -2.0])
+    mjcf, feet = change_frame(quadruped(), FEET, "thigh2", turn, np.array([0.02, 0, 0]))
+    comparison = compare_files(pair(tmp_path, zero_elsewhere(mjcf, "thigh2", 0.4), feet))
+    assert list_differences(comparison) == [("zero", "hip2")]
+    assert comparison.complete
+
+
+def test_shifted_zero_with_unchanged_limits_is_a_rotation(tmp_path: Path) -> None:
+    part = quadruped()["shank1"]
+    mjcf = change_part(quadruped(), "shank1", quaternion=turned_about(part, part.axis, 0.3))
+    assert list_differences(compare_files(pair(tmp_path, mjcf))) == [("rotation", "knee1")]
+
+
+def test_other_differences_are_reported_beside_the_base_frame(tmp_path: Path) -> None:
+    mjcf, feet = change_frame(quadruped(), FEET, "base", *POSES["both"])
+    comparison = compare_files(pair(tmp_path, change_part(mjcf, "shank0", mass=0.3), feet))
+    assert sorted(list_differences(comparison)) == [("base frame", "base"), ("mass", "knee0")]
+    assert comparison.complete

@@ -13,12 +13,15 @@ from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.corpus import INERTIAL, format_link
 from tests.support.robots import (
+    FEET,
+    Frame,
     Part,
     Parts,
     arm,
     change_part,
     compare_files,
     list_differences,
+    match_files,
     mjcf_text,
     quadruped,
     urdf_text,
@@ -417,3 +420,106 @@ def test_fixed_children_merged_in_one_file_agree(tmp_path: Path, where: str) -> 
     comparison = compare_files(write_parts(tmp_path, urdf, mjcf))
     assert list_differences(comparison) == []
     assert comparison.agree
+
+
+def test_joints_in_reverse_order_are_listed_in_the_order_of_the_actuators(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, quadruped(), quadruped(), backwards=True)
+    comparison = compare_files(files)
+    assert comparison.agree
+    assert set(comparison.joints) == JOINTS
+    assert comparison.joints[0] == "knee3"
+    assert comparison.guessed == {}
+    assert comparison.only_urdf == comparison.only_mjcf == ()
+    match = match_files(files)
+    assert match.urdf_joint == {name: name for name in JOINTS}
+    assert match.urdf_link["knee2"] == match.mjcf_body["knee2"] == "shank2"
+    assert match.urdf_link["base"] == match.mjcf_body["base"] == "base"
+
+
+def test_bodies_without_names_are_matched(tmp_path: Path) -> None:
+    """The base alone, and all bodies."""
+    mjcf = MJCF
+    for name in quadruped():
+        mjcf = mjcf.replace(f'<body name="{name}"', "<body")
+        if name == "base":
+            assert compare_texts(tmp_path, URDF, mjcf).agree
+    assert compare_texts(tmp_path, URDF, mjcf).agree
+
+
+def test_missing_fixed_child_is_a_difference_of_its_mass(tmp_path: Path) -> None:
+    """Reference: 1.05 kg of the thigh and 0.4 kg of the child."""
+    pack = replace(make_light_part("pack", "thigh1"), kind="fixed", mass=0.4)
+    comparison = compare_files(write_parts(tmp_path, quadruped() | {"pack": pack}, quadruped()))
+    assert list_differences(comparison)[0] == ("mass", "hip1")
+    assert comparison.differences[0].urdf == pytest.approx(1.05 + 0.4)
+    assert comparison.complete
+
+
+def test_ball_joint_of_the_mjcf_is_fixed_at_rest_with_a_note(tmp_path: Path) -> None:
+    text = MJCF.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
+    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
+    comparison = compare_texts(tmp_path, URDF, text.replace(motor, ""))
+    assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
+    assert list_differences(comparison) == []
+    assert not comparison.agree
+    assert any("ball" in str(note) and "hip1" in str(note) for note in comparison.notes)
+
+
+def test_mjcf_without_joints_is_refused(tmp_path: Path) -> None:
+    text = '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>'
+    with pytest.raises(ModelError, match="it has no joints"):
+        compare_texts(tmp_path, URDF, text)
+
+
+def test_values_of_included_default_classes_are_compared(tmp_path: Path) -> None:
+    lines = MJCF.replace('damping="0.1" frictionloss="0.2"', 'class="joints"')
+    included = tmp_path / "defaults.xml"
+    included.write_text(
+        '<mujocoinclude><default><default class="joints">'
+        '<joint damping="0.1" frictionloss="0.2" limited="true"/></default></default>'
+        "</mujocoinclude>"
+    )
+    text = lines.replace("<worldbody>", '<include file="defaults.xml"/><worldbody>', 1)
+    assert compare_texts(tmp_path, URDF, text).agree
+    included.write_text(included.read_text().replace("0.1", "0.3"))
+    comparison = compare_texts(tmp_path, URDF, text)
+    assert [kind for kind, _ in list_differences(comparison)] == ["damping"] * 8
+
+
+def test_inertia_of_a_box_equals_the_closed_form_in_the_urdf(tmp_path: Path) -> None:
+    """A box of 1000 kg/m^3 in place of an inertial: m (x^2 + y^2) / 12."""
+    a, b, c = 0.1, 0.2, 0.04
+    mass = 1000 * a * b * c
+    moments = [mass / 12 * (x * x + y * y) for x, y in ((b, c), (a, c), (a, b))]
+    inertial = {"mass": mass, "com": (0.1, 0, 0), "inertia": (*moments, 0, 0, 0)}
+    text = mjcf_text(change_part(quadruped(), "base", mass=0.0))
+    geom = f'<geom type="box" size="{a / 2} {b / 2} {c / 2}" pos="0.1 0 0"/>'
+    text = text.replace("<freejoint/>", f"<freejoint/>{geom}")
+    urdf = urdf_text(change_part(quadruped(), "base", **inertial))
+    assert list_differences(compare_texts(tmp_path, urdf, text)) == []
+
+
+def test_frames_are_matched_by_a_mapping_and_chosen_as_feet(tmp_path: Path) -> None:
+    frames = [frame._replace(name=f"toe_{frame.name}") for frame in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), frames), MJCF)
+    assert "foot positions" not in compare_files(files).deviations
+    names = {f"toe_foot{leg}": f"foot{leg}" for leg in range(4)}
+    comparison = compare_files(files, names=names)
+    assert comparison.deviations["foot positions"] < 1e-12
+    assert comparison.agree
+    moved = [f._replace(position=(0, 0, -0.3)) if f.name == "foot1" else f for f in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), moved), MJCF)
+    assert list_differences(compare_files(files)) == [("frame", "foot1")]
+    assert compare_files(files, feet=["foot0", "foot2"]).agree
+    with pytest.raises(UnknownNameError, match=r"'toe'.*foot0, foot1, foot2, foot3"):
+        compare_files(files, feet=["toe"])
+
+
+def test_common_frames_are_fixed_links_and_sites_or_bodies(tmp_path: Path) -> None:
+    """foot0 is a site, foot1 a body without joints; lidar is in the URDF only."""
+    urdf = urdf_text(quadruped(), [*FEET, Frame("lidar", "base", (0.2, 0, 0))])
+    site = '<site name="foot1" pos="0.002 0.0 -0.2"/>'
+    assert site in MJCF
+    files = write(tmp_path, urdf, MJCF.replace(site, '<body name="foot1" pos="0.002 0 -0.21"/>'))
+    assert set(match_files(files).robot.description.frames) == {f"foot{leg}" for leg in range(4)}
+    assert list_differences(compare_files(files)) == [("frame", "foot1")]
