@@ -540,3 +540,18 @@ def test_tolerance_of_diff_is_used_and_options_are_checked(tmp_path: Path) -> No
         result = run(tmp_path, "old.urdf", "new.urdf", *option)
         assert result.returncode == cli.EXIT_BAD_INPUT
         assert message in result.stderr
+
+
+@pytest.mark.slow
+def test_variants_are_compared_by_name() -> None:
+    """v3-heavy has twice the mass of v3's torso; the answer contains no temporary path."""
+    found = answer("diff", "v3", "v3-heavy", "-v")
+    assert found.returncode == 1
+    assert found.stdout.startswith("DIFFERENT v3 and v3-heavy: ")
+    assert "mass 1.506 kg in the old file, 3.012 kg in the new file" in found.stdout
+    assert "next: pupper-analysis audit v3-heavy" in found.stdout
+    assert "v3-heavy.xml" not in found.stdout
+    assert answer("diff", "v3", str(ROOT / "urdf" / "pupper_v3.urdf")).returncode == 0
+    misspelled = answer("diff", "v3", "v3-heavvy")
+    assert misspelled.returncode == 2
+    assert "did you mean v3-heavy" in misspelled.stderr
