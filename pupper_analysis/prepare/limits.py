@@ -73,7 +73,8 @@ def list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[
     Joints that the MJCF drives through fixed tendons are evaluated with the forces F of the
     tendons' actuators, which follow from the torques tau of these joints: tau = M F with the levers
     M. A motor at another joint of such a tendon exerts the remaining torque, tau - M F. A joint
-    counts as overloaded as well if the tendons cannot exert its torque.
+    counts as overloaded as well if the tendons cannot exert its torque. The tendons of a robot with
+    closed loops or couplings, which transfer torques between joints, are not evaluated.
     """
     tendons = _find_tendon_drives(robot)
     if tendons is None:
@@ -100,13 +101,14 @@ def _find_tendon_drives(
 
     Returns:
         Model of the file; indices of these joints; ids of the actuators; levers of the actuators at
-        all joints, shape (nu, number of actuators). None without such joints.
+        all joints, shape (nu, number of actuators). None without such joints, or with closed loops
+        or couplings.
     """
     file = None if robot.published is None else robot.published.file
     driven = {
         servo.joint for servo in robot.description.made_servos if servo.instead_of is Drive.TENDON
     }
-    if file is None or not driven:
+    if file is None or not driven or robot.closure is not None:
         return None
     model, by_actuator = file.model, fixed_tendon_levers(file.model)
     rows = [row for row, name in enumerate(robot.joint_names) if name in driven]

@@ -175,3 +175,43 @@ def test_the_payload_ends_where_the_tendon_overloads_another_motor(tmp_path: Pat
     torques = limit.torque_by_joint
     assert torques["FL_pitch"] - torques["FL_knee"] / 4 == pytest.approx(-1.2, rel=1e-5)
     assert limit.passed
+
+
+@pytest.mark.slow
+def test_a_tendon_at_coupled_joints_loads_no_motor_of_the_dependent_joint(tmp_path: Path) -> None:
+    """Both front knees are coupled, and a tendon drives them; the dependent knee has no motor.
+
+    Its torque limit of 1 N m has no effect, though the tendon exerts about 2 N m at each knee: in
+    bare MuJoCo the file stands.
+    """
+    pair = standing(tmp_path)
+    text = pair.mjcf.read_text()
+    text, count = re.subn(r'<position joint="(FL|FR)_knee" [^>]*/>', "", text)
+    assert count == 2
+    cord = '<fixed name="cord"><joint joint="FL_knee" coef="1"/><joint joint="FR_knee" coef="1"/>'
+    couple = '<equality><joint joint1="FR_knee" joint2="FL_knee"/></equality>'
+    text = text.replace(
+        "<actuator>",
+        f"<tendon>{cord}</fixed></tendon>{couple}<actuator>"
+        '<position name="winch" tendon="cord" kp="75" kv="2.5"/>',
+        1,
+    )
+    text = re.sub(r' ctrl="[^"]*"', f' ctrl="-2.4 0 0.6 0 0.6 {"0 0.6 -1.2 " * 2}"', text)
+    pair.mjcf.write_text(text)
+    urdf = pair.urdf.read_text()
+    begin = urdf.index('<joint name="FR_knee"')
+    urdf = urdf[:begin] + urdf[begin:].replace('effort="80"', 'effort="1"', 1)
+    pair.urdf.write_text(urdf)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    assert robot.closure is not None
+    assert [servo.instead_of for servo in robot.description.made_servos] == [Drive.TENDON]
+    statics = pa.stance.stand_statics(robot, pa.solve_stand_as_simulated(robot))
+    assert list_overloaded_joints(robot, statics) == ()
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    height = float(data.qpos[2])
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    assert data.qpos[2] > 0.95 * height
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot))
+    assert not verdict.overloaded_motors
