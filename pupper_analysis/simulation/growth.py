@@ -13,7 +13,9 @@ valid for micrometres only, and dry friction makes it depend on the finite-diffe
    the last two doublings.
 4. Modes that shake are confirmed, too, if the oscillation of the difference is sustained: the
    growth may end in a limit cycle. A constant difference, which dry friction leaves, is none.
-5. Otherwise the simulation refutes the modes: the simulation decides, and the disagreement is
+5. A mode that shakes in the spectrum, and grows in the simulation without an oscillation, is
+   reported as buckling: a foot with almost no load may open and close in the linearised step.
+6. Otherwise the simulation refutes the modes: the simulation decides, and the disagreement is
    reported.
 """
 
@@ -77,6 +79,12 @@ step 2) with which an oscillation counts as sustained, in a simulation of at lea
 (18 s). The amplitude is half the range of the difference between the two simulations, over one
 period of the slowest mode. Chosen, not tuned."""
 
+_MIN_OSCILLATION_RATIO = 0.5
+"""Smallest ratio of the last amplitude (as of ``_SUSTAINED_RATIO``) to the last maximum of the
+deviation D with which a growing deviation counts as an oscillation. Chosen between 1, for an
+oscillation about the undisturbed motion, and 0.25, for exponential growth that doubles in one
+period."""
+
 _MAX_WINDOW = 1.0
 """Upper bound of the time window over which the maximum of an oscillating deviation is taken [s].
 Chosen, not tuned."""
@@ -100,6 +108,7 @@ class GrowthTrial(Result):
     doubling_time: float | None = field(metadata={"unit": "s"})
     joints: tuple[str, ...]
     sustained: bool = False
+    _oscillates: bool = True
 
 
 def confirm_growth(
@@ -214,7 +223,9 @@ def simulate_growth(
     count = math.ceil(period / (window * timestep))
     amplitude = _final_amplitude(np.array(lows), np.array(highs), max(count, 1))
     sustained = steady and not amplitude < _SUSTAINED_RATIO * maxima[0]  # True if not finite
-    return GrowthTrial(angle, time, doubling, select_most_moving(joint_deviations), sustained)
+    oscillates = not amplitude < _MIN_OSCILLATION_RATIO * maxima[-1]
+    names_of_most_moving = select_most_moving(joint_deviations)
+    return GrowthTrial(angle, time, doubling, names_of_most_moving, sustained, oscillates)
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -343,6 +354,8 @@ def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float)
         return replace(mode, doubling_time=None, joints=joints, nudge=trial.nudge)
     simulated, constant = math.log(trial.doubling_time), trial.doubling_time / math.log(2)
     mode = min(modes, key=lambda mode: abs(math.log(_doubling_time(mode)) - simulated))
+    if not trial._oscillates:
+        mode = replace(mode, frequency=0.0, damping_ratio=-1.0)
     return replace(
         mode,
         growth=math.expm1(timestep / constant),

@@ -11,7 +11,7 @@ import pytest
 
 from pupper_analysis.robot.stability import HOLD_DURATION, Mode, step_stability
 from pupper_analysis.simulation.causes import describe_growth
-from pupper_analysis.simulation.growth import _doubling_time_of, simulate_growth
+from pupper_analysis.simulation.growth import _doubling_time_of, confirm_growth, simulate_growth
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.stability import judge_stability
 
@@ -131,3 +131,24 @@ def test_dry_friction_that_keeps_a_deviation_is_no_sustained_oscillation(
     trial = simulate_growth(model, start, np.zeros(0), [mode], 1e-3, 1.0)
     assert trial.doubling_time is None
     assert trial.sustained is sustained
+
+
+@pytest.mark.parametrize("shakes", [False, True])
+def test_a_deviation_that_grows_without_oscillation_buckles(shakes: bool) -> None:
+    """Closed form: a rod that buckles, or that swings with negative damping.
+
+    In the spectrum of the rod that buckles, the frequency is set to 1 Hz.
+    """
+    model = mujoco.MjModel.from_xml_string(rod(12.0, 0.0) if shakes else rod(5.0, 0.4))
+    model.dof_damping[:] = -0.2 if shakes else 0.0
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    found = step_stability(model, data, settle=0.0)
+    (mode,) = found.modes_growing_within()
+    assert bool(mode.frequency) is shakes
+    if not shakes:
+        found = replace(found, unstable=(replace(mode, frequency=1.0),))
+    assert found.unstable[0].shakes
+    (confirmed,) = confirm_growth(found, model, data, data.ctrl).unstable
+    assert confirmed.shakes is shakes
+    assert confirmed.doubling_time == pytest.approx(mode.doubling_time, rel=0.1)
