@@ -13,8 +13,9 @@ valid for micrometres only, and dry friction makes it depend on the finite-diffe
    the last two doublings.
 4. Modes that shake are confirmed, too, if the oscillation of the difference is sustained: the
    growth may end in a limit cycle. A constant difference, which dry friction leaves, is none.
-5. A mode that shakes in the spectrum, and grows in the simulation without an oscillation, is
-   reported as buckling: a foot with almost no load may open and close in the linearised step.
+5. A mode that shakes in the spectrum, but grows in the simulation more slowly than
+   ``HOLD_DURATION`` per doubling, and without an oscillation, counts as slow buckling: a foot with
+   almost no load may open and close in the linearised step.
 6. Otherwise the simulation refutes the modes: the simulation decides, and the disagreement is
    reported.
 """
@@ -80,9 +81,9 @@ step 2) with which an oscillation counts as sustained, in a simulation of at lea
 period of the slowest mode. Chosen, not tuned."""
 
 _MIN_OSCILLATION_RATIO = 0.5
-"""Smallest ratio of the last amplitude (as of ``_SUSTAINED_RATIO``) to the last maximum of the
-deviation D with which a growing deviation counts as an oscillation. Chosen between 1, for an
-oscillation about the undisturbed motion, and 0.25, for exponential growth that doubles in one
+"""Smallest ratio of the amplitude (as of ``_SUSTAINED_RATIO``) to the maximum of the deviation D,
+when D has grown by ``2 ** DOUBLINGS``, with which D counts as an oscillation. Chosen between 1, for
+an oscillation about the undisturbed motion, and 0.25, for exponential growth that doubles in one
 period."""
 
 _MAX_WINDOW = 1.0
@@ -223,9 +224,23 @@ def simulate_growth(
     count = math.ceil(period / (window * timestep))
     amplitude = _final_amplitude(np.array(lows), np.array(highs), max(count, 1))
     sustained = steady and not amplitude < _SUSTAINED_RATIO * maxima[0]  # True if not finite
-    oscillates = not amplitude < _MIN_OSCILLATION_RATIO * maxima[-1]
+    grown = _count_windows_until_grown(np.array(maxima))
+    amplitude = _final_amplitude(np.array(lows[:grown]), np.array(highs[:grown]), max(count, 1))
+    oscillates = not amplitude < _MIN_OSCILLATION_RATIO * maxima[grown - 1]
     names_of_most_moving = select_most_moving(joint_deviations)
     return GrowthTrial(angle, time, doubling, names_of_most_moving, sustained, oscillates)
+
+
+def _count_windows_until_grown(maxima: Array) -> int:
+    """Return the number of windows until the deviation has grown by ``2 ** DOUBLINGS``.
+
+    All windows, if the deviation never grows as much.
+
+    Args:
+        maxima: Largest deviation in each window of time, shape (n,).
+    """
+    grown = np.flatnonzero(maxima >= 2.0**DOUBLINGS * np.minimum.accumulate(maxima))
+    return int(grown[0]) + 1 if len(grown) else len(maxima)
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -354,7 +369,7 @@ def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float)
         return replace(mode, doubling_time=None, joints=joints, nudge=trial.nudge)
     simulated, constant = math.log(trial.doubling_time), trial.doubling_time / math.log(2)
     mode = min(modes, key=lambda mode: abs(math.log(_doubling_time(mode)) - simulated))
-    if not trial._oscillates:
+    if trial.doubling_time >= HOLD_DURATION and not trial._oscillates:
         mode = replace(mode, frequency=0.0, damping_ratio=-1.0)
     return replace(
         mode,
