@@ -5,6 +5,7 @@ test.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -335,3 +336,36 @@ def test_two_results_on_standard_output_are_refused(folder: Path) -> None:
     given = answer("audit", "robot.urdf", "--json", "-", "--report", "-", folder=folder)
     assert (given.returncode, given.stdout) == (2, "")
     assert "two results" in given.stderr
+
+
+def test_file_of_the_user_is_replaced_only_with_force(folder: Path) -> None:
+    """Afterwards the file is a result, which the next result may replace."""
+    path = folder / "notes.json"
+    path.write_text('{"mine": true}\n')
+    given = answer("audit", "robot.urdf", "--json", "notes.json", folder=folder)
+    assert given.returncode == 2
+    assert "give another name, or add --force" in given.stderr
+    assert path.read_text() == '{"mine": true}\n'
+    for more in (["--force"], []):
+        given = answer("audit", "robot.urdf", "--json", "notes.json", *more, folder=folder)
+        assert given.returncode < 2, given
+        assert path.read_text().startswith('{\n  "generator": "pupper-analysis ')
+    path.unlink()
+
+
+def test_full_disk_is_reported_in_one_line_and_leaves_no_file(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write_nothing(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("pupper_analysis.base.files.write_new", write_nothing)
+    before = sums(folder)
+    for output in ("--json", "--report"):
+        given = answer("audit", "robot.urdf", output, "new/result", folder=folder)
+        lines = [line for line in given.stderr.splitlines() if line.startswith("error")]
+        assert given.returncode == 2, given
+        assert len(lines) == 1
+        assert "No space left on device" in lines[0]
+    assert {path for path in sums(folder).keys() - before.keys() if path.name != ".lock"} == set()
+    shutil.rmtree(folder / "new", ignore_errors=True)

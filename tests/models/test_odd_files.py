@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import MAX_DEPTH, read_urdf
 from pupper_analysis.tools.audit.audit import audit_model
-from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO
+from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO, compare_models
 from tests.support.robots import (
     Part,
     change_part,
@@ -36,6 +37,26 @@ def test_urdf_with_a_mujoco_block_is_compared_in_mujoco(tmp_path: Path) -> None:
     assert comparison.agree
     assert not [note for note in comparison.check.notes if URDF_MUJOCO in str(note)]
     assert "engines (URDF)" in comparison.check.quantities[0].edge_deviations
+
+
+def test_file_with_the_ending_mjcf_is_read_with_its_parts(tmp_path: Path) -> None:
+    """The included file and the mesh are found beside it."""
+    (tmp_path / "part.xml").write_text('<mujocoinclude><option timestep="0.003"/></mujocoinclude>')
+    mesh = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "shell.obj").write_bytes(mesh)
+    text = MJCF.replace(
+        "<worldbody>",
+        '<include file="part.xml"/><asset><mesh name="shell" file="shell.obj"/></asset><worldbody>',
+    )
+    text = text.replace('angle="radian"', 'angle="radian" meshdir="meshes"')
+    text = text.replace("<freejoint/>", '<freejoint/><geom type="mesh" mesh="shell" mass="0"/>')
+    (tmp_path / "robot.urdf").write_text(URDF)
+    (tmp_path / "robot.mjcf").write_text(text)
+    model = read_mjcf(tmp_path / "robot.mjcf").model
+    assert model.opt.timestep == 0.003
+    assert model.nmesh == 1
+    assert compare_models(tmp_path / "robot.urdf", tmp_path / "robot.mjcf").agree
 
 
 def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:

@@ -64,6 +64,7 @@ def test_mujoco_import_of_a_correct_urdf_agrees_with_the_prediction(tmp_path: Pa
     assert verdict.keyframe_run.timestep is None
     assert verdict.keyframe_run.worst is not None
     assert "MuJoCo's import of the URDF, from the computed pose" in format_verdict(verdict)
+    assert "rests-on-made-up" not in {clause.message.code for clause in verdict_clauses(verdict)}
     assert verdict.published is not None
     assert not verdict.published.differs
     for run in verdict.published.runs:

@@ -210,3 +210,10 @@ def test_unknown_limit_of_a_lift_is_given_as_a_force() -> None:
     message = describe_unknown_limits(robot, statics)
     assert message is not None
     assert "up to 19.6 N (lift)" in str(message)
+
+
+@pytest.mark.slow
+def test_audit_errors_appear_in_the_verdict_of_a_held_posture(tmp_path: Path) -> None:
+    slip, message = SLIPS["triangle-inequality"]
+    robot = pa.load_robot(write_slip(tmp_path, slip), fixed_base=True)
+    assert str(message) in format_verdict(pa.hold_posture(robot).verdict)

@@ -283,3 +283,10 @@ def test_workflows_call_existing_make_targets() -> None:
             word for line in re.findall(r"run: make (.+)$", text, re.M) for word in line.split()
         }
         assert {name for name in named if re.fullmatch(r"[a-z][a-z-]+", name)} <= targets, path.name
+
+
+def test_readme_names_make_targets_that_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.M))
+    named = set(re.findall(r"^make ([a-z-]+)", (ROOT / "README.md").read_text("utf-8"), re.M))
+    assert named
+    assert named <= targets

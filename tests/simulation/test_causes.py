@@ -12,6 +12,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.causes import find_chatter
 from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
 from tests.support.legged import quadruped
+from tests.support.variants import load, stand_of
 
 
 @pytest.mark.parametrize(
@@ -46,3 +47,26 @@ def test_ground_that_pushes_in_pulses_is_named_as_a_cause(
     assert message.code == "contacts-rattle"
     assert message.values["share"] == pytest.approx(0.5, abs=1e-3)
     assert says in str(message)
+
+
+@pytest.mark.slow
+def test_share_of_the_pulses_increases_with_the_motion_of_the_ground() -> None:
+    """The base height alternates by up to 2 mm; variations below a twentieth are not reported."""
+    robot, stand = load("original"), stand_of("original")
+    drive = model_with_servos(robot)
+    at_rest = pa.stance.solve_stand_on_soft_ground(robot)
+    ctrl = drive.command(robot, stand.joint_positions(robot))
+    start = place_on_ground(
+        robot, drive, at_rest, pa.stance.stand_statics(robot, at_rest).joint_torques
+    )
+    state = simulate_commands(drive.model, start, np.tile(ctrl, (200, 1)))[-1]
+    shares = []
+    for way in (0.0, 1e-5, 5e-4, 2e-3):
+        states = np.tile(state, (50, 1))
+        states[::2, 3] += way
+        states[1::2, 3] -= way
+        found = find_chatter(robot, drive, states, ctrl)
+        shares.append(sum(float(one.values["share"]) for one in found))
+    assert shares[:2] == [0.0, 0.0]
+    assert 0.1 < shares[2] < 0.9
+    assert shares[3] > 1.5 * shares[2]

@@ -283,6 +283,27 @@ def test_posture_with_a_larger_distance_of_the_links_is_found() -> None:
 
 
 @pytest.mark.slow
+def test_stand_with_a_high_base_on_three_feet_is_found() -> None:
+    """With the knees above the hips and a clearance of 66 mm, the base can move 3 mm. Reference of
+    the foot heights and the centre of mass: MuJoCo.
+    """
+    robot = load("v3")
+    task = pa.StandTask(swing={"FR": 0.003}, ground_clearance=0.066, com="inside")
+    stand = pa.solve_stand(robot, task, explain=False)
+    data = evaluate_mujoco(robot, stand.qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    mujoco.mj_comPos(robot.mj_model, data)
+    for foot, (body, place) in robot.contact_places.items():
+        position = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+        height = robot.contact_radius[foot] + task.swing.get(foot, 0.0)
+        assert position[2] == pytest.approx(height)
+    rear = min(stand.contact_points[foot][0] for foot in ("RR", "RL"))
+    assert data.subtree_com[0][0] > rear - 1e-9
+    assert stand.ground_clearance is not None
+    assert stand.ground_clearance.distance > 0.066 - 1e-6
+
+
+@pytest.mark.slow
 def test_feet_at_one_place_are_refused_if_links_must_be_apart() -> None:
     """Both left feet are moved to one place; the nearest stance keeps the distance."""
     robot, x = load("v3"), 0.075

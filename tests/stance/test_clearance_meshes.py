@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -221,3 +222,15 @@ def test_shapes_without_contacts_have_no_clearance(tmp_path: Path) -> None:
         pair.mjcf.write_text(text.replace('mesh="shell" pos', f'mesh="shell" {bits} pos'))
         robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
         assert any(shape.link == "trunk" for shape in robot.shapes) == seen
+
+
+@pytest.mark.slow
+def test_workspace_ends_where_a_mesh_touches_the_ground(robot: pa.Robot) -> None:
+    """Reference: MuJoCo's distance to the ground at the largest pitch, and 0.01 rad beyond it."""
+    start = pa.StandTask(height=0.22)
+    pitch = pa.stance.base_workspace(robot, start).intervals["pitch"].high
+    stand = pa.solve_stand(robot, pa.StandTask(height=0.22, pitch=pitch))
+    assert 0 <= compute_ground_distance(robot, stand.qpos) + 1e-6 < 1e-3
+    qpos, half = stand.qpos.copy(), (pitch + 0.01) / 2
+    qpos[3:7] = math.cos(half), 0.0, math.sin(half), 0.0
+    assert compute_ground_distance(robot, qpos) < 0

@@ -13,10 +13,12 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.posture import find_posture
 from tests.support import arm
 from tests.support.random_legged import draw_robot, write_robot
+from tests.support.variants import load
 
 
 @pytest.mark.slow
@@ -78,3 +80,13 @@ def test_weld_that_forces_a_joint_out_of_its_range_is_named(tmp_path: Path) -> N
     assert re.search("elbow at -?0 deg, outside 11.46 deg to 137.5 deg", message)
     assert "weld bolt" in message
     assert "within the ranges" in message
+
+
+def test_joints_without_limits_are_solved_with_different_margins() -> None:
+    """Continuous joints have no limits; the margin of a previous task must not remain."""
+    robot = load("v3")
+    urdf = robot.description.urdf.replace('type="revolute"', 'type="continuous"')
+    endless = rebuild_robot(robot, urdf=urdf)
+    assert np.isinf(endless.upper_limits).all()
+    tasks = [pa.StandTask(height=0.13, joint_margin=margin) for margin in (0.0, 0.1, 0.0)]
+    assert all(stand.solved for stand in pa.solve_stands(endless, tasks))

@@ -38,7 +38,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.diagnostics.catalogue import word_files
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.results import to_json
-from tests.support.rooms import trees
+from tests.support.rooms import PACKAGE, trees
 
 WORDS = {
     whose: tomllib.loads(path.read_text(encoding="utf-8")) for whose, path in word_files().items()
@@ -339,3 +339,41 @@ def test_merged_diagnostics_are_sorted_by_severity_without_repetitions() -> None
     lesser = diagnose("problem", problem="less", severity=Severity.WARNING)
     worst = diagnose("problem", problem="worst")
     assert merge_diagnostics([near, lesser, wrong, worst, near]) == (worst, lesser, near, wrong)
+
+
+def test_inertia_difference_is_stated_in_both_languages() -> None:
+    entry = diagnose(
+        "inertia-entry-differs",
+        entry="ixx",
+        one=Quantity(0.018, "kg m^2"),
+        two=Quantity(0.016, "kg m^2"),
+        guess=diagnose("relative-change", change=Quantity(-0.0739, "1")),
+        first=Term("the URDF"),
+        second=Term("the MJCF"),
+    )
+    found = diagnose("inertia-differs", subject=("body", "base"), entries=[entry, entry])
+    english = "ixx 0.018 kg m^2 in the URDF, 0.016 kg m^2 in the MJCF (-7.39 %)"
+    assert str(found) == f"link base: inertia about the com: {english}; {english}"
+    chinese = "ixx 在 URDF 中为 0.018 kg m^2，在 MJCF 中为 0.016 kg m^2（-7.39 %）"
+    assert found.text("zh") == f"连杆 base：关于质心的惯量：{chinese}；{chinese}"
+
+
+def test_error_names_its_file_and_contains_its_diagnostic() -> None:
+    problem = diagnose("feet-miss-targets", feet=("FL",))
+    error = errors.ModelError("a.urdf", problem)
+    assert str(error) == "a.urdf: the feet miss their targets: FL"
+    assert error.problem == "the feet miss their targets: FL"
+    assert error.diagnostic.text("zh") == "a.urdf：各足未到达目标：FL"
+    again = pickle.loads(pickle.dumps(error))
+    assert again.diagnostic == error.diagnostic
+    assert str(again) == str(error)
+
+
+def test_package_never_searches_its_own_messages() -> None:
+    """A program must decide by codes and values, not by the text of a note or an error."""
+    reads = re.compile(
+        r"""["'] (?:not )?in (?:note|sentence|str\(error\)|error\.problem)\b"""
+        r"""|\b(?:note|sentence|message|problem)\.(?:startswith|endswith|partition)\("""
+    )
+    found = {path for path in PACKAGE.rglob("*.py") if reads.search(path.read_text("utf-8"))}
+    assert found == set()

@@ -19,8 +19,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import LANGUAGES
+from pupper_analysis.base.diagnostics.catalogue import list_entries
 from pupper_analysis.base.results import Result
 from tests.base.diagnostics.test_diagnostic import HAN, MEANINGS
+from tests.support.names import public, public_modules
 
 OWN_PAGES = {
     *("Analysis", "Stance", "Hold", "PushedStance", "PathThere", "FilesCompared", "Audit"),
@@ -85,10 +87,22 @@ def test_english_meanings_equal_the_docstrings_of_listed_fields() -> None:
     assert [key for key, both in list_meanings().items() if not both["zh"]] == []
 
 
+@pytest.mark.slow
+def test_fields_of_public_results_are_documented() -> None:
+    """Inherited fields may be documented by the base class."""
+    values = [value for module in (pa, *public_modules()) for value in public(module).values()]
+    kinds = [value for value in values if isinstance(value, type) and issubclass(value, Result)]
+    assert len(kinds) > 20
+    for kind in kinds:
+        known = {name for one in kind.__mro__ for name in read_field_docs(one)}
+        assert {field.name for field in fields(kind)} <= known, kind  # type: ignore[arg-type]
+
+
 def test_meanings_are_in_both_languages_with_the_same_units() -> None:
-    """Units in parentheses are equal in both texts."""
+    """Units in parentheses are equal in both texts. Reference of the keys: `tomllib`."""
     units = r"[(（\[](N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)[)）\]]"
     assert list_meanings()
+    assert set(list_entries("meanings.toml")) == set(list_meanings())
     for key, both in list_meanings().items():
         assert set(both) == set(LANGUAGES), key
         assert re.findall(units, both["en"]) == re.findall(units, both["zh"]), key

@@ -44,3 +44,20 @@ def test_small_effort_is_the_force_range_of_the_motor(tmp_path: Path) -> None:
     model = mujoco.MjModel.from_xml_path(str(file))
     assert model.nu > 0
     np.testing.assert_allclose(np.abs(model.actuator_forcerange).max(axis=1), 0.5)
+
+
+def test_colliding_geom_is_named_after_its_link(tmp_path: Path) -> None:
+    """The link has a visual box and a collision sphere; the visual geom has no name."""
+    shapes = (
+        '<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>'
+        '<collision><geometry><sphere radius="0.02"/></geometry></collision></link>'
+    )
+    text = urdf_text(arm()).replace("</link>", shapes, 1)
+    (tmp_path / "arm.urdf").write_text(text)
+    (link,) = (part.get("name") for part in etree.fromstring(text).iter("link") if len(part) > 1
+               and part.find("collision") is not None)  # fmt: skip
+    pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    collides = {model.geom(i).name: bool(model.geom_contype[i]) for i in range(model.ngeom)}
+    assert {name for name, on in collides.items() if on and link in name} == {f"{link}_collision"}
+    assert not [name for name, on in collides.items() if name and not on]

@@ -11,12 +11,13 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.models.additions import Floor, Servo, StartKeyframe
+from pupper_analysis.models.additions import Floor, Options, Servo, StartKeyframe
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
 from tests.support.conversions import write_standing_urdf
 from tests.support.legged import quadruped as legged
 from tests.support.legged import rewrite_file
+from tests.support.repository import ROOT
 
 GEOM = (
     *("friction", "solref", "solimp", "solmix", "condim", "contype", "conaffinity", "priority"),
@@ -160,3 +161,21 @@ def test_freed_robot_is_written_with_the_servos_of_its_stand(
         task = StandTask(ground=pa.Ground(slope=slope))
         for robot in (free, pa.load_robot(output)):
             assert pa.verify_stand(robot, pa.solve_stand(robot, task)).passed
+
+
+@pytest.mark.slow
+def test_urdf_of_pupper_is_written_with_the_world_of_the_loaded_robot(tmp_path: Path) -> None:
+    robot, file, _ = load_both(ROOT / "urdf/pupper_v3.urdf", tmp_path)
+    assert_equal_worlds(robot.mj_model, file)
+
+
+@pytest.mark.slow
+def test_contact_options_of_an_mjcf_are_kept(tmp_path: Path) -> None:
+    """A floor is added. Reference: the options of the file, which are MuJoCo's defaults."""
+    pair = legged(tmp_path)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    stated = mujoco.MjModel.from_xml_path(str(pair.mjcf)).opt
+    assert robot.mj_model.opt.cone == stated.cone
+    assert robot.mj_model.opt.impratio == stated.impratio
+    options = [each for each in robot.description.added if isinstance(each, Options)]
+    assert not any("cone" in each.values for each in options)

@@ -98,3 +98,9 @@ def test_two_points_of_a_sole_cannot_part() -> None:
         ([(0, 1), (0, -1), (0, 0)], [(0, 1), (0, -1), (0, 0)]),  # turning
     ):
         np.testing.assert_allclose(np.tensordot(whole, np.array(slips), 2), left, atol=1e-12)
+
+
+def test_points_of_different_feet_slip_freely() -> None:
+    places = {"a": (0.1, 0.0, 0.0), "b": (0.0, 0.3, 0.0)}
+    anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in places.items()}
+    assert rigid_slips(anchors, {name: name for name in places}, {}) is None

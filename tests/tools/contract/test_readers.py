@@ -33,6 +33,14 @@ def test_metadata_inputs_and_outputs_of_an_onnx_file_are_read(tmp_path: Path) ->
     assert get_text(gather_fields(file.graph[12][0]), 1) == "actions"
 
 
+def test_onnx_file_of_metadata_alone_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(onnx(joint_names="a,b"))
+    file = read_onnx(path)
+    assert file.metadata == {"joint_names": "a,b"}
+    assert (file.graph, file.inputs, file.outputs) == ({}, {}, {})
+
+
 def test_packed_and_single_integers_are_decoded() -> None:
     """Protocol Buffers: 0xac 0x02 is 300, and 2^64 - 1 is -1."""
     assert decode_integers([3, memoryview(b"\x01\xac\x02"), (1 << 64) - 1]) == [3, 1, 300, -1]

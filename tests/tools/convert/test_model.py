@@ -27,7 +27,7 @@ from tests.support.conversions import (
 )
 from tests.support.repository import ROOT
 from tests.support.robots import NOTHING, Part, Parts, arm, change_part, mjcf_text, urdf_text
-from tests.support.round_trips import round_trip
+from tests.support.round_trips import of_mjcf, of_urdf, round_trip, silent_losses
 
 # ---------------------------------------------------------------------------- a URDF as an MJCF
 
@@ -565,3 +565,19 @@ def test_armature_of_a_pinocchio_model_is_written_to_the_mjcf(tmp_path: Path) ->
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
         armature = written.dof_armature[written.joint(name).dofadr[0]]
         assert armature == pytest.approx(model.armature[joint.idx_v])
+
+
+@pytest.mark.slow
+def test_losses_without_a_message_are_found(tmp_path: Path) -> None:
+    """`silent_losses` finds a changed damping, and a lost condim if its message is missing."""
+    source = ROOT / "urdf/pupper_v3.urdf"
+    text = source.read_text().replace('damping="0.01"', 'damping="0.02"', 1)
+    (tmp_path / "a.urdf").write_text(text)
+    found = silent_losses(of_urdf(source), of_urdf(tmp_path / "a.urdf"), "")
+    assert found == {"damping": ["leg_front_r_1"]}
+    done = pa.convert_model(ROOT / "mjcf/pupper_v3.xml", tmp_path / "b.urdf")
+    back = pa.convert_model(tmp_path / "b.urdf", tmp_path / "b.xml")
+    before, after = of_mjcf(ROOT / "mjcf/pupper_v3.xml"), of_mjcf(tmp_path / "b.xml")
+    said = " ".join(map(str, (*done.not_converted, *back.notes))).lower()
+    assert "condim" in silent_losses(before, after, said.replace("condim", ""))
+    assert "condim" not in silent_losses(before, after, said)

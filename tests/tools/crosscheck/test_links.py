@@ -89,6 +89,16 @@ def test_missing_links_are_one_cause_and_the_first(lacks: str, folder: Path) -> 
     assert len(cause.differences) == len(comparison.differences)
 
 
+@pytest.mark.slow
+def test_files_agree_after_the_named_links_are_added(folder: Path) -> None:
+    bare = remove_parts(add_rotors(), "_rotor", "lidar")
+    comparison = compare_files(write(folder, urdf_text(add_rotors()), mjcf_text(bare)))
+    message = get_cause_message(comparison, "links")
+    assert "8 *_rotor of 0.089 kg each, lidar of 0.02 kg" in message
+    full = add_rotors()
+    assert compare_files(write(folder, urdf_text(full), mjcf_text(full))).agree
+
+
 def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
     bare = remove_parts(add_rotors(), "thigh0_rotor", "thigh1_rotor", "hip2_rotor")
     comparison = compare_files(write(folder, urdf_text(add_rotors()), mjcf_text(bare)))

@@ -266,6 +266,10 @@ def test_files_that_are_no_policy_are_refused(tmp_path: Path) -> None:
     bad = tmp_path / "bad.json"
     bad.write_text('{"layers": [', encoding="utf-8")
     assert "JSON" in get_refusal(bad)
+    bad.write_text('{"kp":\n nothing}', encoding="utf-8")
+    assert "bad.json:2: it is no JSON" in get_refusal(bad)
+    bad.write_text('{"layers": 3}', encoding="utf-8")
+    assert "no list of layers" in get_refusal(bad)
     bad.write_text('{"layers": [1]}', encoding="utf-8")
     assert "layer 1" in get_refusal(bad)
     (tmp_path / "bad.onnx").write_bytes(b"\x80\x04\x95pickle")
