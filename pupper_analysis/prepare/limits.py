@@ -112,7 +112,9 @@ def _find_tendon_drives(
         return None
     model, by_actuator = file.model, fixed_tendon_levers(file.model)
     rows = [row for row, name in enumerate(robot.joint_names) if name in driven]
-    joints = [model.joint(name).id for name in robot.joint_names]
+    # A joint without a name in the file has the id -1, and no lever.
+    kind = mujoco.mjtObj.mjOBJ_JOINT
+    joints = [mujoco.mj_name2id(model, kind, name) for name in robot.joint_names]
     at_rows = {joints[row] for row in rows}
     actuators = [actuator for actuator, own in by_actuator.items() if at_rows & set(own)]
     levers = [[by_actuator[actuator].get(joint, 0.0) for actuator in actuators] for joint in joints]
