@@ -9,9 +9,13 @@ import errno
 import hashlib
 import json
 import os
+import re
 import shutil
+import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -294,11 +298,14 @@ def tiny(command: click.Command) -> list[str]:
 
 def all_outputs(command: Command) -> list[str]:
     """Returns the options of a command's outputs, each in a new folder."""
-    names = {"convert": "new.xml"}
+    model = "new.xml" if command.name == "convert" else "result"
     return [
         word
         for option in command.outputs
-        for word in (option.opts[0], f"new/{option.name}/{names.get(str(command.name), 'result')}")
+        for word in (
+            option.opts[0],
+            f"new/{option.name}/{model if '-o' in option.opts else 'result'}",
+        )
         if (command.name, option.name) != ("analyze", "write_folder")
     ]
 
@@ -369,3 +376,102 @@ def test_full_disk_is_reported_in_one_line_and_leaves_no_file(
         assert "No space left on device" in lines[0]
     assert {path for path in sums(folder).keys() - before.keys() if path.name != ".lock"} == set()
     shutil.rmtree(folder / "new", ignore_errors=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["audit", "convert", "fit", "stand", "study", "sync"])
+def test_full_disk_is_one_error_of_each_kind_of_command(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = cli.find_command(name)
+    assert isinstance(command, Command)
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    before = sums(folder)
+    monkeypatch.setattr("pupper_analysis.base.files.write_new", fail)
+    given = answer(*tiny(command), *all_outputs(command), folder=folder)
+    errors = [line for line in given.stderr.splitlines() if line.startswith("error")]
+    assert given.returncode == 2, given
+    assert len(errors) == 1, given
+    assert "No space left on device" in errors[0]
+    left = sums(folder).keys() - before.keys()
+    assert {path for path in left if path.name != ".lock"} == set()
+    shutil.rmtree(folder / "new", ignore_errors=True)
+
+
+@pytest.mark.parametrize("taken", [False, True])
+def test_removed_output_folder_is_made_again_unless_a_file_has_its_name(
+    taken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder is removed during the run."""
+    from pupper_analysis.tools.audit import audit
+
+    place, audit_model = write_inputs(tmp_path) / "into", audit.audit_model
+    place.mkdir()
+
+    def remove_folder(*words: Any, **given: Any) -> Any:
+        place.rmdir()
+        if taken:
+            place.write_text("mine")
+        return audit_model(*words, **given)
+
+    monkeypatch.setattr(audit, "audit_model", remove_folder)
+    given = answer("audit", "robot.urdf", "--json", "into/a.json", folder=tmp_path)
+    if taken:
+        assert given.returncode == 2, given
+        assert len([line for line in given.stderr.splitlines() if "error" in line]) == 1
+        assert place.read_text() == "mine"
+    else:
+        assert given.returncode < 2, given
+        assert (place / "a.json").is_file()
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path) -> Iterator[Path]:
+    """A mounted file system without free space, in a folder with input files."""
+    place = write_inputs(tmp_path) / "full"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("no permission to mount a file system")
+    try:
+        text = (tmp_path / "robot.urdf").read_text()
+        text = re.sub("<visual>.*?</visual>", "", text)
+        (place / "robot.urdf").write_text(text.replace('mass value="', 'mass value="1', 1))
+        with suppress(OSError), (place / "filler").open("wb", buffering=0) as file:
+            while file.write(bytes(4096)):
+                pass
+        yield place
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("audit", "robot.urdf", "--json", "full/a.json"),
+        ("audit", "robot.urdf", "--report", "full/a.html"),
+        ("convert", "robot.xml", "-o", "full/a.urdf"),
+        ("sync", "full/robot.urdf", "robot.xml", "--take", "mjcf"),
+    ],
+    ids=lambda words: " ".join(words[:1] + words[-2:]),
+)
+def test_real_full_disk_keeps_all_files(words: tuple[str, ...], full_disk: Path) -> None:
+    before = sums(full_disk)
+    given = answer(*words, folder=full_disk.parent)
+    errors = [line for line in given.stderr.splitlines() if line.startswith("error")]
+    assert given.returncode == 2, given
+    assert len(errors) == 1, given
+    assert "No space left on device" in errors[0]
+    assert sums(full_disk) == before
+
+
+def test_read_only_file_system_is_refused_before_the_work(full_disk: Path) -> None:
+    subprocess.run(["mount", "-o", "remount,ro", str(full_disk)], check=True)
+    for words in (("audit", "robot.urdf", "--json"), ("convert", "robot.xml", "-o")):
+        given = answer(*words, "full/a.urdf", folder=full_disk.parent)
+        assert (given.returncode, given.stdout) == (2, ""), given
+        assert one_line(given)
+        assert "no file may be made" in given.stderr

@@ -108,6 +108,16 @@ def test_results_are_written_if_the_reader_of_standard_output_closes(tmp_path: P
 
 
 @pytest.mark.slow
+def test_closed_output_streams_are_no_error(tmp_path: Path) -> None:
+    code = "import os, sys; os.close(1); os.close(2); os.execv(sys.executable, sys.argv[1:])"
+    command = (sys.executable, "-c", code, *COMMAND, "workspace", "v3", "--json", "out.json")
+    process = start(*command, cwd=tmp_path)
+    assert process.communicate(timeout=60) == ("", "")
+    assert process.returncode == 0
+    assert json.loads((tmp_path / "out.json").read_text())
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
 def test_output_is_written_in_each_terminal_encoding(encoding: str, tmp_path: Path) -> None:
     """A character that the encoding lacks is printed as an escape."""

@@ -10,17 +10,19 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
+from pupper_analysis.models.mjcf import to_xml
 from pupper_analysis.pupper import derive as urdf
 from pupper_analysis.pupper.variant_files import describe_variant
 from tests.support.bodies import BODIES, Body, assert_same_bodies, mujoco_bodies, pinocchio_bodies
 from tests.support.engines import evaluate_mujoco
 from tests.support.repository import ROOT
-from tests.support.variants import load
+from tests.support.variants import BASES, load
 
 leg_scales = st.floats(0.3, 3.0)
 torso_scales = st.floats(0.2, 5.0)
@@ -374,8 +376,54 @@ def test_writing_a_variant_does_not_change_the_base_files(tmp_path: Path) -> Non
     assert {path: path.stat().st_mtime_ns for path in files} == before
 
 
-def test_two_descriptions_of_a_variant_are_equal() -> None:
-    """A description that changed the base model would be scaled twice."""
-    one, two = describe_variant("v3-long-leg"), describe_variant("v3-long-leg")
-    assert one.urdf == two.urdf
-    assert one.mjcf.to_xml() == two.mjcf.to_xml()
+def test_second_derivation_of_a_base_starts_from_the_unchanged_base() -> None:
+    """URDF and MJCF are derived separately: the text of the URDF is immutable."""
+    for scale in (1.31, 1.32):
+        robot = pa.load_variant(pa.pupper.VariantSpec("v3", scale, scale))
+    assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-12)
+
+
+def test_change_of_a_description_does_not_change_the_next_description() -> None:
+    first = describe_variant("v3-heavy")
+    text, urdf_text = to_xml(first.mjcf), first.urdf
+    first.mjcf.bodies[1].mass = 99.0
+    assert to_xml(first.mjcf) != text
+    second = describe_variant("v3-heavy")
+    assert (to_xml(second.mjcf), second.urdf) == (text, urdf_text)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["original", "v3-heavy"])
+def test_written_files_are_read_from_another_folder(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By MuJoCo and yourdfpy, with relative paths; the meshes are beside the models."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    paths = pa.pupper.write_variant(name, "out/models")
+    assert paths == (Path(f"out/models/urdf/{name}.urdf"), Path(f"out/models/mjcf/{name}.xml"))
+    monkeypatch.chdir(tmp_path)
+    urdf_path, mjcf_path = (str(Path("elsewhere") / path) for path in paths)
+    mass = load(name).total_mass
+    assert mujoco.MjModel.from_xml_path(mjcf_path).body_mass.sum() == pytest.approx(mass)
+    scene = yourdfpy.URDF.load(urdf_path)
+    masses = [link.inertial.mass for link in scene.robot.links if link.inertial is not None]
+    assert sum(masses) == pytest.approx(mass, rel=1e-12)
+    shapes = sum(len(link.visuals) for link in scene.robot.links)
+    assert len(scene.scene.geometry) == shapes
+    written = {path.name for path in (tmp_path / "elsewhere/out/models").rglob("*.stl")}
+    expected = {"torso.stl", "hip.stl", "thigh.stl", "calf.stl"} if "v3" in name else set()
+    assert written == expected
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_published_files_have_the_bodies_of_the_base_model(name: str) -> None:
+    ours = load(name)
+    files = ROOT / f"urdf/{BASES[name]}.urdf", ROOT / f"mjcf/{BASES[name]}.xml"
+    feet = list(ours.contact_frames.values())
+    robot = pa.load_robot(urdf=files[0], mjcf=files[1], feet=feet)
+    assert robot.name == BASES[name]
+    assert robot.joint_names == ours.joint_names
+    assert (robot.base, robot.imu) == ("base_link", "body_imu_site")
+    assert_same_bodies(pinocchio_bodies(robot), pinocchio_bodies(ours), 1e-15)
+    assert_same_bodies(mujoco_bodies(robot), mujoco_bodies(ours), 1e-15)
