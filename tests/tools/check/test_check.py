@@ -24,6 +24,7 @@ from pupper_analysis.base.diagnostics import (
     diagnostic,
 )
 from pupper_analysis.base.errors import OutputError
+from pupper_analysis.cli import EXIT_BAD_INPUT
 from pupper_analysis.tools.check.check import _get_change_severity
 from pupper_analysis.tools.check.config import list_pair_entries, read_config
 from pupper_analysis.tools.check.remarks import (
@@ -105,6 +106,52 @@ def test_equal_difference_of_several_joints_is_one_remark(folder: Path) -> None:
     assert "joint knee: damping 0.05 N m s/rad in the URDF, 0.06 N m s/rad in the MJCF" in shown
     assert "   likewise on 1 more: hip" in shown
     assert "FAILED pupper-analysis.toml: 1 to fix" in shown
+
+
+def test_moved_lines_are_no_change(folder: Path) -> None:
+    for name in ("hopper.urdf", "hopper.xml"):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text.replace(">\n", ">\n\n"))
+    assert run(folder).returncode == 0
+
+
+def test_check_runs_in_a_folder_below_and_by_the_path_of_the_configuration(folder: Path) -> None:
+    below = folder / "src"
+    below.mkdir()
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.25"')
+    assert "::error file=" in run(below, "--format", "github").stdout
+    config = "repository/pupper-analysis.toml"
+    shown = run(folder.parent, "--config", config, "--format", "github").stdout
+    assert re.search(r"::error file=repository/hopper\.(xml|urdf),line=\d+,title=mass of", shown)
+
+
+def test_invalid_configuration_and_baseline_are_refused_in_one_line(
+    folder: Path, tmp_path: Path
+) -> None:
+    """The line of the unknown key, and of the line that is no entry."""
+    result = run(tmp_path)
+    assert result.returncode == EXIT_BAD_INPUT
+    assert "no pupper-analysis.toml in" in result.stderr
+    assert run(folder, "--config", "none.toml").returncode == EXIT_BAD_INPUT
+    baseline = folder / BASELINE
+    lines = baseline.read_text().splitlines()
+    baseline.write_text("\n".join([*lines, "no entry"]))
+    result = run(folder)
+    assert (result.returncode, result.stdout) == (EXIT_BAD_INPUT, "")
+    assert f"{BASELINE}:{len(lines) + 1}: " in result.stderr
+    change(folder / "pupper-analysis.toml", "feet", "feat")
+    result = run(folder)
+    assert re.search(r"pupper-analysis\.toml:\d+: no key 'feat' in pair; valid: ", result.stderr)
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_baseline_that_cannot_be_written_is_refused(folder: Path) -> None:
+    (folder / BASELINE).unlink()
+    config = folder / "pupper-analysis.toml"
+    config.write_text(f'baseline = "hopper.xml/no"\n{config.read_text()}')
+    result = run(folder, "--update-baseline")
+    assert result.returncode == EXIT_BAD_INPUT
+    assert "cannot write" in result.stderr
 
 
 def test_each_pair_has_its_own_verdict(folder: Path) -> None:

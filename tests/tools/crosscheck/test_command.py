@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -49,6 +50,40 @@ def test_equal_models_agree_with_exit_status_0(models: Path) -> None:
     result = run(models, "robot.urdf", "robot.xml")
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout.startswith("AGREE robot.urdf and robot.xml: ")
+
+
+def test_different_models_have_exit_status_1_and_the_first_difference(
+    models: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "all.json"
+    result = run(models, "robot.urdf", "heavier.xml", "--json", str(output))
+    assert (result.returncode, result.stderr) == (1, "")
+    verdict = "DISAGREE robot.urdf and heavier.xml: link base: mass 6 kg in the URDF, 7.5 kg"
+    assert result.stdout.startswith(verdict)
+    content = json.loads(output.read_text())
+    assert (content["agree"], content["complete"]) == (False, True)
+    assert [difference["kind"] for difference in content["differences"]] == ["mass"]
+
+
+def test_tolerance_options_permit_a_difference_and_strict_finds_it(models: Path) -> None:
+    """The base has 6 and 7.5 kg."""
+    pair = ("robot.urdf", "heavier.xml")
+    assert run(models, *pair, "--tolerance", "mass=0.5").returncode == 0
+    assert run(models, *pair, "--strict").returncode == 1
+    options = ("--strict", "--tolerance", "mass=0.5", "--tolerance", "damping=0.9")
+    assert run(models, *pair, *options).returncode == 0
+    assert run(models, *pair, "--tolerance", "mass=0.1").returncode == 1
+
+
+def test_findings_are_annotations_of_github(models: Path) -> None:
+    """The line of the mass in the URDF; a pair that agrees has no annotation."""
+    result = run(models, "robot.urdf", "heavier.xml", "--format", "github")
+    assert result.returncode == 1
+    (command, *_) = result.stdout.splitlines()
+    assert command.startswith("::error file=robot.urdf,line=5,title=mass of base::link base")
+    assert "(+25 %25)" in command
+    equal = run(models, "robot.urdf", "robot.xml", "--format", "github")
+    assert (equal.returncode, equal.stdout.strip()) == (0, "")
 
 
 def test_findings_are_failed_cases_of_junit(models: Path) -> None:

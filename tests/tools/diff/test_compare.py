@@ -555,3 +555,92 @@ def test_variants_are_compared_by_name() -> None:
     misspelled = answer("diff", "v3", "v3-heavvy")
     assert misspelled.returncode == 2
     assert "did you mean v3-heavy" in misspelled.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["urdf/pupper_v3.urdf", "mjcf/pupper_v3.xml"])
+def test_file_has_no_change_to_itself(name: str) -> None:
+    """Reference: 3.17 kg, and the joints of v3."""
+    diff = pa.diff_models(ROOT / name, ROOT / name)
+    assert diff.same
+    assert diff.changes == ()
+    assert diff.complete
+    assert max(diff.deviations.values()) == 0
+    assert diff.mass[0] == pytest.approx(3.17, abs=1e-3)
+    assert all(old == new for old, new in diff.torques.values())
+    assert set(diff.torques) == set(load("v3").joint_names)
+
+
+@pytest.mark.parametrize("kind", ["urdf", "xml"])
+def test_effort_of_both_versions_is_reported_with_its_line(tmp_path: Path, kind: str) -> None:
+    diff = diff_of(tmp_path, ROBOT, change_part(ROBOT, "thigh1", effort=30.0), kind)
+    changes = {change.kind: change for change in diff.changes}
+    assert (changes["effort"].old, changes["effort"].new) == (21.0, 30.0)
+    assert "30.0" in line_at(changes["effort"].new_place)
+
+
+@pytest.mark.parametrize("kind", TEXT)
+def test_changes_are_ordered_by_effect_and_explain_the_whole_deviation(
+    tmp_path: Path, kind: str
+) -> None:
+    new = change_part(ROBOT, "base", mass=6.6)
+    new = change_part(new, "shank0", position=(0, 0.08, -0.21))
+    new = change_part(change_part(new, "thigh2", upper=0.8), "shank3", damping=0.1001)
+    diff = diff_of(tmp_path, ROBOT, new, kind)
+    assert list_changes(diff)[-2:] == [("upper limit", "hip2"), ("damping", "knee3")]
+    assert set(list_changes(diff)[:2]) == {("mass", "base"), ("position", "knee0")}
+    assert diff.complete
+    assert max(diff.residual.values()) < 1e-12
+
+
+@pytest.mark.parametrize("kind", TEXT)
+def test_renamed_joint_is_a_change_and_its_values_are_compared(tmp_path: Path, kind: str) -> None:
+    new = change_part(ROBOT, "shank2", joint="shin2", mass=0.3)
+    diff = diff_of(tmp_path, ROBOT, new, kind)
+    assert {("name", "knee2"), ("mass", "knee2")} <= set(list_changes(diff))
+    assert ("joint", "knee2") not in list_changes(diff)
+    (mass,) = (change for change in diff.changes if change.kind == "mass")
+    assert '="0.3"' in line_at(mass.new_place)
+    assert diff.complete
+
+
+def test_longer_leg_changes_the_torque_of_its_hip_only(tmp_path: Path) -> None:
+    """The shank is further from the hip; the knee and other legs hold what they held."""
+    longer = change_part(ROBOT, "shank1", position=(0.0, 0.16, -0.4))
+    diff = diff_of(tmp_path, ROBOT, longer, "urdf")
+    for joint in ("knee1", "hip2"):
+        assert diff.torques[joint][0] == pytest.approx(diff.torques[joint][1], rel=1e-12)
+    assert diff.torques["hip1"][1] > diff.torques["hip1"][0]
+    assert diff.mass[0] == pytest.approx(diff.mass[1])
+
+
+def test_places_of_a_revision_contain_its_name(
+    repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In both orders; the temporary folder of the revision is not shown."""
+    monkeypatch.chdir(repository)
+    Path("robot.urdf").write_text(urdf_text(change_part(ROBOT, "base", mass=7.0)))
+    for names in (("HEAD:./robot.urdf", "robot.urdf"), ("robot.urdf", "HEAD:./robot.urdf")):
+        (change,) = pa.diff_models(*names).changes
+        places = [place.rpartition(":")[0] for place in (change.old_place, change.new_place)]
+        assert ["HEAD:" in place for place in places] == ["HEAD:" in name for name in names]
+        assert all(Path(place).name == "robot.urdf" for place in places)
+
+
+def test_error_in_a_revision_states_its_name_and_line(repository: Path) -> None:
+    text = (repository / "robot.urdf").read_text().replace('value="6.0"', 'value="heavy"')
+    (repository / "robot.urdf").write_text(text)
+    line = text[: text.index('value="heavy"')].count("\n") + 1
+    _commit(repository)
+    result = run(repository, "HEAD:./robot.urdf", "HEAD~1:./robot.urdf")
+    assert result.returncode == cli.EXIT_BAD_INPUT
+    assert result.stderr.startswith(f"error: HEAD:robots/robot.urdf:{line}: ")
+
+
+def test_robot_without_joints_is_compared(tmp_path: Path) -> None:
+    alone = {"base": ROBOT["base"]}
+    diff = diff_of(tmp_path, alone, change_part(alone, "base", mass=7.0), "urdf")
+    assert list_changes(diff) == [("mass", "base")]
+    assert diff.complete
+    assert diff.torques == {}
+    assert "joint positions" not in diff.deviations
