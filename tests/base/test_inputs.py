@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, PupperAnalysisError
-from pupper_analysis.base.inputs import check_input, decode_input, is_input, read_input
+from pupper_analysis.base.inputs import check_input, decode_input, is_input, read_input, read_toml
 from tests import damaged
 
 
@@ -113,3 +114,40 @@ def test_error_line_is_short_for_a_huge_word(
     with pytest.raises(PupperAnalysisError) as error:
         kind.read(path)
     assert len(str(error.value)) < 2000
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("a = 1\nb = ]", 2),
+        ("a = " + "[" * 5000, None),
+        ("a = " + "9" * 5000, None),
+        ("a = 2020-02-31", 1),
+    ],
+)
+def test_invalid_toml_is_refused_in_one_line(tmp_path: Path, text: str, line: int | None) -> None:
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(InputError) as error:
+        read_toml(tmp_path / "a.toml")
+    assert error.value.cause.code == "not-toml"
+    assert error.value.line == line
+    assert "\n" not in str(error.value)
+
+
+def test_defects_of_a_reader_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The judgement of damaged files finds a crash, an error of two lines, and an endless loop."""
+
+    def crash(path: Path) -> None:
+        raise KeyError(path.name)
+
+    def refuse_in_two_lines(path: Path) -> None:
+        raise InputError(path.name, diagnose("no-csv", problem="one\ntwo"))
+
+    def hang(_path: Path) -> None:
+        while True:
+            pass
+
+    monkeypatch.setattr(damaged, "SECONDS", 0.2)
+    for read, message in ((crash, "KeyError"), (refuse_in_two_lines, "no line"), (hang, "no end")):
+        kind = damaged.Kind("a.csv", b"a,b\n", read)
+        assert message in str(damaged.problem_of(kind, b"", tmp_path))

@@ -20,6 +20,7 @@ from pupper_analysis.models.efforts import resolve_effort_limit
 from pupper_analysis.models.transmission import Drive, classify_joint_drive
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare import judge
+from pupper_analysis.prepare.drives import make_missing_servos
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.limits import describe_zero_torque_limits
 from pupper_analysis.robot.build import rebuild_robot, with_efforts
@@ -165,6 +166,24 @@ def test_smaller_limit_counts_if_directions_differ() -> None:
     torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
     np.testing.assert_allclose(torques, np.tile([0.5, -0.9], 6), rtol=1e-12)
     assert any(note.code == "motors-uneven" for note in report_efforts(robot.efforts))
+
+
+def test_limits_of_replaced_motors_are_kept_by_their_servos() -> None:
+    """The origin of the limit stays the attribute of the file; a smaller force range counts."""
+    robot = limit_torque("ctrlrange", 0.8)
+    stated = {limit.joint: limit for limit in robot.efforts}
+    servos = make_missing_servos(robot, np.full(12, 20.0), np.full(12, 0.4), 0.002)
+    given = robot.description.with_additions(*servos)
+    made = rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
+    np.testing.assert_allclose(made.effort_limits, 0.8, rtol=1e-15)
+    assert [limit.origin for limit in made.efforts] == [limit.origin for limit in robot.efforts]
+    assert made.efforts[0].origin is not None
+    assert made.efforts[0].origin.attribute == "ctrlrange"
+    half = made.description.mjcf.copy()
+    for actuator in half.actuators:
+        actuator.forcerange = np.array(actuator.forcerange) / 2
+    scaled = rebuild_robot(made, mjcf=half)
+    np.testing.assert_allclose(scaled.effort_limits, 0.4, rtol=1e-15)
 
 
 @pytest.mark.parametrize("feedforward", [False, True])

@@ -174,6 +174,7 @@ def test_release_check_requires_one_version_in_all_files(tmp_path: Path) -> None
     release = script("scripts/check_release.py")
     versions = release.read_versions()
     assert set(versions.values()) == {pa.__version__}
+    assert pa.__version__.count(".") == 2
     release.main(f"v{pa.__version__}")
     with pytest.raises(SystemExit, match=r"CHANGELOG\.md has"):
         release.main("v99.0.0")

@@ -13,7 +13,7 @@ import pytest
 
 from pupper_analysis.base.tools import own_packages, own_tools
 from tests.support.repository import script
-from tests.support.rooms import trees
+from tests.support.rooms import FLOOR, trees
 
 drawing = script("docs/draw_architecture.py")
 
@@ -49,6 +49,9 @@ def test_number_of_packages_and_imports_is_bounded() -> None:
     assert sum(map(len, graph.values())) <= 70
     loose = {path.name for path in drawing.PACKAGE.glob("*.py")}
     assert loose == {"__init__.py", "__main__.py"}
+    assert set(graph) == set(FLOOR)
+    for folder, below in graph.items():
+        assert all(FLOOR[other] < FLOOR[folder] for other in below), folder
 
 
 @pytest.mark.slow

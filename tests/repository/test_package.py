@@ -122,3 +122,9 @@ def test_completion_offers_public_names_only() -> None:
             assert source is None or source.startswith("pupper_analysis"), name
     assert {"Any", "np", "orjson"}.isdisjoint(dir(pa.results))
     assert "make_lazy_exports" not in dir(pa.stance)
+
+
+def test_unknown_public_name_raises_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="Pupper"):
+        pa.Pupper  # noqa: B018
+    assert not hasattr(pa, "nothing")

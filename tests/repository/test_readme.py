@@ -139,3 +139,12 @@ def test_commands_have_the_options_that_pages_name(
         assert name.startswith("-") or name in cli.COMMAND_NAMES, command
         if arguments:
             cli.find_command(name).make_context(name, arguments)
+
+
+def test_chinese_tutorial_has_the_commands_of_the_english() -> None:
+    english, chinese = (
+        re.findall(r"^(pupper-analysis .*?)(?:  #.*)?$", (ROOT / page).read_text("utf-8"), re.M)
+        for page in ("docs/tutorials/pupper.md", "docs/zh/tutorial.md")
+    )
+    assert len(english) > 2
+    assert english == chinese

@@ -111,3 +111,7 @@ def test_lists_in_another_order_with_joint_names_agree(tmp_path: Path) -> None:
     found = read_contract(robot.urdf, path, other, stand=False)
     assert found.findings == ()
     assert len([one for one in found.facts if one.quantity == "kp"]) == 24
+
+
+def test_at_least_sixty_mistakes_are_planted() -> None:
+    assert len(CASES) >= 60

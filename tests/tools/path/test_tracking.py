@@ -306,3 +306,32 @@ def test_keyframe_run_of_a_path_equals_that_of_the_robot(tmp_path: Path) -> None
     found = judge_path(robot)
     assert found.keyframe_run == own_run(robot)
     assert "own-run" in codes(found)
+
+
+@pytest.mark.slow
+def test_feet_that_roll_slip_less_than_feet_with_fixed_centres() -> None:
+    """On a path with fixed centres, the friction of the rolling feet turns the base."""
+    rolling, pinned = (
+        track_path(load("original"), path_of("original", "lift", rolling))
+        for rolling in (True, False)
+    )
+    assert max(rolling.foot_slip.values()) < 0.4 * max(pinned.foot_slip.values())
+    assert rolling.orientation_error < 0.9 * pinned.orientation_error
+
+
+@pytest.mark.slow
+def test_path_on_a_slope_begins_almost_without_acceleration() -> None:
+    """The feet touch the ground one radius below their centres; forces on the other side of the
+    centres would accelerate the base by 0.19 m/s^2. The joints begin with 0.5 rad/s^2, because the
+    feet creep.
+    """
+    robot, ground = load("v3"), pa.Ground(slope=0.15)
+    height = robot.stand_height
+    tasks = [pa.StandTask(ground=ground, height=height - down) for down in (0.0, 0.003)]
+    plan = path_commands(robot, stance_path(robot, tasks, 0.5, rate=200))
+    model, data = plan.drive.model, mujoco.MjData(plan.drive.model)
+    mujoco.mj_setState(model, data, plan.start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    data.ctrl[:] = plan.ctrl[0]
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.qacc[:3]).max() < 0.01
+    assert np.abs(data.qacc[3:]).max() < 1.0

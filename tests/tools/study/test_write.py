@@ -13,6 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task, read_stance_file
 from pupper_analysis.tools.study.write import WrittenDesign, format_stance, write_design
+from tests.support.commands import answer
 from tests.support.legged import quadruped
 
 METRICS = ["total_mass", "peak_utilisation", "torque", "servo_sag", "stands"]
@@ -125,3 +126,15 @@ def test_a_stance_as_a_file_is_the_stance(tmp_path: Path) -> None:
         if not (OPTION_FIELDS[name].per or OPTION_FIELDS[name].axes or OPTION_FIELDS[name].choices):
             values[name] = shared.parse_measure(name, OPTION_FIELDS[name].kind, value, value)
     assert make_task(values) == task
+
+
+@pytest.mark.slow
+def test_study_command_writes_a_design(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(
+        'robot = "v3"\nmeasure = ["total_mass"]\n[vary]\nkp = { values = [5, 10] }\n'
+    )
+    done = answer("study", str(tmp_path / "s.toml"), "-o", str(tmp_path / "o"), "--write", "2")
+    assert done.returncode == 0, done.stderr
+    assert "Design 2" in done.stdout
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "o/design-2/v3-leg1-torso1.xml"))
+    assert model.actuator_gainprm[:, 0] == pytest.approx(10)

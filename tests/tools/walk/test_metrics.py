@@ -73,3 +73,15 @@ def test_policy_path_of_a_study_is_relative_to_its_file(tmp_path: Path) -> None:
     light, heavy = table["walk_margin"]
     assert light > 0.5
     assert heavy == 0.0
+
+
+def test_results_of_another_policy_contract_or_command_are_not_reused(tmp_path: Path) -> None:
+    """`content` identifies the results of a study; the name of the policy file is the same."""
+    path = made.write_standing_policy(tmp_path / "still.json")
+    contents = [make_metric(f"walk_margin:{path}").content]
+    contents.append(make_metric(f"walk_margin:{path}@0.3,0,0").content)
+    path.with_suffix(".toml").write_text("latency = 0.01")
+    contents.append(make_metric(f"walk_margin:{path}").content)
+    made.write_standing_policy(path, kp=6.0)
+    contents.append(make_metric(f"walk_margin:{path}").content)
+    assert len(set(contents)) == 4
