@@ -18,6 +18,7 @@ from typing import Final
 import mujoco
 import numpy as np
 from lxml import etree
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
@@ -814,23 +815,28 @@ def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], X
     MuJoCo writes such a range as "0 0", which a file states for a motor without torque. In a spec
     both ends are 0 if the range is not set; with the switch "auto", MuJoCo then applies no range.
     """
-    auto, off = mujoco.mjtLimited.mjLIMITED_AUTO, mujoco.mjtLimited.mjLIMITED_FALSE
-    ranges = [
-        *(("actuator", one, "forcerange", "forcelimited") for one in spec.actuators),
-        *(("actuator", one, "ctrlrange", "ctrllimited") for one in spec.actuators),
-        *(("joint", one, "actfrcrange", "actfrclimited") for one in spec.joints),
-    ]
-    for kind, element, attribute, switch in ranges:
-        node = index.get((kind, element.name or getattr(element, "target", "")))
-        name = "actuatorfrcrange" if kind == "joint" else attribute
-        is_unset = not np.any(np.ravel(getattr(element, attribute))[:2])
-        if (
+
+    def is_unset(tag: str, name: str, attribute: str, ends: ArrayLike, switch: int) -> bool:
+        """Return True if MuJoCo writes the attribute although both ends are 0, with "auto"."""
+        node = index.get((tag, name))
+        return (
             node is not None
-            and name in node.attributes
-            and is_unset
-            and getattr(element, switch) == auto
-        ):
-            setattr(element, switch, off)
+            and attribute in node.attributes
+            and switch == mujoco.mjtLimited.mjLIMITED_AUTO
+            and not np.any(ends)
+        )
+
+    off = mujoco.mjtLimited.mjLIMITED_FALSE
+    for motor in spec.actuators:
+        name, commands = motor.name or motor.target, np.ravel(motor.ctrlrange)[:2]
+        if is_unset("actuator", name, "forcerange", motor.forcerange, motor.forcelimited):
+            motor.forcelimited = off
+        if is_unset("actuator", name, "ctrlrange", commands, motor.ctrllimited):
+            motor.ctrllimited = off
+    for joint in spec.joints:
+        ends = joint.actfrcrange
+        if is_unset("joint", joint.name, "actuatorfrcrange", ends, joint.actfrclimited):
+            joint.actfrclimited = off
 
 
 def _compile_file(
