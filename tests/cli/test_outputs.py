@@ -360,24 +360,6 @@ def test_file_of_the_user_is_replaced_only_with_force(folder: Path) -> None:
     path.unlink()
 
 
-def test_full_disk_is_reported_in_one_line_and_leaves_no_file(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def write_nothing(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("pupper_analysis.base.files.write_new", write_nothing)
-    before = sums(folder)
-    for output in ("--json", "--report"):
-        given = answer("audit", "robot.urdf", output, "new/result", folder=folder)
-        lines = [line for line in given.stderr.splitlines() if line.startswith("error")]
-        assert given.returncode == 2, given
-        assert len(lines) == 1
-        assert "No space left on device" in lines[0]
-    assert {path for path in sums(folder).keys() - before.keys() if path.name != ".lock"} == set()
-    shutil.rmtree(folder / "new", ignore_errors=True)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["audit", "convert", "fit", "stand", "study", "sync"])
 def test_full_disk_is_one_error_of_each_kind_of_command(
