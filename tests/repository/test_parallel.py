@@ -145,6 +145,28 @@ def test_pickled_robot_has_the_same_stand(variant: str) -> None:
         assert again == pytest.approx(simulated, rel=1e-9)
 
 
+def test_refusal_with_its_nearest_stand_is_equal_after_pickling() -> None:
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(load("v3"), pa.StandTask(height=0.5))
+    error = caught.value
+    for back in (pickle_and_load(error), copy.deepcopy(error), copy.copy(error)):
+        assert isinstance(back.nearest, pa.Stand)
+        assert (back.shortfall, back.limits, back.possible) == (
+            error.shortfall,
+            error.limits,
+            error.possible,
+        )
+        np.testing.assert_array_equal(back.nearest.qpos, error.nearest.qpos)
+
+
+@pytest.mark.slow
+def test_robot_with_a_payload_is_equal_after_pickling(tiny: pa.Robot) -> None:
+    heavy = pa.robot.with_payload(tiny, 0.123456789, (0.0123456789, 0.0, 0.1))
+    back = pickle_and_load(heavy)
+    assert back.total_mass == heavy.total_mass
+    assert_same_model(heavy.mj_model, back.mj_model)
+
+
 WEIGHTLESS = """<mujoco><default><default class="shape"><geom group="3" mass="0" density="0"/>
 </default></default><worldbody><body><freejoint/><geom size="0.1"/>
 <body><geom class="shape" size="0.1" mass="0"/></body></body></worldbody></mujoco>"""

@@ -135,3 +135,22 @@ def test_soles_on_springs_settle_in_the_equilibrium_of_a_simulation(tmp_path: Pa
     assert run.torque_error < 1e-4
     assert run.force_error is not None
     assert run.force_error < 1e-4
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_foot_depths_follow_from_their_loads(name: str) -> None:
+    """References: the ground law at the load of each foot, and Pinocchio's foot positions."""
+    robot, task = load(name), TASKS["slope"]
+    rigid, stand = pa.solve_stand(robot, task), solve_stand_on_soft_ground(robot, task)
+    assert stand.task == rigid.task
+    np.testing.assert_allclose(stand.qpos[:7], rigid.qpos[:7], atol=1e-3)
+    forces = stand_statics(
+        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    ).contact_forces
+    feet = pa.Configuration(robot, stand.qpos).foot_positions()
+    for foot, depth in stand.depths.items():
+        law, normal = GroundLaw.of_contact(robot, foot), stand.normals[foot]
+        assert law.force(depth) == pytest.approx(float(forces[foot] @ normal), rel=1e-5)
+        drop = rigid.foot_targets[foot] - feet[foot]
+        np.testing.assert_allclose(drop, depth * normal, atol=1e-9)
+        assert 1e-4 < depth < 8e-3

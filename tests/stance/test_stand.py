@@ -4,6 +4,7 @@ search as well.
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -182,3 +183,83 @@ def test_a_stand_solved_twice_is_equal_to_the_last_bit() -> None:
     one, two = (pa.solve_stand(load("v3-long-leg"), task) for _ in range(2))
     np.testing.assert_array_equal(one.qpos, two.qpos)
     assert one.iterations == two.iterations
+
+
+def test_default_stand_of_each_variant_is_symmetric(robot: pa.Robot, variant: str) -> None:
+    """Left and right joint angles are mirrored for v3, and equal for the skeleton."""
+    stand = stand_of(variant)
+    assert stand.qpos[1] == pytest.approx(0, abs=1e-9)
+    angles = dict(zip(robot.joint_names, stand.joint_positions(robot), strict=True))
+    pairs = 0
+    for name, angle in angles.items():
+        if "_r_" in name:
+            assert angles[name.replace("_r_", "_l_")] == pytest.approx(-angle, abs=1e-8)
+            pairs += 1
+        elif re.match("[FR]R_[HK]FE", name):
+            assert angles[f"{name[0]}L{name[2:]}"] == pytest.approx(angle, abs=1e-8)
+            pairs += 1
+    assert pairs >= 4
+
+
+def test_stand_of_a_fixed_base_is_refused() -> None:
+    with pytest.raises(pa.ConfigurationError, match="fixed base"):
+        pa.solve_stand(load("v3", fixed_base=True))
+
+
+def test_rotation_of_a_task_is_yaw_pitch_roll() -> None:
+    """Reference: SciPy's rotation about z, then y, then x of the rotated frame."""
+    task = pa.StandTask(roll=0.3, pitch=-0.2, yaw=0.7)
+    expected = Rotation.from_euler("ZYX", [0.7, -0.2, 0.3]).as_matrix()
+    np.testing.assert_allclose(task.rotation(), expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("height", 0), ("height", -0.1), ("roll", None), ("roll", 3.2), ("pitch", -4), ("yaw", 90)],
+)
+def test_value_of_a_task_out_of_range_is_refused_by_field(field: str, value: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match=field):
+        pa.StandTask(**{field: value})  # type: ignore[arg-type]
+
+
+def test_refusal_names_the_joints_at_their_limits() -> None:
+    """Reference: the joint ranges of the robot."""
+    robot = load("original")
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, pa.StandTask(roll=1.2))
+    assert caught.value.at_limit
+    for name, limit in caught.value.at_limit.items():
+        index = robot.joint_names.index(name)
+        assert limit in (robot.lower_limits[index], robot.upper_limits[index])
+        assert name in str(caught.value)
+
+
+@pytest.mark.slow
+def test_two_demands_that_are_each_too_large_are_refused_together() -> None:
+    """Roll or pitch alone is out of reach as well; the stated limits of both are solved."""
+    robot, task = load("v3"), pa.StandTask(roll=1.2, pitch=-1.2, height=0.14)
+    for single in (replace(task, roll=0.0), replace(task, pitch=0.0)):
+        with pytest.raises(pa.StanceUnreachableError):
+            pa.solve_stand(robot, single, explain=False)
+    with pytest.raises(pa.StanceUnreachableError, match=r"ossible .*: roll .* and pitch") as caught:
+        pa.solve_stand(robot, task)
+    limits = caught.value.limits["roll and pitch"]
+    assert list(caught.value.limits) == ["roll and pitch"]
+    assert set(limits) == {"roll", "pitch"}
+    assert pa.solve_stand(robot, replace(task, **limits)).solved
+
+
+def test_stand_does_not_depend_on_earlier_stands() -> None:
+    """Equal to the last bit in the other order, and for the same robot loaded again."""
+    robot = load("v3")
+    tasks = [
+        pa.StandTask(),
+        pa.StandTask(joint_margin=0.1, roll=0.1),
+        pa.StandTask(self_clearance=0.005, swing={"RL": 0.01}, com="inside"),
+        pa.StandTask(height=0.1, ground=pa.Ground(0.1)),
+    ]
+    expected = [pa.solve_stand(robot, task).qpos for task in tasks]
+    reverse = [pa.solve_stand(robot, task).qpos for task in reversed(tasks)]
+    np.testing.assert_array_equal(expected, reverse[::-1])
+    other = pa.load_variant("v3")
+    np.testing.assert_array_equal(expected, [pa.solve_stand(other, task).qpos for task in tasks])

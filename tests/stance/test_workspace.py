@@ -102,3 +102,34 @@ def test_base_shift_ends_at_the_com_margin(task: dict[str, object]) -> None:
         assert stand is not None
         com = pa.Configuration(robot, stand.qpos).center_of_mass()
         assert com_margin(com, stand.contact_points) == pytest.approx(0.065, abs=1e-4)
+
+
+def test_highest_stand_has_straight_legs() -> None:
+    """Closed form: 0.19 m of leg, of which the base's shift of 5 mm takes little, and 0.018 m."""
+    robot = load("original")
+    heights = reachable_heights(robot)
+    assert heights.high == pytest.approx(0.208, abs=3e-4)
+    assert heights.high < 0.208
+    stand = pa.solve_stand(robot, pa.StandTask(heights.high))
+    assert np.hypot(heights.high - 0.018, stand.qpos[0]) == pytest.approx(0.19, abs=2e-4)
+    assert is_reached(robot, pa.StandTask(heights.low))
+    for height in (heights.low - 3e-4, heights.high + 3e-4):
+        assert not is_reached(robot, pa.StandTask(height))
+
+
+@pytest.mark.slow
+def test_search_for_a_limit_ends_at_the_sufficient_distance() -> None:
+    """Reference: the limits without a sufficient distance."""
+    robot = load("original")
+    start, whole = pa.solve_stand(robot), base_workspace(robot).intervals
+    for direction, enough in (("pitch", 0.3), ("roll", 0.45), ("height", 0.02)):
+        begin = float(getattr(start.task, direction))
+        found = find_interval(robot, start, direction, enough)
+        for limit, end, side in (
+            (found.low, whole[direction].low, -1.0),
+            (found.high, whole[direction].high, 1.0),
+        ):
+            if side * (end - begin) < enough:
+                assert limit == pytest.approx(end, abs=1e-9)
+            else:
+                assert side * (limit - begin) >= enough
