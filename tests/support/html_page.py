@@ -63,8 +63,17 @@ class Page:
         self.root = lxml_html.document_fromstring(self.text.encode(), base_url=None)
 
     def tables(self) -> dict[str, list[dict[str, str]]]:
-        """Return {title: [{header with unit: cell} per row]}, in English."""
+        """Return {title: [{header with unit: cell} per row]}, in English; of tables with the same
+        title the first.
+        """
         found: dict[str, list[dict[str, str]]] = {}
+        for title, rows in self.list_tables():
+            found.setdefault(title, rows)
+        return found
+
+    def list_tables(self) -> list[tuple[str, list[dict[str, str]]]]:
+        """Return (title, [{header with unit: cell} per row]) of each table, in English."""
+        found = []
         for figure in self.root.iter("figure"):
             if figure.get("class") != "table":
                 continue
@@ -73,7 +82,7 @@ class Page:
                 dict(zip(headers, (read_text(cell) for cell in row), strict=True))
                 for row in figure.findall(".//tbody/tr")
             ]
-            found.setdefault(read_text(figure.find("figcaption")), rows)
+            found.append((read_text(figure.find("figcaption")), rows))
         return found
 
     def shown(self) -> str:
