@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import importlib
 import re
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import click
 import pytest
+import yaml
 
 import pupper_analysis as pa
 from pupper_analysis import cli
@@ -291,3 +293,85 @@ def test_readme_names_make_targets_that_exist() -> None:
     named = set(re.findall(r"^make ([a-z-]+)", (ROOT / "README.md").read_text("utf-8"), re.M))
     assert named
     assert named <= targets
+
+
+def test_contributing_names_make_targets_that_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):.*## ", (ROOT / "Makefile").read_text(), re.M))
+    named = set(re.findall(r"`make ([a-z-]+)", (ROOT / "CONTRIBUTING.md").read_text()))
+    assert named <= targets
+    assert {"setup", "test", "lint", "types", "docs", "coverage"} <= named
+
+
+def test_commit_hooks_run_the_tools_of_the_project() -> None:
+    text = (ROOT / ".pre-commit-config.yaml").read_text()
+    assert re.findall(r"repo: (\S+)", text) == ["local"]
+    entries = [entry.split()[:2] for entry in re.findall(r"entry: (.+)$", text, re.M)]
+    assert {runner for runner, _ in entries} == {".ci/tool"}
+    assert {tool for _, tool in entries} == {"ruff", "mypy", "lint-imports"}
+
+
+def test_issue_form_requires_the_json_of_the_result() -> None:
+    forms = {
+        path.name: yaml.safe_load(path.read_text())
+        for path in (ROOT / ".github/ISSUE_TEMPLATE").glob("*.yml")
+    }
+    for name, form in forms.items():
+        assert name == "config.yml" or {"name", "description", "body"} <= form.keys()
+    (asked,) = [one for one in forms["wrong-answer.yml"]["body"] if one["id"] == "json"]
+    assert "--json" in asked["attributes"]["description"]
+    assert asked["validations"]["required"]
+
+
+def test_python_versions_of_the_classifiers_are_tested_on_both_systems() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    stated = [
+        one.rpartition(" ")[2] for one in project["classifiers"] if re.search(r":: 3\.\d", one)
+    ]
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text()
+    tested = re.search(r"python-version: \[(.+)\]", workflow)
+    systems = re.search(r"os: \[(.+)\]", workflow)
+    assert tested is not None
+    assert systems is not None
+    assert re.findall(r"[\d.]+", tested[1]) == stated
+    assert project["requires-python"] == f">={stated[0]}"
+    assert [one.strip() for one in systems[1].split(",")] == ["ubuntu-latest", "macos-latest"]
+
+
+def test_python_code_of_pages_uses_public_names() -> None:
+    checked = 0
+    for page in PAGES:
+        for code in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
+            for node in ast.walk(ast.parse(code)):
+                if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                    assert node.value.id != "pa" or hasattr(pa, node.attr), f"{page}: {node.attr}"
+                    checked += node.value.id == "pa"
+    assert checked > 20
+
+
+def test_modules_named_in_docstrings_exist() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        for name in re.findall(r"``pupper_analysis\.([a-z_.]+)``", path.read_text()):
+            importlib.import_module(f"pupper_analysis.{name}")
+
+
+def test_architecture_page_states_the_place_of_new_things() -> None:
+    """For each subpackage, and for terms of the field: the first row with the term."""
+    table = [row for row in rows("docs/explanation/architecture.md") if len(row) == 2]
+    places = " ".join(row[1] for row in table)
+    assert {room for room in FLOOR if re.search(rf"`{room}/", places)} == set(FLOOR)
+    expected = {
+        "metric": "tools/push/metrics.py",
+        "failure": "diagnose(",
+        "friction cone": "statics/cone_program.py",
+        "effort": "models/efforts.py",
+        "solimp": "robot/contact.py",
+        "static stability": "robot/stability.py",
+        "armature": "models/conversion.py",
+        "rule of the audit": "tools/audit/rules/catalogue.toml",
+        "closed loop": "robot/closure.py",
+        "eigenvalue": "robot/stability.py",
+    }
+    for term, place in expected.items():
+        found = next(row for row in table if term in row[0])
+        assert place in found[1], term
+        assert (PACKAGE / place).exists() or "/" not in place

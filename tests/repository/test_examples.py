@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import ast
+import csv
 import re
 import runpy
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import pupper_analysis as pa
 from tests.support.repository import ROOT
+from tests.support.variants import load, stand_of
 
 EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -89,6 +94,102 @@ SEEN: dict[str, tuple[tuple[object, ...], object, tuple[str, ...]]] = {
 """{example: (arguments, exit status, printed lines)}."""
 
 
+def find_number(pattern: str, text: str) -> float:
+    """Return the number in a text that follows a pattern."""
+    found = re.search(pattern + r"\s*(-?[\d.]+)", text)
+    assert found is not None, f"no {pattern!r} in {text}"
+    return float(found[1])
+
+
+def check_legs(text: str) -> None:
+    """Height and torque of v3, and their growth as the docstring states it."""
+    rows = re.findall(r"^ +([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+)%$", text, re.M)
+    table, robot = np.array(rows, dtype=float), load("v3")
+    np.testing.assert_allclose(table[:, 0], [0.8, 1.0, 1.2, 1.4, 1.6])
+    statics = pa.stance.stand_statics(robot, pa.stance.solve_stand_as_simulated(robot))
+    expected = [1.0, robot.stand_height, abs(statics.joint_torques).max()]
+    np.testing.assert_allclose(table[1, :3], expected, atol=6e-4)
+    assert table[1, 3] == pytest.approx(100 * statics.motor_utilisation.max(), abs=0.06)
+    np.testing.assert_allclose((table[-1] / table[0])[1:3], [1.82, 2.09], atol=0.01)
+
+
+def check_contract(text: str) -> None:
+    assert find_number(r"0\.25 N m s/rad in policy\.json,", text) == 0.1  # kd of the MJCF
+    assert find_number("policy.json: base", text) < find_number("walker: base", text)
+
+
+def check_own_robot(text: str) -> None:
+    robot = pa.load_variant(pa.pupper.VariantSpec(base="v3", leg_scale=1.1))
+    statics = pa.stance.stand_statics(robot, pa.solve_stand(robot))
+    assert find_number(f"{robot.name}:", text) == pytest.approx(robot.total_mass, abs=5e-4)
+    for joint, torque in zip(robot.joint_names, statics.joint_torques, strict=True):
+        printed = re.search(rf"^{joint} +([+-][\d.]+) N m$", text, re.M)
+        assert printed is not None
+        assert float(printed[1]) == pytest.approx(torque, abs=6e-4)
+
+
+def check_path(text: str) -> None:
+    """The path begins with the torques of the stand, and the ZMP is never better than there."""
+    robot = load("v3")
+    with Path("squat.csv").open(newline="") as file:
+        header, *rows = csv.reader(file)
+    joints = robot.joint_names
+    assert header == [
+        "time (s)",
+        *(f"q {joint} (rad)" for joint in joints),
+        *(f"tau {joint} (N m)" for joint in joints),
+    ]
+    table = np.array(rows, dtype=float)
+    assert len(table) == find_number("", text)
+    assert table[-1, 0] == 2.0
+    statics = pa.stance.stand_statics(robot, stand_of("v3"))
+    np.testing.assert_allclose(table[0, 13:], statics.joint_torques, atol=1e-6)
+    used = abs(table[:, 13:]) / robot.effort_limits
+    assert find_number("motors:", text) == pytest.approx(100 * used.max(), abs=0.06)
+    assert statics.com_margin is not None
+    assert 0 < find_number("zero-moment point:", text) <= 1e3 * statics.com_margin + 0.1
+
+
+def check_slope(text: str) -> None:
+    """Three feet carry the weight; forces straight up use tan(5 deg) / mu of the friction."""
+    robot = load("v3")
+    carried = re.findall(r"^(\w+) carries +([\d.]+) N and uses (\d+)% of its friction$", text, re.M)
+    assert {foot for foot, _, _ in carried} == {"FR", "RR", "RL"}
+    weight = 9.81 * robot.total_mass
+    assert sum(float(force) for _, force, _ in carried) == pytest.approx(weight, abs=0.02)
+    share = 100 * np.tan(np.radians(5)) / robot.contacts["FR"].sliding_friction
+    assert [int(used) for _, _, used in carried] == [round(share)] * 3
+    assert find_number("the com is", text) >= 10
+
+
+def check_steady_state(text: str) -> None:
+    """The losses add up; the simulation differs by dry friction, which the prediction omits."""
+    commanded, predicted = find_number("commanded", text), find_number("predicted", text)
+    lost = find_number("lost in the servos", text) + find_number("lost in the ground", text)
+    assert commanded == pytest.approx(1e3 * load("v3").stand_height, abs=6e-3)
+    assert commanded - predicted == pytest.approx(lost, abs=0.02)
+    assert find_number("simulated", text) == pytest.approx(predicted, abs=0.3)
+    assert 0 < find_number("minimum stiffness", text) < 5
+
+
+def check_walk(text: str) -> None:
+    """A knee carries the torque of statics within 30 %: the stand sags."""
+    torques = pa.stance.stand_statics(load("v3"), stand_of("v3")).joint_torques
+    assert find_number("leg_front_r_3:", text) == pytest.approx(abs(torques[2]), rel=0.3)
+
+
+CHECKS: dict[str, Callable[[str], None]] = {
+    "compare_legs": check_legs,
+    "contract": check_contract,
+    "own_robot": check_own_robot,
+    "path_to_csv": check_path,
+    "slope_and_swing": check_slope,
+    "steady_state": check_steady_state,
+    "walk": check_walk,
+}
+"""{example: function that compares its printed numbers with those of the package}."""
+
+
 class Shown:
     """Function that runs an example with arguments and returns the printed text."""
 
@@ -134,6 +235,10 @@ def test_example_is_short_and_prints_the_stated_lines(name: str, shown: Shown) -
     assert shown.status == status
     for line in lines:
         assert re.search(line, text, re.M), (line, text)
+    if name == "cross_check":
+        assert text.count(" in the URDF, ") == 1
+    if name in CHECKS:
+        CHECKS[name](text)
 
 
 def test_example_of_audit_in_ci_annotates_the_faulty_line(shown: Shown, tmp_path: Path) -> None:

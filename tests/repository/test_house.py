@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import re
 from collections.abc import Iterator
 from itertools import chain
 
@@ -13,7 +14,7 @@ import pytest
 
 from pupper_analysis.base.tools import own_packages, own_tools
 from tests.support.repository import script
-from tests.support.rooms import FLOOR, trees
+from tests.support.rooms import FLOOR, PACKAGE, trees
 
 drawing = script("docs/draw_architecture.py")
 
@@ -52,6 +53,13 @@ def test_number_of_packages_and_imports_is_bounded() -> None:
     assert set(graph) == set(FLOOR)
     for folder, below in graph.items():
         assert all(FLOOR[other] < FLOOR[folder] for other in below), folder
+
+
+def test_modules_contain_no_banners() -> None:
+    """Lines of dashes that divide a module: it is short enough without."""
+    for path in trees():
+        text = (PACKAGE / path).read_text(encoding="utf-8")
+        assert not re.findall(r"^ *# ?[-=#*]{4,}.*", text, re.MULTILINE), path
 
 
 @pytest.mark.slow

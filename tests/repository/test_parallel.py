@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import pickle
 import pkgutil
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -165,6 +166,9 @@ def test_robot_with_a_payload_is_equal_after_pickling(tiny: pa.Robot) -> None:
     back = pickle_and_load(heavy)
     assert back.total_mass == heavy.total_mass
     assert_same_model(heavy.mj_model, back.mj_model)
+    assert_same_model(
+        heavy.description.mjcf.copy().compile(), back.description.mjcf.copy().compile(), REBUILT
+    )
 
 
 WEIGHTLESS = """<mujoco><default><default class="shape"><geom group="3" mass="0" density="0"/>
@@ -179,6 +183,47 @@ def test_massless_shape_stays_massless_after_pickling() -> None:
     written = mujoco.MjModel.from_xml_string(to_xml(spec))
     for back in (spec_from_data(pickle_and_load(spec_to_data(spec))).compile(), written):
         np.testing.assert_allclose(back.body_mass, masses, rtol=1e-12)
+
+
+DIGITS = """
+<mujoco model="digits">
+  <compiler angle="radian"/>
+  <option timestep="0.00123456789" gravity="0 0 -9.80665123"/>
+  <default><joint armature="0.0123456789"/></default>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1" friction="0.87654321 0.01 0.001"/>
+    <body name="base" pos="0 0 0.512345678">
+      <freejoint/>
+      <geom type="box" size="0.123456789 0.1 0.1" mass="2.3456789" rgba="0.123456789 0 0 1"/>
+      <frame pos="0.0123456789 0 0" euler="0.123456789 0 0">
+        <body name="tail" euler="0.3 0.2 0.1">
+          <inertial pos="0 0 0" mass="0.1" diaginertia="1e-3 2e-3 2.5e-3" euler="0 0.3333333 0"/>
+          <joint name="wag" axis="1 2 3"/>
+        </body>
+      </frame>
+      <body name="arm" pos="0.123456789 0 0">
+        <inertial pos="0 0 0" mass="0.1" fullinertia="1e-3 2e-3 2.5e-3 1e-4 1e-5 2e-4"/>
+        <joint name="turn" axis="0 0.6 0.8" range="-1.23456789 1" damping="0.0123456789"/>
+        <geom type="sphere" size="0.0212345678" mass="0.345678912" solref="0.0123456789 1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="turn" kp="12.3456789" kv="0.123456789" forcerange="-1.23456789 1.23456789"/>
+  </actuator>
+  <sensor><jointpos joint="turn" noise="0.00123456789"/></sensor>
+  <keyframe><key name="home" qpos="0 0 0.5123456789 1 0 0 0 0.1 0.123456789"/></keyframe>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("angle", ["radian", "degree"])
+def test_pickled_spec_has_all_digits(angle: str) -> None:
+    spec = mujoco.MjSpec.from_string(DIGITS.replace("radian", angle))
+    back = spec_from_data(pickle_and_load(spec_to_data(spec)))
+    assert_same_model(spec.copy().compile(), back.copy().compile(), REBUILT)
+    again = spec_from_data(pickle_and_load(spec_to_data(back)))
+    assert_same_model(spec.copy().compile(), again.compile(), REBUILT)
 
 
 @pytest.mark.slow
@@ -254,6 +299,26 @@ def test_stands_of_twenty_threads_equal_those_of_one_thread() -> None:
     with ThreadPoolExecutor(20) as pool:
         found = list(pool.map(lambda height: heights(robot, height), HEIGHTS))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_robots_loaded_by_twenty_threads_are_equal() -> None:
+    with ThreadPoolExecutor(20) as pool:
+        robots = list(pool.map(lambda _: pa.load_variant("v3-heavy"), range(20)))
+    assert {robot.fingerprint for robot in robots} == {load("v3-heavy").fingerprint}
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="only Linux has files in memory")
+def test_clearance_makes_no_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So a killed worker leaves none."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a temporary file on disk")
+
+    for name in ("mkstemp", "mkdtemp", "TemporaryDirectory", "NamedTemporaryFile"):
+        monkeypatch.setattr(tempfile, name, refuse)
+    nearest = ClearanceShapes(load("v3")).find_closest_links(stand_of("v3").qpos)
+    assert nearest is not None
+    assert nearest.distance > 0
 
 
 def test_clearance_is_equal_without_in_memory_files(monkeypatch: pytest.MonkeyPatch) -> None:
