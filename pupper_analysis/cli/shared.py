@@ -8,6 +8,7 @@ the terminal, Markdown, JSON and HTML files, and the exit status.
 
 from __future__ import annotations
 
+import copy
 import difflib
 import math
 import re
@@ -155,12 +156,16 @@ class Command(click.Command):
         The error about an unknown option suggests similar options (`_find_similar_options`).
 
         Raises:
-            click.UsageError: If a word is not valid, for example a unit apart from its number.
+            click.UsageError: If a word is not valid, for example a unit apart from its number, or
+                if an option has two different values.
         """
         _refuse_separate_units(ctx, args)
         ctx.meta[TYPED_WORDS] = tuple(args)
         try:
-            return super().parse_args(ctx, args)
+            rest = super().parse_args(ctx, args)
+            if not ctx.resilient_parsing:
+                self._refuse_repetition(ctx)
+            return rest
         except click.MissingParameter as error:
             if isinstance(error.param, click.Argument):
                 raise self.make_missing_error(ctx, str(error.param.name)) from error
@@ -184,6 +189,36 @@ class Command(click.Command):
             hint = f" Did you mean {' or '.join(map(repr, similar))}?" if similar else ""
             message = f"No such option {error.option_name!r}.{hint}"
             raise click.NoSuchOption(error.option_name, message, ctx=error.ctx) from error
+
+    def _refuse_repetition(self, ctx: click.Context) -> None:
+        """Refuse an option with two different values, of which one would be ignored.
+
+        An option ``NAME=VALUE`` may be repeated for other names. Equal repetitions are accepted.
+
+        Raises:
+            click.UsageError: If an option, or a name in an option, has two different values.
+        """
+        repeatable = copy.copy(self)
+        repeatable.params = [copy.copy(parameter) for parameter in self.params]
+        for option in repeatable.params:
+            if isinstance(option, click.Option):
+                option.multiple = True
+        values, _, _ = repeatable.make_parser(ctx).parse_args(list(ctx.meta[TYPED_WORDS]))
+        for option in self.params:
+            typed = values.get(option.name or "")
+            if not isinstance(option, click.Option) or not isinstance(typed, Sequence):
+                continue
+            names = max(option.opts, key=len), *option.secondary_opts
+            first: dict[str, str] = {}
+            for value in typed:
+                name, shown = _split_assignment(option, value)
+                if isinstance(value, bool):
+                    shown = names[0 if value else -1]
+                if first.setdefault(name, shown) != shown:
+                    message = diagnose(
+                        "option-repeated", option=names[0], one=first[name], two=shown
+                    )
+                    raise click.UsageError(str(message), ctx)
 
     def make_missing_error(self, ctx: click.Context, name: str) -> click.UsageError:
         """Return the error about a missing argument: its meaning, and the form of the command.
@@ -222,6 +257,29 @@ class Command(click.Command):
 
                 error.add_note(complete_command(NextStep("hold")))
             raise
+
+
+_ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
+"""Start of the form of an option's value that assigns a value to a name, such as ``FOOT=LENGTH``.
+In ``[JOINTS=]NM`` the name is optional, which stands for all joints."""
+
+
+def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
+    """Return the name to which a value of an option belongs, and the value as typed.
+
+    A value without a name belongs to the empty name. A repeatable option that takes no assignments
+    is a list: each value is its own name, so values never contradict.
+    """
+    text = str(value)
+    if not option.multiple:
+        return "", text
+    form = _ASSIGNMENT_FORM.match(option.metavar or "")
+    if form is None:
+        return text, text
+    name, separator, _ = text.partition("=")
+    if separator:
+        return name.removesuffix(":"), text  # xacro also writes NAME:=VALUE
+    return ("", text) if (option.metavar or "").startswith("[JOINTS=]") else (text, text)
 
 
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:

@@ -165,3 +165,35 @@ def test_the_order_of_a_urdf_and_an_mjcf_does_not_matter(command: str, tmp_path:
     assert swapped.returncode == 0
     renamed = expected.stdout.replace(files[0], "robot.xml").replace("pupper_v3.urdf", "robot.xml")
     assert swapped.stdout == renamed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "first", "second"),
+    [
+        (("stand", "v3", "--height", "12cm", "--height=13cm"), "12cm", "13cm"),
+        (("stand", "v3", "--kp", "5", "--kp", "6"), "5", "6"),
+        (("stand", "v3", "--kp", "*_1=5", "--kp", "3", "--kp", "*_1=6"), "*_1=5", "*_1=6"),
+        (("hold", "v3", "--payload", "1kg", "--payload", "2kg"), "1kg", "2kg"),
+        (("stand", "a.urdf", "--xacro-arg", "a:=b", "--xacro-arg", "a=c"), "a:=b", "a=c"),
+        (
+            ("convert", "a.urdf", "-o", "b.xml", "--fixed-base", "--free-base"),
+            "--fixed-base",
+            "--free-base",
+        ),
+    ],
+    ids=str,
+)
+def test_an_option_with_two_different_values_is_refused(
+    arguments: tuple[str, ...], first: str, second: str
+) -> None:
+    """The last value applied without a word, so half of what was typed had no effect."""
+    message = run_refused(*arguments)
+    assert f"has two different values: {first} and {second}; keep one" in message
+
+
+def test_an_option_may_be_repeated_with_the_same_value_or_for_another_name(tmp_path: Path) -> None:
+    """The file does not exist, which is the only error."""
+    repeated = ("--kp", "20", "--kp", "*knee*=30", "--height=12cm", "--height", "12cm")
+    feet = ("--foot", "FL", "--foot", "FR", "--swing", "FL=2cm", "--swing", "FR=2cm")
+    message = run_refused("stand", "none.urdf", *repeated, *feet, folder=tmp_path)
+    assert "none.urdf: there is no such file" in message
