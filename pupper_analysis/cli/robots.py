@@ -295,23 +295,42 @@ def name_uniquely(
 
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:
-    """Print the warnings and errors on a robot that was loaded from files, and the number of notes.
+    """Print the warnings and errors on a robot, before a report that counts the other notes.
 
     Args:
         robot: Robot.
         everything: True to print all notes.
     """
+    print_warnings(robot, everything=everything)
+    if not everything:
+        hide_notes(robot)
+
+
+def print_warnings(robot: Robot, *, everything: bool = False) -> None:
+    """Print the warnings and errors on a robot that was loaded from files.
+
+    Args:
+        robot: Robot.
+        everything: True to print all notes, otherwise the warnings and errors alone.
+    """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
-    from pupper_analysis.present.document import diagnostic_text, text
+    from pupper_analysis.present.document import diagnostic_text
     from pupper_analysis.present.terminal import make_console
     from pupper_analysis.present.terminal import print_notes as print_lines
 
     notes = merge_diagnostics(robot.notes)
     shown = [note for note in notes if everything or note.severity is not Severity.NOTE]
-    lines = [*map(diagnostic_text, shown)]
-    if left := len(notes) - len(shown):
-        lines.append(text("things-were-added", robot=robot.name, count=left))
-    print_lines(make_console(), lines, everything=everything)
+    print_lines(make_console(), [*map(diagnostic_text, shown)], everything=everything)
+
+
+def hide_notes(robot: Robot) -> None:
+    """Let the last line of the next report count the notes that `print_warnings` does not print."""
+    from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
+
+    notes = merge_diagnostics(robot.notes)
+    hidden = sum(note.severity is Severity.NOTE for note in notes)
+    meta = click.get_current_context().meta
+    meta[shared.HIDDEN_NOTES] = meta.get(shared.HIDDEN_NOTES, 0) + hidden
 
 
 def pass_robot_options(command: Command) -> Command:

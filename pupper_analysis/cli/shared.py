@@ -120,6 +120,10 @@ TYPED_WORDS: Final = "pupper_analysis.typed_words"
 """Key of ``click.Context.meta`` with the words that follow the name of the command."""
 
 
+HIDDEN_NOTES: Final = "pupper_analysis.hidden_notes"
+"""Key of ``click.Context.meta`` with the number of notes on the robots that are not printed."""
+
+
 _FIXED_BASE_CODE = "base-is-fixed"
 """Code of the error of a command about stands for a robot with a fixed base. The command line of
 `hold` for this robot is added to the error as a note."""
@@ -160,6 +164,7 @@ class Command(click.Command):
                 if an option has two different values.
         """
         _refuse_separate_units(ctx, args)
+        self._refuse_options_without_hyphens(ctx, args)
         ctx.meta[TYPED_WORDS] = tuple(args)
         try:
             rest = super().parse_args(ctx, args)
@@ -169,15 +174,28 @@ class Command(click.Command):
         except click.MissingParameter as error:
             if isinstance(error.param, click.Argument):
                 raise self.make_missing_error(ctx, str(error.param.name)) from error
+            if isinstance(error.param, click.Option):
+                name, meaning = error.param.opts[0], error.param.help or ""
+                missing = diagnose("option-missing", option=name, meaning=meaning.rstrip("."))
+                raise click.UsageError(str(missing), ctx) from error
             raise
         except click.BadParameter as error:
-            if found := _INVALID_FLOAT.fullmatch(error.message):
+            if found := _INVALID_NUMBER.fullmatch(error.message):
                 number = _NUMBER_START.match(found[1])
                 point = "" if number is None else number[0].replace(",", ".")
-                problem = diagnose("part-is-no-number", part=found[1], given="", point=point)
+                if found[2] == "integer":
+                    point = point if point.isdecimal() else ""
+                problem = diagnose(
+                    "part-is-no-number" if found[2] == "float" else "part-is-no-integer",
+                    part=found[1],
+                    given="",
+                    point=point,
+                )
                 raise click.BadParameter(
                     str(problem), error.ctx, error.param, error.param_hint
                 ) from error
+            if error.param is not None and isinstance(error.param.type, click.Choice):
+                raise _suggest_choice(error, error.param.type) from error
             raise
         except click.BadOptionUsage as error:
             error.ctx = error.ctx or ctx
@@ -189,6 +207,31 @@ class Command(click.Command):
             hint = f" Did you mean {' or '.join(map(repr, similar))}?" if similar else ""
             message = f"No such option {error.option_name!r}.{hint}"
             raise click.NoSuchOption(error.option_name, message, ctx=error.ctx) from error
+        except click.UsageError as error:
+            if found := _EXTRA_ARGUMENTS.fullmatch(error.message):
+                usage = " ".join((ctx.command_path, *self._list_metavars(ctx).values()))
+                extra = diagnose("argument-extra", given=found[1], usage=usage)
+                raise click.UsageError(str(extra), ctx) from error
+            raise
+
+    def _refuse_options_without_hyphens(self, ctx: click.Context, words: Sequence[str]) -> None:
+        """Refuse options with fewer than two hyphens: ``height=12cm`` and ``-height 12cm``.
+
+        Click takes the first for a robot, and the second for the options ``-h``, ``-e`` and so on.
+
+        Raises:
+            click.UsageError: If there is such a word.
+        """
+        options = {name for option in self.params for name in option.opts if name[:2] == "--"}
+        for previous, word in pairwise(("", *words)):
+            name, equals, _ = word.partition("=")
+            wanted = f"--{name.lstrip('-')}"
+            is_value = previous.startswith("-") and "=" not in previous and not word.startswith("-")
+            bare = equals and not is_value and not word.startswith("-")
+            single = word[:1] == "-" and word[:2] != "--" and len(name) > _SHORT_OPTION_LENGTH
+            if wanted in options and (bare or single):
+                message = f"No such option {name!r}. Did you mean {wanted!r}?"
+                raise click.NoSuchOption(name, message, ctx=ctx)
 
     def _refuse_repetition(self, ctx: click.Context) -> None:
         """Refuse an option with two different values, of which one would be ignored.
@@ -220,6 +263,11 @@ class Command(click.Command):
                     )
                     raise click.UsageError(str(message), ctx)
 
+    def _list_metavars(self, ctx: click.Context) -> dict[str | None, str]:
+        """Return {name of an argument: its form in usage lines}, such as ``URDF``."""
+        arguments = [one for one in self.params if isinstance(one, click.Argument)]
+        return {one.name: one.make_metavar(ctx).strip("[]") for one in arguments}
+
     def make_missing_error(self, ctx: click.Context, name: str) -> click.UsageError:
         """Return the error about a missing argument: its meaning, and the form of the command.
 
@@ -227,8 +275,7 @@ class Command(click.Command):
             ctx: Context of the command.
             name: Name of the argument.
         """
-        arguments = [one for one in self.params if isinstance(one, click.Argument)]
-        shown = {one.name: one.make_metavar(ctx).strip("[]") for one in arguments}
+        shown = self._list_metavars(ctx)
         message = diagnose(
             "argument-missing",
             argument=shown[name],
@@ -256,7 +303,43 @@ class Command(click.Command):
                 from pupper_analysis.present.document import NextStep
 
                 error.add_note(complete_command(NextStep("hold")))
+            if option := self._find_typed_option(context, error.field):
+                named = ConfigurationError(option, error.problem)
+                for note in getattr(error, "__notes__", ()):
+                    named.add_note(note)
+                raise named from error
             raise
+
+    def _find_typed_option(self, context: click.Context, field: str) -> str:
+        """Return the typed option whose value an error about an argument of a function concerns.
+
+        Args:
+            context: Context of the command.
+            field: Name of the argument in the error, such as ``mass``.
+
+        Returns:
+            Option, such as ``--payload``; empty if no such option was typed.
+        """
+        own = f"--{field.removeprefix('--').replace('_', '-')}"
+        for option in self.params:
+            name = max(option.opts, key=len)
+            typed = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
+            if typed and name in (own, *_OPTIONS_OF_ARGUMENTS.get(field, ())):
+                return name
+        return ""
+
+
+_SHORT_OPTION_LENGTH = 2
+"""Number of characters of a short option such as ``-o``."""
+
+_OPTIONS_OF_ARGUMENTS = {
+    "mass": ("--payload", "--added"),
+    "point": ("--payload-at", "--added-at"),
+    "effort": ("--continuous",),
+    "disabled": ("--disable",),
+    "count": ("--plan",),
+}
+"""{argument of a function: options that specify it}, if the names differ."""
 
 
 _ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
@@ -282,20 +365,49 @@ def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
     return ("", text) if (option.metavar or "").startswith("[JOINTS=]") else (text, text)
 
 
+_UNTYPED_UNITS = ("N", "Nm", "N*m", "N/m", "Nm/rad", "N*m/rad", "Nms/rad", "Hz", "bit", "%")
+"""Units of options whose values are numbers without unit: gains, torques, rates. With these units a
+number is refused, since no option accepts them."""
+
+
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
     """Refuse a number and a unit in two words, such as ``--height 12 cm``.
 
     Raises:
         UsageError: If there are such words.
     """
-    known = {unit for units in UNIT_FACTORS.values() for unit in units}
+    known = {unit.lower(): unit for units in UNIT_FACTORS.values() for unit in units}
+    known |= {unit.lower(): "" for unit in _UNTYPED_UNITS}
     for number, unit in pairwise(words):
-        if unit in known and not Path(unit).exists():
+        if unit.lower() in known and not Path(unit).exists():
             with suppress(ValueError):
                 value = number.rpartition("=")[2]
                 float(value)
-                message = diagnose("unit-apart", given=f"{value} {unit}", wanted=f"{value}{unit}")
-                raise click.UsageError(str(message), context)
+                given, wanted = f"{value} {unit}", f"{value}{known[unit.lower()]}"
+                code = "unit-apart" if known[unit.lower()] else "unit-not-typed"
+                raise click.UsageError(str(diagnose(code, given=given, wanted=wanted)), context)
+
+
+def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> click.BadParameter:
+    """Return the error about a word that is no choice, with the most similar choice, if any."""
+    typed = error.message.partition("'")[2].partition("'")[0]
+    names = {str(name).lower(): str(name) for name in choice.choices}
+    alike = difflib.get_close_matches(typed.lower(), names, 1)
+    hint = f" Did you mean {names[alike[0]]!r}?" if alike else ""
+    argument = isinstance(error.param, click.Argument)
+    param_hint = str(error.param.name).upper() if argument and error.param else error.param_hint
+    return click.BadParameter(f"{error.message}{hint}", error.ctx, error.param, param_hint)
+
+
+_SYNONYMS = {
+    **dict.fromkeys(("mass", "load", "weight"), ("--payload", "--weight")),
+    **dict.fromkeys(("time", "duration"), ("--seconds",)),
+    **dict.fromkeys(("stiffness", "gain", "gains"), ("--kp",)),
+    "damping": ("--kd",),
+    "torque": ("--effort",),
+    "out": ("--output",),
+}
+"""{word without hyphens that is no option: options that users mean by it}."""
 
 
 def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
@@ -310,6 +422,9 @@ def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
     """
     names = {name.strip("-"): name for name in known if name.startswith("--")}
     wanted = unknown.strip("-")
+    synonyms = [name for name in _SYNONYMS.get(wanted, ()) if name in known]
+    if synonyms:
+        return synonyms
     words = set(wanted.split("-"))
     containing = [name for name in names if words < set(name.split("-"))]
     return [names[name] for name in containing or difflib.get_close_matches(wanted, names)]
@@ -525,7 +640,7 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
 
         Raises:
             click.BadParameter: If the text is no such quantity, or a length without unit is
-                probably in millimetres.
+                probably in millimetres, or an angle that is probably in degrees.
         """
         if isinstance(value, float | int):
             value = repr(float(value)) if self.name == "length" else value
@@ -551,8 +666,8 @@ def parse_quantity(kind: str, text: str) -> float:
         if the text has a unit.
 
     Raises:
-        ValueError: If the text is no number, has an unknown unit, or is a length that is
-            probably in mm.
+        ValueError: If the text is no number, has an unknown unit, or has no unit and is a length
+            that is probably in mm, or an angle that is probably in degrees.
     """
     for unit, size in sorted(UNIT_FACTORS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
@@ -561,7 +676,7 @@ def parse_quantity(kind: str, text: str) -> float:
                 return Position(value, "rad" if unit in UNIT_FACTORS["angle"] else "m")
             return value
     value = float(text)
-    if is_millimetres(kind, value):
+    if is_millimetres(kind, value) or is_degrees(kind, value):
         raise ValueError(text)
     return value
 
@@ -579,6 +694,21 @@ def is_millimetres(kind: str, value: float) -> bool:
         value: Number, taken as metres.
     """
     return kind == "length" and MAX_BARE_LENGTH <= abs(value) < math.inf
+
+
+MAX_BARE_ANGLE: Final = 2 * math.pi
+"""Upper bound of angles that are accepted without a unit [rad]. Larger values are probably in
+degrees: no option needs more than a turn."""
+
+
+def is_degrees(kind: str, value: float) -> bool:
+    """Return True if a number without a unit is an angle that is probably in degrees.
+
+    Args:
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "angle".
+        value: Number, taken as radians.
+    """
+    return kind == "angle" and MAX_BARE_ANGLE < abs(value) < math.inf
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
@@ -609,12 +739,15 @@ def _find_assignment_form(option: str) -> str:
             form = parameter.metavar or ""
             if "=" in form:
                 example = _ASSIGNMENT_EXAMPLE.search(parameter.help or "")
-                return form if example is None else f"{form}, e.g. {example[1]}"
+                return form if example is None else f"{form}, e.g. {example[1].rstrip(',')}"
     return "NAME=VALUE"
 
 
-_INVALID_FLOAT = re.compile(r"'(.*)' is not a valid float\.?")
-"""Message of click about an option value that is no number; the group is the value."""
+_INVALID_NUMBER = re.compile(r"'(.*)' is not a valid (float|integer)\.?")
+"""Message of click about an option value that is no number; the groups are value and type."""
+
+_EXTRA_ARGUMENTS = re.compile(r"Got unexpected extra arguments? \((.*)\)")
+"""Message of click about arguments that the command does not have; the group is their text."""
 
 _NUMBER_START = re.compile(r"[+-]?\d+([.,]\d+)?")
 """Number at the start of a text, with a decimal point or a decimal comma."""
@@ -638,7 +771,7 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
             "part-is-no-number",
             part=value,
             given="" if given == value else given,
-            point=_write_decimal_point(value),
+            point=_write_decimal_point(value) or _omit_unit(value),
         )
         raise ConfigurationError(option, message) from error
 
@@ -647,6 +780,13 @@ def _write_decimal_point(text: str) -> str:
     """Return a number with a decimal comma (``12,5cm``) with a point; empty for another text."""
     match = re.fullmatch(r"([+-]?\d+),(\d+)([^\d,]*)", text)
     return "" if match is None else f"{match[1]}.{match[2]}{match[3]}"
+
+
+def _omit_unit(text: str) -> str:
+    """Return the number of a text with a unit of `_UNTYPED_UNITS`; empty for other texts."""
+    match = re.fullmatch(r"([+-]?\d+(?:\.\d+)?)\s*([A-Za-z].*)", text)
+    units = [unit.lower() for unit in _UNTYPED_UNITS]
+    return match[1] if match is not None and match[2].replace(" ", "").lower() in units else ""
 
 
 def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
@@ -689,14 +829,31 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
     with suppress(ValueError):
         if is_millimetres(kind, float(text)):
             return diagnose("length-without-unit", length=text)
+        if is_degrees(kind, float(text)):
+            return diagnose("angle-without-unit", angle=text)
     return diagnose(
         "part-is-no-quantity",
         part=text,
         given=given,
         kind=Term(kind),
         units=units,
-        point=_write_decimal_point(text),
+        point=_write_decimal_point(text) or _spell_unit(kind, text),
     )
+
+
+def _spell_unit(kind: str, text: str) -> str:
+    """Return a quantity with the unit in the accepted spelling: ``12CM`` as ``12cm``, ``5°``.
+
+    Empty if the text is no such quantity.
+    """
+    number = _NUMBER_START.match(text)
+    if number is None:
+        return ""
+    typed = text[number.end() :].strip().lower()
+    spelt = {unit.lower(): unit for unit in UNIT_FACTORS[kind]}
+    if "deg" in spelt:
+        spelt |= dict.fromkeys(("°", "degree", "degrees"), "deg")
+    return f"{number[0].replace(',', '.')}{spelt[typed]}" if typed in spelt else ""
 
 
 def show_progress(what: str) -> AbstractContextManager[object]:
@@ -805,6 +962,7 @@ def show_report(
             report,
             everything=everything,
             next_command=complete_command(next_step),
+            hidden_notes=click.get_current_context().meta.get(HIDDEN_NOTES, 0),
         )
 
 
@@ -924,7 +1082,8 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
     Raises:
         ConfigurationError: If the text has another form; the message names the option.
     """
-    frame, _, place = text.partition(",") if text.count(",") in (0, 3) else ("", "", text)
+    is_frame = text.count(",") in (0, 3) and not _NUMBER_START.match(text)
+    frame, _, place = text.partition(",") if is_frame else ("", "", text)
     zero = (0.0, 0.0, 0.0)
     point = parse_point(option, place, 3) if place or not frame else zero
     return (frame, *point) if frame else point

@@ -24,9 +24,10 @@ from pupper_analysis.cli.robots import (
     Command,
     RobotOptions,
     add_options,
+    hide_notes,
     load_selected_robot,
     name_uniquely,
-    print_notes,
+    print_warnings,
 )
 from pupper_analysis.cli.stance_fields import (
     OPTION_FIELDS,
@@ -199,8 +200,10 @@ class RobotAndTask:
             isinstance(selection, RobotFiles) and self.style == "text"
         ):  # Markdown output contains the notes
             # The result, or the error, is printed first.
+            if not self.everything:
+                hide_notes(robot)
             context = click.get_current_context()
-            context.call_on_close(partial(print_notes, robot, everything=self.everything))
+            context.call_on_close(partial(print_warnings, robot, everything=self.everything))
         return robot
 
     def _apply_options(self, robot: Robot) -> Robot:
@@ -234,7 +237,8 @@ class RobotAndTask:
         shared.show_results(named, self.style, robots=[robot], everything=self.everything)
         verdict = getattr(result, "verdict", None)
         failures = () if verdict is None else verdict.failures
-        if any(failure.code == "files-of-two-robots" for failure in failures):
+        two_robots = any(failure.code == "files-of-two-robots" for failure in failures)
+        if two_robots and (self.everything or self.style == "markdown"):
             _print_first_difference(robot)
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:

@@ -9,8 +9,8 @@ renderer escapes all texts. A ``Plot`` contains axes and values; the renderer ch
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 from collections.abc import Iterable
 
 from pupper_analysis.base.diagnostics import (
+    SHORT_FORM,
     fill_template,
     format_number,
     format_pair,
@@ -47,7 +48,12 @@ def text(key: str, **values: object) -> Text:
     Raises:
         KeyError: If the catalogue has no such key.
     """
-    return Text(_fill_phrase(key, values, "en"), lambda: _fill_phrase(key, values, "zh"))
+    short = phrase(key, SHORT_FORM)
+    return Text(
+        _fill_phrase(key, values, "en"),
+        lambda: _fill_phrase(key, values, "zh"),
+        short=_fill_short(short, values) if short else "",
+    )
 
 
 def word(name: str) -> Text | Name:
@@ -84,6 +90,16 @@ def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
     template = phrase(key, language)
     translated = {name: _select_language(value, language) for name, value in values.items()}
     return fill_template(template, translated, language) if translated else template
+
+
+def _fill_short(template: str, values: Mapping[str, object]) -> str:
+    """Fill the template of a short English text, with the short forms of the texts in it."""
+    shortened = {
+        name: value.short if isinstance(value, Text) and value.short else value
+        for name, value in values.items()
+    }
+    translated = {name: _select_language(value, "en") for name, value in shortened.items()}
+    return fill_template(template, translated, "en")
 
 
 def _select_language(value: object, language: str) -> object:
@@ -204,11 +220,13 @@ class Text:
         chinese: Simplified Chinese text, or a function that creates it. The function is called on
             access to ``zh``, so English output does not wait for it.
         mark: Emphasis: ``"good"``, ``"bad"``, ``"warn"``, ``"quiet"`` (less weight) or empty.
+        short: Short English form, for the short answer on a terminal; empty if there is none.
     """
 
     en: str
     chinese: str | Callable[[], str] = field(compare=False)
     mark: str = ""
+    short: str = ""
 
     @property
     def zh(self) -> str:
@@ -217,7 +235,7 @@ class Text:
 
     def with_mark(self, mark: str) -> Text:
         """Return a copy of this text with another emphasis: one of the values of ``Text.mark``."""
-        return Text(self.en, self.chinese, mark)
+        return replace(self, mark=mark)
 
 
 def diagnostic_text(diagnostic: Diagnostic, mark: str = "") -> Text:
@@ -227,7 +245,7 @@ def diagnostic_text(diagnostic: Diagnostic, mark: str = "") -> Text:
         diagnostic: Diagnostic.
         mark: Emphasis, as in ``Text``.
     """
-    return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark)
+    return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark, diagnostic.short)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """Documents on a terminal: verdict, key figures, and tables that fit the width.
 
-The short view omits blocks marked as detail, and the tables of a brief document; its last line
-names the omitted tables and counts the omitted findings. In a table that is too wide, columns of
+The short view omits blocks marked as detail, and the tables of a brief document. A brief document
+is two lines, the verdict and the limit or cause, and the next command; the last line counts what -v
+adds. In a table that is too wide, columns of
 sentences are wrapped; if the table is still too wide, the table is printed in parts that repeat the
 first column. Names and numbers are never cut.
 """
@@ -30,9 +31,17 @@ from pupper_analysis.present.document import (
     Words,
     get_english,
 )
+from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
 
-MAX_SHORT_NOTES = 8
+MAX_ANSWER_WIDTH = 104
+"""Width [characters] to which statements are joined into the second line of a short answer. Chosen,
+not tuned."""
+
+MAX_SHORT_FINDINGS = 8
+"""Largest number of findings in files in the short view. Chosen, not tuned."""
+
+MAX_SHORT_NOTES = 4
 """Largest number of lines of notes in the short view. Chosen, not tuned."""
 
 _MIN_TERMINAL_WIDTH = 40
@@ -83,7 +92,12 @@ def make_console() -> Console:
 
 
 def print_report(
-    out: Console, report: Report, *, everything: bool = False, next_command: str = ""
+    out: Console,
+    report: Report,
+    *,
+    everything: bool = False,
+    next_command: str = "",
+    hidden_notes: int = 0,
 ) -> None:
     """Print the documents of a report, and then its overview.
 
@@ -95,6 +109,7 @@ def print_report(
         report: Report.
         everything: Also print the blocks that the short view omits.
         next_command: Command line to run after the report; empty for none.
+        hidden_notes: Number of notes on the robots that the caller does not print.
     """
     several = bool(report.overview) and not everything
     single = len(report.documents) == 1
@@ -102,8 +117,13 @@ def print_report(
         if several:
             print_summary(out, document)
         else:
-            shown = next_command if single else ""
-            print_document(out, document, everything=everything, next_command=shown)
+            print_document(
+                out,
+                document,
+                everything=everything,
+                next_command=next_command if single else "",
+                hidden_notes=hidden_notes if single else 0,
+            )
     for block in report.overview:
         _print_block(out, block, everything=everything)
     if next_command and (several or not single):
@@ -113,7 +133,12 @@ def print_report(
 
 
 def print_document(
-    out: Console, document: Document, *, everything: bool = False, next_command: str = ""
+    out: Console,
+    document: Document,
+    *,
+    everything: bool = False,
+    next_command: str = "",
+    hidden_notes: int = 0,
 ) -> None:
     """Print a document: verdict, key figures, blocks and notes.
 
@@ -122,6 +147,7 @@ def print_document(
         document: Document.
         everything: Also print the blocks that the short view omits.
         next_command: Command line to run next, printed below the key figures; empty for none.
+        hidden_notes: Number of notes on the robot that the caller does not print.
     """
     print_head(out, document, everything=everything)
     if next_command:
@@ -129,14 +155,14 @@ def print_document(
     place = 0
     for block in document.blocks:
         place += isinstance(block, FileFinding)
-        if everything or not _is_left_out(document, block):
+        if everything or not _is_left_out(document, block, place):
             _print_block(out, block, place, everything=everything)
     if document.brief and not everything:
-        _print_note_count(out, document)
+        hidden_notes += len(document.notes)
     else:
         print_notes(out, document.notes, everything=everything)
     if not everything:
-        _print_left_out(out, document)
+        _print_left_out(out, document, hidden_notes)
 
 
 def _print_next_command(out: Console, command: str) -> None:
@@ -159,8 +185,16 @@ def _print_note_count(out: Console, document: Document) -> None:
         _print_line(out, Text(count_text, "dim"))
 
 
-def _is_left_out(document: Document, block: Block) -> bool:
-    """Return True if the short view omits a block."""
+def _is_left_out(document: Document, block: Block, place: int) -> bool:
+    """Return True if the short view omits a block.
+
+    Args:
+        document: Document with the block.
+        block: Block.
+        place: Number of findings up to the block, including the block.
+    """
+    if isinstance(block, FileFinding) and place > MAX_SHORT_FINDINGS:
+        return True
     return block.detail or (document.brief and isinstance(block, Table))
 
 
@@ -168,21 +202,49 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
     """Print a document's verdict, title, failures and findings.
 
     The first failure or finding is on the line of the verdict. With ``everything``, details follow.
+    Otherwise, the messages are printed in their short form, and all but the first are joined into
+    one line.
     """
+    short = not everything
     messages = [*document.failures, *document.findings, *(document.details if everything else ())]
     line = Text()
     if document.verdict is not None:
         line.append(
-            _to_plain_text(document.verdict), f"bold {MARK_STYLES.get(document.mark, '')}".strip()
+            _shorten(document.verdict) if short else _to_plain_text(document.verdict),
+            f"bold {MARK_STYLES.get(document.mark, '')}".strip(),
         )
         line.append(" ")
     line.append(_to_plain_text(document.title), "bold")
     if messages:
         line.append(": ")
-        line.append_text(_style_words(messages[0]))
+        line.append_text(_style_words(messages[0], short=short))
     _print_line(out, line)
+    if short:
+        joined = _join_short_messages(messages[1:])
+        if joined.plain:
+            _print_line(out, joined, indent=2)
+        return
     for message in messages[1:]:
         _print_line(out, Text("  ").append_text(_style_words(message)), indent=2)
+
+
+def _join_short_messages(messages: Sequence[Words]) -> Text:
+    """Join messages in their short form into one line of up to `MAX_ANSWER_WIDTH` characters.
+
+    The first message is always printed. Messages from the first that does not fit are counted.
+    """
+    line, left = Text(), len(messages)
+    for message in messages:
+        part = _style_words(message, short=True)
+        more = f"; {left - 1} more with -v" if left > 1 else ""
+        if line.plain and cell_len(line.plain) + cell_len(part.plain) + 2 + len(more) > (
+            MAX_ANSWER_WIDTH
+        ):
+            line.append(f"; {left} more with -v", "dim")
+            break
+        line.append("; " if line.plain else "  ").append_text(part)
+        left -= 1
+    return line
 
 
 def print_table(out: Console, table: Table) -> None:
@@ -208,14 +270,21 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
         _print_line(out, Text(f"… and {len(notes) - len(shown)} more notes: -v", "yellow"))
 
 
-def _print_left_out(out: Console, document: Document) -> None:
-    """Print the titles of the tables and the number of findings that the short view omits."""
-    left = [block for block in document.blocks if _is_left_out(document, block)]
-    tables = [_to_plain_text(block.title) for block in left if isinstance(block, Table)]
-    findings = sum(isinstance(block, FileFinding) for block in left)
-    parts = [f"{findings} more of these"] * bool(findings) + tables
+def _print_left_out(out: Console, document: Document, notes: int) -> None:
+    """Print how many findings, tables and notes the short view omits."""
+    left, place = [], 0
+    for block in document.blocks:
+        place += isinstance(block, FileFinding)
+        if _is_left_out(document, block, place):
+            left.append(block)
+    counts = {
+        "finding": sum(isinstance(block, FileFinding) for block in left),
+        "table": sum(isinstance(block, Table) for block in left),
+        "note": notes,
+    }
+    parts = [f"{count} {name}{'s' * (count > 1)}" for name, count in counts.items() if count]
     if parts:
-        _print_line(out, Text(f"with -v: {'; '.join(parts)}", "dim"))
+        _print_line(out, Text(f"  with -v: {', '.join(parts)}", "dim"))
 
 
 @singledispatch
@@ -300,13 +369,23 @@ def _to_plain_text(words: Words) -> str:
     return _escape_line(get_english(words))
 
 
-def _style_words(words: Words) -> Text:
+def _shorten(words: Words) -> str:
+    """Return the escaped short English form of words; the whole text if they have none."""
+    short = words.short if isinstance(words, TranslatedText) else ""
+    return _escape_line(short) or _to_plain_text(words)
+
+
+def _style_words(words: Words, *, short: bool = False) -> Text:
     """Return a text for the terminal, in the style of its emphasis (``mark``).
 
     If the text begins with a word in capitals, such as HOLDS, only this word is styled. Otherwise
     only a text with the mark ``"quiet"`` is styled.
+
+    Args:
+        words: Text.
+        short: True for the short form of the text, if it has one.
     """
-    plain = _to_plain_text(words)
+    plain = _shorten(words) if short else _to_plain_text(words)
     style = MARK_STYLES.get(words.mark, "")
     first = plain.partition(" ")[0]
     if style and first.isupper():

@@ -27,6 +27,7 @@ from pupper_analysis.present.document import (
     NextStep,
     Text,
     Words,
+    diagnostic_text,
     text,
 )
 from pupper_analysis.robot.as_published import (
@@ -70,7 +71,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Return the statements of a verdict, without repetitions.
 
     If the verdict is good, statements that support the stand come first; if the verdict is bad,
-    statements against the stand.
+    statements against the stand, and among these the first one and the causes in the files.
     """
     run_clauses, fails = (
         tuple(make_keyframe_run_clauses(verdict.keyframe_run)),
@@ -92,7 +93,10 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *(() if fails else run_clauses),
     )
     once = {str(clause): clause for clause in messages}  # a cause is one, whatever it makes fail
-    return tuple(sorted(once.values(), key=lambda clause: clause.good != verdict.passed))
+    ordered = sorted(once.values(), key=lambda clause: clause.good != verdict.passed)
+    if not verdict.passed:
+        ordered[1:] = sorted(ordered[1:], key=lambda clause: clause.message.code not in _CAUSES)
+    return tuple(ordered)
 
 
 def format_verdict(verdict: Verdict) -> str:
@@ -144,7 +148,7 @@ def _disagrees(verdict: Verdict) -> bool:
 def clause_text(clause: Clause) -> Text:
     """Convert a statement to a text in both languages, marked good or bad."""
     message = clause.message
-    return Text(str(message), lambda: message.text("zh"), "good" if clause.good else "bad")
+    return diagnostic_text(message, "good" if clause.good else "bad")
 
 
 def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
@@ -219,13 +223,15 @@ def judged_document(
     details: Iterable[Words] = (),
     failures: Iterable[Words] = (),
     word: Words | None = None,
+    limit: Words | None = None,
+    number_first: bool = False,
     notes: Iterable[Words] = (),
     next_step: NextStep | None = None,
 ) -> Document:
     """Create the document of a result whose answer is a verdict.
 
-    The short answer contains the verdict with the first text of ``answer``, the warnings and
-    assumptions that change the meaning of the verdict, and the other texts of ``answer``. A
+    The short answer contains the verdict with the first text of ``answer``, ``limit``, the warnings
+    and assumptions that change the meaning of the verdict, and the other texts of ``answer``. A
     terminal prints the other statements and the tables with -v only.
 
     Args:
@@ -233,23 +239,33 @@ def judged_document(
         judged: Result.
         blocks: Tables and plots.
         answer: At least one text: first the number that the user requested, such as the largest
-            payload, then the number or the cause that limits it.
+            payload, then further numbers.
         details: Further statements.
         failures: Reasons against the result, in addition to the reasons of the verdict.
         word: Verdict in one or two words. Default: the word of the judge's verdict.
+        limit: Cause that limits the number, or the number that belongs to it, such as the base
+            height; None if there is none.
+        number_first: True if the number also precedes the reasons of a bad verdict, because it is
+            the answer to the question: the largest payload is 0.
         notes: Assumptions, findings and omissions.
         next_step: Command to run next.
     """
     first, more = split_verdict_lines(judged.verdict)
-    number, *limit = answer
+    number, *others = answer
+    limits = () if limit is None else (limit,)
+    reasons = () if judged.passed else (*first, *failures)
+    if number_first and reasons:
+        reasons, findings = (number, *reasons), (*limits, *others)
+    else:
+        findings = (number, *limits, *(first if judged.passed else ()), *others)
     return Document(
         kind,
         Name(judged.name),
         tuple(blocks),
         passed=judged.passed,
         verdict=word or verdict_word(judged.verdict),
-        failures=(*(() if judged.passed else first), *failures),
-        findings=(number, *(first if judged.passed else ()), *limit),
+        failures=reasons,
+        findings=findings,
         details=(*details, *more),
         brief=True,
         notes=tuple(notes),
@@ -318,6 +334,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
             lean=Quantity(run.lean, "rad"),
             away=Quantity(run.away, "m"),
             joint=None if joint is None else joint.joint,
+            hung=joint is not None and not run.standing,
             commanded=joint is not None and joint.commanded_away,
             **how,
         )
@@ -445,9 +462,15 @@ def describe_cause(cause: Cause) -> Diagnostic:
         KeyError: If the code of the cause is unknown.
     """
     if cause.code == "pair":
-        return diagnose("files-differ", difference=cause.difference)
+        return diagnose(_FILES_DIFFER_CODE, difference=cause.difference)
     return diagnose(_CAUSE_MESSAGES[cause.code], names=cause.elements, line=cause.line)
 
+
+_FILES_DIFFER_CODE = "files-differ"
+"""Code of the statement on the first difference between a URDF and an MJCF that are one robot."""
+
+_CAUSES = (_FILES_DIFFER_CODE, "motors-overloaded")
+"""Codes of statements that explain a bad verdict. They follow its first statement."""
 
 _CAUSE_MESSAGES = {
     "exclude": "excluded-from-touching",

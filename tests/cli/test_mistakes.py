@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import parse_contact
 from tests.support.commands import answer
 from tests.support.repository import ROOT
@@ -197,3 +198,56 @@ def test_an_option_may_be_repeated_with_the_same_value_or_for_another_name(tmp_p
     feet = ("--foot", "FL", "--foot", "FR", "--swing", "FL=2cm", "--swing", "FR=2cm")
     message = run_refused("stand", "none.urdf", *repeated, *feet, folder=tmp_path)
     assert "none.urdf: there is no such file" in message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("stand", "v3", "--payload", "-2kg"), "error: --payload: -2.0 kg is not"),
+        (("hold", "v3", "--payload", "-2kg"), "error: --payload: -2.0 kg is not"),
+        (("stand", "v3", "--kp", "five"), "error: --kp: 'five' is not a number"),
+    ],
+    ids=str,
+)
+def test_error_about_a_value_names_its_option(arguments: tuple[str, ...], message: str) -> None:
+    """The functions name these arguments `mass` and `kp`."""
+    assert run_refused(*arguments).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("stand", "v3", "--height", "12CM"), "is no length: write 12cm"),
+        (("stand", "v3", "--height", "12", "CM"), "directly behind the number: 12cm"),
+        (("stand", "v3", "--pitch", "5°"), "is no angle: write 5deg"),
+        (("stand", "v3", "--payload", "2KG"), "is no mass: write 2kg"),
+        (("stand", "v3", "--kp", "20", "N/m"), "takes a number without a unit: write 20"),
+        (("stand", "v3", "--kp", "20Nm"), "'20Nm' is not a number; write 20"),
+        (("stand", "v3", "--uphill", "90"), "write 90deg or 90rad"),
+        (("gains", "v3", "--error", "10"), "write 10deg or 10rad"),
+        (("gains", "v3", "--encoder-bits", "14bit"), "is not an integer; write 14"),
+        (("stand", "v3", "height=12cm"), "No such option 'height'. Did you mean '--height'?"),
+        (("stand", "v3", "-height", "12cm"), "No such option '-height'. Did you mean '--height'?"),
+        (("payload", "v3", "--mass", "2kg"), "Did you mean '--payload'?"),
+        (("payload", "v3", "--continuous", "-2"), "error: --continuous: -2 N m"),
+        (("best", "utilization", "v3"), "Did you mean 'utilisation'?"),
+        (("stand", "v3", "--payload", "1kg", "--payload-at", "0;0;5cm"), "form X,Y,Z (10mm,0,0)"),
+        (("hold", "v3", "--joints", "0,0,0"), "NAME=POSITION, e.g. elbow=90deg\n"),
+        (("audit", "a.urdf", "b.xml"), "b.xml: too many arguments; type "),
+        (("audit", "v3", "--disable", "mass"), "error: --disable: no rule 'mass'"),
+        (("convert", "a.urdf"), "option -o is missing: The file to write: .xml"),
+    ],
+    ids=str,
+)
+def test_error_of_a_misspelt_value_option_or_unit_shows_the_spelling(
+    arguments: tuple[str, ...], message: str
+) -> None:
+    assert message in run_refused(*arguments)
+
+
+def test_an_angle_beyond_a_turn_is_accepted_with_its_unit() -> None:
+    """90 rad is 14 turns and 116.6 deg, so the direction is valid."""
+    assert shared.parse_quantity("angle", "90rad") == 90.0
+    assert shared.parse_quantity("angle", "6.28") == 6.28
+    with pytest.raises(ValueError, match="90"):
+        shared.parse_quantity("angle", "90")

@@ -11,14 +11,22 @@ import pytest
 from pupper_analysis.present.document import (
     Column,
     Document,
+    FileFinding,
     Lines,
     Name,
     Number,
     Table,
+    Text,
     diagnostic_text,
     text,
 )
-from pupper_analysis.present.terminal import MAX_SHORT_NOTES, SafeConsole, print_document
+from pupper_analysis.present.terminal import (
+    MAX_ANSWER_WIDTH,
+    MAX_SHORT_FINDINGS,
+    MAX_SHORT_NOTES,
+    SafeConsole,
+    print_document,
+)
 from tests.support.commands import run_command
 from tests.support.printing import printed
 from tests.support.repository import ROOT
@@ -100,7 +108,7 @@ def test_answer_is_verdict_limit_and_next_command_and_details_follow_with_v() ->
         print_document(
             out, document, everything=everything, next_command=answer[2].removeprefix("  next: ")
         )
-    assert short.getvalue().splitlines() == [*answer, "with -v: Numbers"]
+    assert short.getvalue().splitlines() == [*answer, "  with -v: 1 table"]
     lines = full.getvalue().splitlines()
     assert lines[:4] == [*answer[:2], "  height 3 mm", answer[2]]
     assert any(line.startswith("joint_0") for line in lines)
@@ -137,7 +145,7 @@ def test_each_cell_is_printed_once_at_any_width(columns: int, rows: int, width: 
 
 
 @pytest.mark.parametrize("count", [1, MAX_SHORT_NOTES, MAX_SHORT_NOTES + 1, 30])
-def test_short_view_has_at_most_eight_notes(count: int) -> None:
+def test_short_view_has_a_largest_number_of_notes(count: int) -> None:
     notes = tuple(diagnostic_text(problem(f"note {index}")) for index in range(count))
     document = Document(Name(""), Name("robot"), (), notes=notes)
     lines = printed(document, everything=False).splitlines()[1:]
@@ -165,10 +173,10 @@ def test_failing_verdict_is_bold_and_red() -> None:
     assert "\x1b[1;31mFAILS" in file.getvalue()
 
 
-def test_short_view_names_the_tables_that_it_omits() -> None:
+def test_short_view_counts_the_tables_that_it_omits() -> None:
     short = print_lines(table(3), table(4, detail=True), everything=False)
-    assert short[-1] == "with -v: Numbers"
-    assert sum("Numbers" in line for line in short) == 2
+    assert short[-1] == "  with -v: 1 table"
+    assert sum("Numbers" in line for line in short) == 1
     assert sum("Numbers" in line for line in print_lines(table(3), table(4, detail=True))) == 2
 
 
@@ -180,3 +188,44 @@ def test_files_are_not_confirmed_if_data_goes_to_standard_output(
     assert out.startswith("{")
     assert err.startswith("OK")
     assert "written" not in out + err
+
+
+def test_answer_joins_the_short_forms_of_warnings_and_counts_what_does_not_fit() -> None:
+    """The full text with -v; without, one line of at most ``MAX_ANSWER_WIDTH`` characters."""
+    warnings = [
+        Text(f"{name} is a long explanation", "zh", "warn", short=f"{name} is short")
+        for name in ("first", "second" * 5, "third" * 8)
+    ]
+    document = Document(
+        Name("stance"),
+        Name("robot"),
+        (),
+        passed=True,
+        verdict=Text("HOLDS (in full)", "zh", short="HOLDS"),
+        findings=(Name("largest load 1 N m"), *warnings),
+        notes=(Name("a"), Name("b")),
+        brief=True,
+    )
+    short = printed(document, everything=False).splitlines()
+    assert short == [
+        "HOLDS robot: largest load 1 N m",
+        f"  first is short; {'second' * 5} is short; 1 more with -v",
+        "  with -v: 2 notes",
+    ]
+    assert all(len(line) <= MAX_ANSWER_WIDTH for line in short)
+    full = printed(document).splitlines()
+    assert full[:4] == [
+        "HOLDS (in full) robot: largest load 1 N m",
+        *(f"  {warning.en}" for warning in warnings),
+    ]
+
+
+def test_short_view_counts_the_findings_beyond_the_first() -> None:
+    """Findings keep their numbers, by which `sync --take` selects them."""
+    blocks = tuple(FileFinding(Name(f"finding {number}"), ()) for number in range(1, 12))
+    document = Document(Name("check"), Name("robot"), blocks)
+    lines = printed(document, everything=False).splitlines()
+    shown = [line for line in lines if "finding " in line]
+    assert shown == [f"{number}. finding {number}" for number in range(1, MAX_SHORT_FINDINGS + 1)]
+    assert lines[-1] == f"  with -v: {11 - MAX_SHORT_FINDINGS} findings"
+    assert sum("finding " in line for line in printed(document).splitlines()) == 11

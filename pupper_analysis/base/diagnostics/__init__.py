@@ -5,6 +5,7 @@ Simplified Chinese, are in ``catalogue/*.toml``, and in the ``words.toml`` of to
 """
 
 from pupper_analysis.base.diagnostics.catalogue import LANGUAGES as LANGUAGES
+from pupper_analysis.base.diagnostics.catalogue import SHORT_FORM as SHORT_FORM
 from pupper_analysis.base.diagnostics.catalogue import Entry as Entry
 from pupper_analysis.base.diagnostics.catalogue import codes as codes
 from pupper_analysis.base.diagnostics.catalogue import entry as entry

@@ -33,6 +33,10 @@ from pupper_analysis.base.tools import other_packages, own_packages
 LANGUAGES = ("en", "zh")
 """Languages of all catalogue texts: English and Chinese."""
 
+SHORT_FORM = "short"
+"""Key of the short English form of a catalogue text, which the short answer on a terminal contains
+instead of the text. Most texts have none."""
+
 _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 """Pattern of the header line of a TOML table."""
 
@@ -62,11 +66,13 @@ class Entry:
         severity: ``"error"``, ``"warning"`` or ``"note"``.
         group: ``"wrong"``, ``"assumed"`` or ``"found"``.
         templates: {language: template}.
+        short: Template of the short English form; empty if there is none.
     """
 
     severity: str
     group: str
     templates: Mapping[str, str]
+    short: str = ""
 
 
 def codes() -> Iterator[str]:
@@ -86,7 +92,7 @@ def entry(code: str) -> Entry:
     severity = fields.get("severity", "note")
     group = fields.get("group", "found" if severity == "note" else "wrong")
     templates = {language: fields.get(language, fields["en"]) for language in LANGUAGES}
-    return Entry(severity, group, MappingProxyType(templates))
+    return Entry(severity, group, MappingProxyType(templates), fields.get(SHORT_FORM, ""))
 
 
 def term(name: str, language: str) -> str:
@@ -105,10 +111,11 @@ def phrase(key: str, language: str) -> str:
 
     Args:
         key: Key in ``texts.toml``, in ``terms.toml`` or in a table ``[texts]`` of a tool.
-        language: ``"en"`` or ``"zh"``.
+        language: ``"en"`` or ``"zh"``, or `SHORT_FORM`.
 
     Returns:
-        Text, in which ``fill_template`` replaces the placeholders.
+        Text, in which ``fill_template`` replaces the placeholders. Empty for the short form of a
+        text that has none.
 
     Raises:
         KeyError: If there is no entry with this key.
@@ -151,7 +158,12 @@ def word_files() -> Mapping[str, Path]:
 
 
 def _select_language(words: Mapping[str, str], language: str) -> str:
-    """Return the text in a language; the English text if it is missing."""
+    """Return the text in a language; the English text if it is missing.
+
+    A missing short form (`SHORT_FORM`) is empty.
+    """
+    if language == SHORT_FORM:
+        return words.get(SHORT_FORM, "")
     return words.get(language) or words["en"]
 
 

@@ -127,10 +127,27 @@ class Diagnostic:
         Args:
             language: ``"en"`` or ``"zh"``.
         """
+        return fill_template(entry(self.code).templates[language], self._template_values, language)
+
+    @property
+    def short(self) -> str:
+        """Short English text for a terminal; empty if the catalogue has none."""
+        template = entry(self.code).short
+        if not template:
+            return ""
+        values = {
+            name: _shorten(value) if isinstance(value, Diagnostic | tuple) else value
+            for name, value in self._template_values.items()
+        }
+        return fill_template(template, values, "en")
+
+    @property
+    def _template_values(self) -> dict[str, Any]:
+        """Values of the template: those of this diagnostic, and the subject with its name."""
         values: dict[str, Any] = dict(self.values)
         if self.subject is not None:
             values.update(subject=self.subject, name=self.subject.name)
-        return fill_template(entry(self.code).templates[language], values, language)
+        return values
 
     def __str__(self) -> str:
         return self.text()
@@ -229,6 +246,13 @@ def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ..
             key=lambda diagnostic: (order.index(diagnostic.group), diagnostic.severity.rank),
         )
     )
+
+
+def _shorten(value: Value) -> Value:
+    """Replace diagnostics in a value of a diagnostic by their short texts, if they have one."""
+    if isinstance(value, tuple):
+        return tuple(map(_shorten, value))
+    return (value.short or value) if isinstance(value, Diagnostic) else value
 
 
 def _change_names(value: Value, change: Callable[[str], str]) -> Value:

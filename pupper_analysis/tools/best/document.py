@@ -36,12 +36,12 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     """
     stand_document = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
-    # The largest motor load of the stance is a detail: the objective is the answer.
-    load, *others = stand_document.findings
+    # The largest motor load and the height are details: the objective is the answer.
+    load, height, *others = stand_document.findings
     coordinates, *more = stand_document.details
     step = _make_next_step(study)
     messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *others)
-    details: tuple[doc.Words, ...] = (load, *more)
+    details: tuple[doc.Words, ...] = (load, height, *more)
     if step.command == "path":  # its options state the coordinates
         details = (coordinates, *details)
     else:
@@ -52,9 +52,10 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
         blocks = (*(block for block in loaded.blocks if isinstance(block, doc.Table)), *blocks)
         # Both documents describe the same stance: omit repeated lines.
         shown = (*stand_document.findings, *stand_document.details)
-        *_, limiting = loaded.findings
-        messages += (limiting,)
-        further = (*loaded.findings[:-1], *loaded.details)
+        # The limit follows the number, which is a reason if the payload fails.
+        number, rest = loaded.findings[: loaded.passed], loaded.findings[bool(loaded.passed) :]
+        messages = (messages[0], *rest[:1], *messages[1:])
+        further = (*number, *rest[1:], *loaded.details)
         details += tuple(line for line in further if line not in shown)
         failures += tuple(line for line in loaded.failures if line not in failures)
         verdict = verdict if loaded.passed else loaded.verdict

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
 
+from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 
 
 @shared.command("check")
+@click.argument("folder", type=click.Path(path_type=Path), required=False)
 @shared.file_option(
     "--config",
-    help="Configuration file. By default pupper-analysis.toml in this folder or one above it.",
+    help="Configuration file. By default pupper-analysis.toml in FOLDER or one above it.",
 )
 @click.option(
     "--update-baseline",
@@ -29,12 +32,13 @@ from pupper_analysis.cli.modes import refuse_unused
     "--init",
     "first",
     is_flag=True,
-    help="Write a pupper-analysis.toml that lists all models in this folder, and exit.",
+    help="Write a pupper-analysis.toml that lists all models in FOLDER, and exit.",
 )
 @shared.all_option
 @shared.json_option
 @shared.format_option
 def command(
+    folder: Path | None,
     config: Path | None,
     update_baseline: bool,
     since: str | None,
@@ -44,6 +48,8 @@ def command(
     style: str,
 ) -> None:
     """Cross-check and audit all models that pupper-analysis.toml lists, e.g. in a repository's CI.
+
+    FOLDER contains the file, or is below its folder; by default the current folder.
 
     Findings that the baseline lists with the same value pass, so an existing robot can be guarded
     from today on: only a difference or finding that is new or has changed fails. Paths are relative
@@ -69,6 +75,7 @@ def command(
     Examples:
       pupper-analysis check --init
       pupper-analysis check
+      pupper-analysis check robots/
       pupper-analysis check --update-baseline
       pupper-analysis check --since origin/main
       pupper-analysis check --config robots/pupper-analysis.toml --format github
@@ -81,9 +88,10 @@ def command(
     from pupper_analysis.tools.check.check import check_repository
 
     if first:
-        refuse_unused("--init", {"--init": {"first", "config"}})
-        _write_first_config(config)
+        refuse_unused("--init", {"--init": {"first", "config", "folder"}})
+        _write_first_config(config, folder or Path())
         return
+    config = _find_typed_config(config, folder)
     with shared.show_progress("checking all models"):
         result = check_repository(config, update_baseline=update_baseline, since=since)
     if style in ("text", "markdown"):
@@ -103,14 +111,42 @@ def command(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-def _write_first_config(config: Path | None) -> None:
-    """Write a first configuration, and print the next steps."""
+def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
+    """Return the typed configuration file, or the one of the typed or the current folder.
+
+    Raises:
+        ConfigurationError: If both were typed, or the folder is a file or has no configuration.
+    """
+    from pupper_analysis.base.diagnostics import diagnose
+    from pupper_analysis.base.errors import ConfigurationError
+    from pupper_analysis.tools.check.config import find_config
+
+    if config is not None and folder is not None:
+        raise ConfigurationError("--config", diagnose("config-and-folder", folder=folder))
+    if config is not None:
+        return config
+    if folder is not None and not folder.is_dir():
+        raise ConfigurationError(str(folder), diagnose("check-needs-folder"))
+    try:
+        return find_config(folder)
+    except ConfigurationError as error:
+        place = "" if folder is None else f"{shlex.quote(str(folder))} "
+        error.add_note(f"{GENERATOR_NAME} check {place}--init")
+        raise
+
+
+def _write_first_config(config: Path | None, folder: Path) -> None:
+    """Write a first configuration of a folder, and print the next steps."""
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
     from pupper_analysis.tools.check.config import write_config
 
     if config is not None:
         raise ConfigurationError("--config", diagnose("init-writes-here"))
-    path, names = write_config(Path())
+    if not folder.is_dir():
+        raise ConfigurationError(str(folder), diagnose("check-needs-folder"))
+    path, names = write_config(folder)
     click.echo(f"written: {path}, with {len(names)} models: {', '.join(names)}")
-    click.echo("look at which belong together; then: pupper-analysis check --update-baseline")
+    place = "" if folder == Path() else f"{shlex.quote(str(folder))} "
+    click.echo("  edit the file so that each URDF is listed with its MJCF")
+    click.echo(f"  next: {GENERATOR_NAME} check {place}--update-baseline")

@@ -120,9 +120,16 @@ def command(
             packages=folders,
         )
     shared.show_results([("", result)], style, everything=everything)
-    for path in result.written:
+    meshes = [path for path in result.written if Path(path) != Path(result.output)]
+    if len(meshes) > _MAX_LISTED_MESHES and not everything:  # their folder, instead of each file
+        meshes = [*dict.fromkeys(str(Path(path).parent) for path in meshes)]
+    for path in (*meshes, result.output):
         shared.confirm_written(path)
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+_MAX_LISTED_MESHES = 2
+"""Largest number of written mesh files that are listed without -v. Chosen, not tuned."""
 
 
 def _assign_by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:

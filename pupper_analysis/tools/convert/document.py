@@ -26,7 +26,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
     blocks = []
     if conversion.not_converted:
         left = tuple(map(doc.diagnostic_text, conversion.not_converted))
-        blocks.append(doc.Lines(left, "warn", text("not-converted")))
+        blocks.append(doc.Lines(left, "warn", text("not-converted"), detail=True))
     return doc.Document(
         text("conversion"),
         text(
@@ -73,7 +73,7 @@ def _format_file_name(path: str) -> doc.Name:
 
 
 def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
-    """Describe the deviation from the source, and the simulated stand."""
+    """Describe the deviation from the source, the simulated stand, and what was not converted."""
     compared = conversion.comparison
     count = len(compared.differences)
     deviation = text(
@@ -96,6 +96,9 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
             height=f"{1e3 * run.base_height:.1f}",
             torque=f"{run.torque_error:.1e}",
         ).with_mark("good" if run.passed else "bad")
+    if conversion.not_converted:
+        first, *others = conversion.not_converted
+        yield text("not-converted-in-short", first=doc.diagnostic_text(first), more=len(others))
 
 
 MAX_REST_FRACTION = 0.01

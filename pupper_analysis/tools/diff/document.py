@@ -47,9 +47,16 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
-    """Yield the old and new total mass [kg]; nothing if the versions are the same."""
-    if not diff.same:
-        old, new = diff.mass
+    """Yield the old and new total mass [kg], or the first change if the mass is the same.
+
+    Nothing is yielded if the versions are the same.
+    """
+    if diff.same:
+        return
+    old, new = diff.mass
+    if not _format_percent(old, new) and diff.changes:
+        yield doc.diagnostic_text(diff.changes[0].diagnostic)
+    else:
         old_text, new_text = format_pair(old, new, ".6g")
         mass = text("mass-old-kg-now-new", old=old_text, new=new_text)
         if change := _format_percent(old, new):

@@ -42,7 +42,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
         passed=study.passed,
         verdict=text(_VERDICT_KEYS[study.worst.stable, study.passed]),
         failures=failures,
-        findings=(_describe_range(study), *_describe_servos(study), _describe_controller(study)),
+        findings=(_describe_range(study), _describe_controller(study), *_describe_servos(study)),
         details=(
             task_text(study.stand.task),
             text("gains-damping-ratio", ratio=f"{study.damping_ratio:.2f}"),

@@ -216,11 +216,11 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
 def format_drop(result: Drop) -> tuple[str, str]:
     """Return two texts about a dropped robot: base height and its deviation; tilt and contacts."""
     still = result.height_deviation < STABLE_DEVIATION
-    sign, end = "<" if still else ">=", result.end
-    ending = " = stable" if result.stable else " = NOT stable" if not still else ""
+    end = result.end
+    ending = "" if still else ": NOT stable"
     rest = (
-        f"final z={result.height[-1]:.3f} m, last-1s std={1e3 * result.height_deviation:.2f} mm "
-        f"({sign} {1e3 * STABLE_DEVIATION:g} mm{ending})"
+        f"base height {1e3 * result.height[-1]:.0f} mm, standard deviation in the last second "
+        f"{1e3 * result.height_deviation:.2f} mm (limit {1e3 * STABLE_DEVIATION:g} mm){ending}"
     )
     words = [f"tilt {math.degrees(end.tilt):.1f} deg"]
     if result.stable:

@@ -288,6 +288,8 @@ def stance_path(
         StanceUnreachableError: If a sample is out of reach. The error states the time.
         StaticsInfeasibleError: If a sample cannot be held at this speed. The error states the time.
     """
+    if not robot.welds:
+        robot.check_floating()
     robot.check_tree("a path")
     per_segment = _count_samples(seconds, rate, stances)
     if robot.welds or any(task.contacts for task in stances):

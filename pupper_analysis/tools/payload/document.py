@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+import numpy as np
+
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
 from pupper_analysis.present.documents.loads import mass_text, view_block
@@ -41,7 +43,9 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
         text("payload-title"),
         limit,
         (view_block(robot, limit.stand, None), payload_table(limit)),
-        (payload_text(limit), *_describe_limit(limit)),
+        (payload_text(limit),),
+        limit=_describe_limit(limit),
+        number_first=True,
         details=(
             task_text(limit.stand.task),
             *(trial_texts if limit.passed else ()),
@@ -112,13 +116,15 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         link=limit.link,
         mass=mass_text(limit.upper_bound),
         ground=ground_word(limit.stand.depths.values()),
+        beside=bool(np.any(limit.point)),
     )
 
 
-def _describe_limit(limit: PayloadLimit) -> Iterable[doc.Words]:
-    """Yield the text of the failure above the largest mass; nothing with unknown torque limits."""
-    if not (limit.unknown_limits and limit.upper_bound > 0):
-        yield text("payload-limited", failure=_describe_failure(limit.failure, limit.failing_parts))
+def _describe_limit(limit: PayloadLimit) -> doc.Words | None:
+    """Return the text of the failure above the largest mass; None with unknown torque limits."""
+    if limit.unknown_limits and limit.upper_bound > 0:
+        return None
+    return text("payload-limited", failure=_describe_failure(limit.failure, limit.failing_parts))
 
 
 def _unknown_text(limit: PayloadLimit) -> doc.Text:
@@ -188,7 +194,7 @@ def _describe_bound_failure(bound: Bound) -> doc.Words:
 
 def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
     """Return the text of a failure with the names ``where`` of motors, joints, feet or bodies."""
-    failure_text, names = word(failure.value), ", ".join(where)
+    failure_text, names = word(failure.value), tuple(where)
     if not names:
         return failure_text
     return text("failure-where", failure=failure_text, where=names)

@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
     """Create the document of the largest pushes of a stance; see ``build_document``."""
     unpushed = pushed.recovery.failures_without_push
+    number, *limit = _describe_weakest_push(pushed)
     return judged_document(
         text("pushes"),
         pushed,
@@ -44,7 +45,8 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
             _make_push_table(pushed),
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
-        (*_describe_weakest_push(pushed),),
+        (number,),
+        limit=limit[0] if limit else None,
         details=(
             task_text(pushed.stand.task),
             ground_text(pushed.stand.depths.values()),

@@ -135,6 +135,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             *_warn_of_model_mismatch(run),
             *_list_findings(stance),
         ),
+        limit=_describe_height(stance),
         details=(task_text(stance.stand.task), *_list_details(stance)),
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
@@ -202,11 +203,10 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 
 
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
-    """State the motor with the largest utilisation, its torque, and the height of the stance.
+    """State the motor with the largest utilisation, and its torque.
 
     If loaded motors have a limit of zero, the one with the largest torque is stated. Without any
-    known utilisation, the motor with the largest torque is stated. The height is omitted if the
-    base is bolted to the world.
+    known utilisation, the motor with the largest torque is stated.
     """
     statics = stance.statics
     limited = np.isfinite(statics.motor_utilisation)
@@ -215,9 +215,6 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
     known = bool(limited.any()) and not powerless.any()
     ranking = np.where(powerless, torques, -1.0) if powerless.any() else torques
     peak = int(np.argmax(np.where(limited, statics.motor_utilisation, -1.0) if known else ranking))
-    bolted = _is_base_bolted(stance)
-    height = None if bolted else stance.stand.task.height
-    ground = "" if bolted else ground_word(stance.stand.depths.values(), stance.verification)
     yield text(
         "load-of-motors",
         torque=f"{torques[peak]:.2f}",
@@ -225,9 +222,20 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
         zero="0" if powerless.any() else "",
         unknown="" if known or powerless.any() else "unknown",
         joint=doc.Name(statics.joint_names[peak]),
-        height="" if height is None else f"{1e3 * height:.1f}",
-        ground=ground,
-        bolted="bolted" if bolted else "",
+    )
+
+
+def _describe_height(stance: Stance) -> doc.Words | None:
+    """State the base height [mm] of the stance, or that the base is bolted; None if unknown."""
+    if _is_base_bolted(stance):
+        return text("base-is-bolted")
+    height = stance.stand.task.height
+    if height is None:
+        return None
+    return text(
+        "base-height-of-stance",
+        height=f"{1e3 * height:.1f}",
+        ground=ground_word(stance.stand.depths.values(), stance.verification),
     )
 
 

@@ -145,7 +145,8 @@ def test_catalogue_equals_tomllib_and_each_code_is_in_one_file() -> None:
     for read in WORDS.values():
         found += list(read)
         for code, stated in read.items():
-            assert set(stated) <= {"severity", "group", *LANGUAGES}, code
+            assert set(stated) <= {"severity", "group", "short", *LANGUAGES}, code
+            assert entry(code).short == stated.get("short", "")
             assert dict(entry(code).templates) == {one: stated[one] for one in LANGUAGES}
     assert sorted(found) == CODES
 
@@ -163,6 +164,7 @@ def test_each_code_has_a_message_in_both_languages() -> None:
         assert list_template_names(message.templates["en"]) == list_template_names(
             message.templates["zh"]
         ), code
+        assert len(message.short) < len(message.templates["en"]), code
         words = re.sub(r"\{[^}]*\}|\[!?\w+\?", "", message.templates["en"])
         if re.search("[a-z]{4}", words) and "pip install" not in words:
             assert HAN.search(message.templates["zh"]), code
@@ -183,7 +185,10 @@ def test_every_template_gets_its_values() -> None:
         f"{where} {code}": missing
         for where, code, given in find_diagnose_calls()
         if given is not None
-        and (missing := list_template_names(entry(code).templates["en"]) - given)
+        and (
+            missing := list_template_names(f"{entry(code).templates['en']}{entry(code).short}")
+            - given
+        )
     }
     assert lacking == {}
 

@@ -408,6 +408,27 @@ def test_init_lists_all_models_and_refuses_an_existing_file(folder: Path) -> Non
     assert "no URDF and no MJCF" in run(empty, "--init").stderr
 
 
+def test_check_takes_a_folder_and_names_the_command_that_writes_a_configuration(
+    folder: Path,
+) -> None:
+    """Reference: the same check, run in the folder."""
+    within = run(folder)
+    above = run(folder.parent, folder.name)
+    assert (above.returncode, above.stdout.splitlines()[0]) == (
+        within.returncode,
+        within.stdout.splitlines()[0],
+    )
+    assert "audit checks a single file" in run(folder, "hopper.urdf").stderr
+    both = run(folder.parent, folder.name, "--config", str(folder / "pupper-analysis.toml"))
+    assert "not both" in both.stderr
+    (folder / "pupper-analysis.toml").unlink()
+    missing = run(folder.parent, folder.name)
+    assert missing.returncode == 2
+    assert f"next: pupper-analysis check {folder.name} --init" in missing.stderr
+    assert run(folder.parent, folder.name, "--init").returncode == 0
+    assert (folder / "pupper-analysis.toml").is_file()
+
+
 def test_annotation_paths_are_relative_to_the_checkout(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -162,7 +162,7 @@ def test_window_starts_from_home_and_reports_the_headless_result(
     monkeypatch.setattr(mujoco_viewer, "launch", launch)
     assert viewer.drop_and_report(load("v3"), headless=False)
     assert begun == [dropped.height[0]]
-    assert f"final z={dropped.height[-1]:.3f} m" in capsys.readouterr().out
+    assert f"base height {1e3 * dropped.height[-1]:.0f} mm, " in capsys.readouterr().out
 
 
 def test_fixed_robot_stays_at_its_slider_positions(monkeypatch: pytest.MonkeyPatch) -> None:
