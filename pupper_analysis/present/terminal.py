@@ -129,7 +129,7 @@ def print_report(
     if next_command and (several or not single):
         _print_next_command(out, next_command)
     if several and any(document.blocks for document in report.documents):
-        _print_line(out, Text("every table: -v", "dim"))
+        _print_line(out, Text("with -v: every table and note", "dim"))
 
 
 def print_document(
@@ -171,18 +171,10 @@ def _print_next_command(out: Console, command: str) -> None:
 
 
 def print_summary(out: Console, document: Document, *, next_command: str = "") -> None:
-    """Print a document's verdict and key figures, the next command, and the number of notes."""
+    """Print a document's verdict and key figures, and the next command."""
     print_head(out, document)
     if next_command:
         _print_next_command(out, next_command)
-    _print_note_count(out, document)
-
-
-def _print_note_count(out: Console, document: Document) -> None:
-    """Print the number of notes, if there are any."""
-    if count := len(document.notes):
-        count_text = f"  {count} note{'s' if count > 1 else ''} on what was assumed: -v"
-        _print_line(out, Text(count_text, "dim"))
 
 
 def _is_left_out(document: Document, block: Block, place: int) -> bool:

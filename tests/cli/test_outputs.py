@@ -37,6 +37,7 @@ ARGUMENTS = {
     "new": ("robot.urdf",),
     "file": ("robot.urdf",),
     "objective": ("margin",),
+    "folder": (),  # the file of --config
 }
 """{argument of a command: value in this test}."""
 

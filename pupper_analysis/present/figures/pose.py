@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
 
 from pupper_analysis.present.figures import drawing
@@ -208,8 +210,10 @@ def make_pose_figure(
         axes = figure.add_axes((place, 0.09, 0.57 if place < 0.5 else 0.39, 0.74))
         _draw_stand(axes, projection, lines, stand, seen)
         _draw_forces(axes, projection, seen)
-        drawing.title_panel(axes, side)
+        largest = f", forces up to {_find_largest_force(seen):.3g} N" if place < 0.5 else ""
+        drawing.title_panel(axes, f"{side}{largest}")
         axes.set_axis_off()
+    _draw_scale(axes, seen)
     leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK_COLOUR, "ms": 4}
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
@@ -290,8 +294,7 @@ def _draw_stand(
 
 def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
     """Draw contact forces as arrows that end at the feet, in a projection of shape (2, 3)."""
-    largest = max(float(np.linalg.norm(contact.force)) for contact in seen.contacts)
-    scale = _MAX_ARROW_RATIO * float(np.ptp(seen.polygon[:, :2], axis=0).max()) / largest
+    scale = _MAX_ARROW_RATIO * _measure_support(seen) / _find_largest_force(seen)
     arrow = {
         "arrowstyle": "-|>",
         "color": drawing.RED_COLOUR,
@@ -304,3 +307,31 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
         tip, end = (tuple(projection @ place) for place in (contact.point, tail))
         axes.annotate("", tip, end, zorder=7, arrowprops=arrow)
         axes.plot(*end, alpha=0.0)  # so that there is room for it
+
+
+def _find_largest_force(seen: StandingScene) -> float:
+    """Return the magnitude of the largest contact force [N]."""
+    return max(float(np.linalg.norm(contact.force)) for contact in seen.contacts)
+
+
+def _measure_support(seen: StandingScene) -> float:
+    """Return the longer horizontal side [m] of the box around the support polygon."""
+    return float(np.ptp(seen.polygon[:, :2], axis=0).max())
+
+
+def _draw_scale(axes: Axes, seen: StandingScene) -> None:
+    """Draw a bar of a round length, with the length, below the view from above."""
+    limit = 0.6 * _measure_support(seen)
+    length = max((one for one in _SCALE_LENGTHS if one <= limit), default=_SCALE_LENGTHS[0])
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.12 * (high - low), high)  # room below the feet
+    label = f"{1e3 * length:g} mm"
+    font = FontProperties(size=drawing.FONT_SIZE)
+    style = {"frameon": False, "pad": 0.0, "sep": 3.0, "fontproperties": font}
+    bar = AnchoredSizeBar(axes.transData, length, label, "lower left", **style)
+    axes.add_artist(bar)
+
+
+_SCALE_LENGTHS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Lengths of the scale bar [m]; the longest of at most 0.6 times the support polygon is
+drawn. Chosen, not tuned."""

@@ -130,7 +130,9 @@ def command(
     if len(analyses) > 1:
         click.echo(f"{good} of {len(analyses)} verified", err=not shown)
     if shown and not everything:
-        click.echo("every table: -v; every number: --json FILE; a page to share: --report FILE")
+        click.echo(
+            "every table and note: -v; every number: --json FILE; a page to share: --report FILE"
+        )
     if write_folder is not None:
         for spec in specs:
             for path in write_variant(spec, write_folder):

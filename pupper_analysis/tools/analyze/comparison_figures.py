@@ -88,7 +88,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.set_xlabel("torque (% of the limit)", size=drawing.FONT_SIZE)
         axes.grid(axis="x", color=drawing.GRID_COLOUR)
         drawing.title_panel(axes, f"{analysis.name}: limit {_format_range(limits[limited])} N m")
-        _write_feet(axes, list(analysis.foot_jacobians))
+        _write_feet(axes, sorted(analysis.foot_jacobians))
         # Room for the values at the right end of the axis.
         axes.set_xlim(0, 1.75 * max(1e-3, np.nanmax(np.append(percent * predicted, 0.0))))
     _share_limits(panels, "x")
@@ -204,10 +204,13 @@ def _make_panels(
 
 
 def _group_joints(analysis: Analysis) -> dict[str, list[int]]:
-    """Return the joint indices of each row: corresponding joints of the legs, then other joints."""
+    """Return the joint indices of each row: corresponding joints of the legs, then other joints.
+
+    The legs are sorted by name, so that a leg has the same colour in all panels.
+    """
     names = [joint.name for joint in analysis.joints]
     by_depth: defaultdict[int, list[int]] = defaultdict(list)
-    for jacobian in analysis.foot_jacobians.values():
+    for _, jacobian in sorted(analysis.foot_jacobians.items()):
         for depth, name in enumerate(jacobian.joints):
             index = names.index(name)
             if all(index not in row for row in by_depth.values()):

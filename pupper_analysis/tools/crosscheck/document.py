@@ -189,7 +189,6 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
     explained = tuple(_describe_explained(comparison))
     one_sided = comparison.only_urdf or comparison.only_mjcf
     assumed = comparison.mount is not None or comparison.guessed or one_sided
-    main, extent = doc.diagnostic_text(comparison.main_problem), _describe_extent(comparison)
     return doc.Document(
         text("cross-check"),
         text(
@@ -202,7 +201,8 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         verdict=text("agree") if agree else differ,
         warned=same and not agree,
         findings=(
-            *((main, extent) if agree else (extent, main)),
+            doc.diagnostic_text(comparison.main_problem),
+            _describe_extent(comparison),
             *(() if comparison.complete else explained),
         ),
         details=explained if comparison.complete else (),

@@ -37,6 +37,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
     """Create the document of the largest pushes of a stance; see ``build_document``."""
     unpushed = pushed.recovery.failures_without_push
     number, *limit = _describe_weakest_push(pushed)
+    answer = (text("it-does-not-stand-so"), number) if unpushed else (number,)
     return judged_document(
         text("pushes"),
         pushed,
@@ -45,13 +46,13 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
             _make_push_table(pushed),
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
-        (number,),
+        answer,
         limit=limit[0] if limit else None,
+        number_first=bool(unpushed),
         details=(
             task_text(pushed.stand.task),
             ground_text(pushed.stand.depths.values()),
         ),
-        failures=(text("it-does-not-stand-so"),) if unpushed else (),
         notes=robot_notes(robot),
         next_step=_select_next_step(pushed),
     )

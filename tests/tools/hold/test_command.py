@@ -57,7 +57,7 @@ def test_weak_motors_give_exit_status_1_and_invalid_input_is_refused(
         (("--joints", "elbow=3cm"), "elbow turns: its position is an angle"),
         (("--joints", "knee=3deg"), "there are: elbow"),
         (("--tool", "thumb"), "thumb"),
-        (("--payload", "-1"), "mass"),
+        (("--payload", "-1"), "--payload: -1.0 kg"),
         (("--kp", "0"), "kp"),
     ):
         check_refusal(capfd, tmp_path, ("hold", *files, *wrong), said)

@@ -208,7 +208,7 @@ def test_a_limit_of_zero_is_stated_and_a_bolted_base_has_no_height(
             text = re.sub(r'effort="[^"]*"', f'effort="{effort}"', text)
         (tmp_path / f"{name}.urdf").write_text(text)
     weld = ("--contact", "base=weld")
-    status, out, err = run_command(capfd, "stand", str(tmp_path / "zero.urdf"), *weld)
+    status, out, err = run_command(capfd, "stand", str(tmp_path / "zero.urdf"), *weld, "-v")
     assert status == 1, err
     assert "the files state a limit of 0" in out
     assert "limit unknown" not in out
