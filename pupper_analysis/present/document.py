@@ -245,7 +245,8 @@ def diagnostic_text(diagnostic: Diagnostic, mark: str = "") -> Text:
         diagnostic: Diagnostic.
         mark: Emphasis, as in ``Text``.
     """
-    return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark, diagnostic.short)
+    short = getattr(diagnostic, "short", "")  # a phrase has none
+    return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark, short)
 
 
 @dataclass(frozen=True)

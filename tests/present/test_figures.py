@@ -154,3 +154,26 @@ def test_height_legend_states_the_mean_of_the_last_second() -> None:
     times, heights = np.asarray(curve.x), np.asarray(curve.y)
     expected = 1e3 * height - heights[times > times[-1] - 1.0].mean()
     assert f"{expected:.2f}" in get_english(curve.note)
+
+
+@pytest.mark.parametrize("letters", [5, 60])
+def test_legend_of_a_plot_is_inside_the_figure(letters: int) -> None:
+    """Two columns of long entries were wider than the page, and the plot shrank to half of it."""
+    names = (Name("a" * letters), Name("b" * letters))
+    series = [Series(name, [0.0, 1.0], [0.0, 1.0]) for name in names]
+    dot = Series(Name("point"), [0.5], [0.5], points=True, marked_index=0)
+    axis = Axis(Name("x"), "m", ".1f")
+    plot = LinePlot(Name("title"), axis, axis, [*series, dot], Name("n" * letters))
+    figure = drawing.make_plots_figure([plot])
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    legend = axes.get_legend()
+    assert legend is not None
+    inside, page = legend.get_window_extent(), figure.bbox
+    assert page.x0 <= inside.x0 < inside.x1 <= page.x1
+    assert page.y0 <= inside.y0
+    assert axes.get_window_extent().width > 0.9 * page.width
+    markers = [
+        handle.get_marker() for handle in legend.legend_handles if hasattr(handle, "get_marker")
+    ]
+    assert markers.count("o") == 1  # the series without a line

@@ -25,7 +25,8 @@ def test_plot_of_a_stand_has_the_two_views_of_its_figure() -> None:
     """Reference: Pinocchio's CoM [m] in the view from above."""
     robot, stand = load("v3"), stand_of("v3")
     axes = stand.plot(robot)
-    assert [panel.get_title(loc="left") for panel in axes] == ["from the front", "from above"]
+    titles = [panel.get_title(loc="left") for panel in axes]
+    assert titles == ["from the front, forces up to 7.77 N", "from above"]
     assert axes[0].figure.number in plt.get_fignums()  # notebooks show figures of pyplot
     com = pa.Configuration(robot, stand.qpos).center_of_mass()
     # From above, +x is up and +y is left.

@@ -131,13 +131,17 @@ def make_plots_figure(
     columns = min(len(plots), _NUM_COLUMNS)
     rows = [drawings[at : at + columns] for at in range(0, len(drawings), columns)]
     heights = [max(drawing.height / drawing.width for drawing in row) for row in rows]
-    legends = [
-        [_make_handle(*entry) for entry in _collect_legend(drawing).items()] for drawing in drawings
-    ]
     across, several = PAGE_WIDTH / columns, bool(names or len(plots) > 1)
-    # A legend has a line for every two of its entries, which may be long.
-    legend_lines = -(-max(map(len, legends)) // 2)
-    room = 0.35 + len(rows) * (0.15 * several + 0.17 * legend_lines)
+    sizes = [_LETTER_HEIGHT * 72 * across / drawing.width for drawing in drawings]
+    legends = [_make_legend(drawing) for drawing in drawings]
+    legend_columns = [
+        _count_legend_columns(drawing, size / (72 * across))
+        for drawing, size in zip(drawings, sizes, strict=True)
+    ]
+    legend_lines = max(
+        -(-len(legend) // count) for legend, count in zip(legends, legend_columns, strict=True)
+    )
+    room = 0.4 + len(rows) * (0.15 * several + 0.19 * legend_lines)
     figure = make_page_figure(
         get_english(title or plots[0].title),
         across * sum(heights) + room,
@@ -148,12 +152,13 @@ def make_plots_figure(
     titles = names or [get_english(drawing.title) if several else "" for drawing in drawings]
     for index, (drawing, legend, name) in enumerate(zip(drawings, legends, titles, strict=True)):
         axes = figure.add_subplot(grid[divmod(index, columns)])
-        size = _LETTER_HEIGHT * 72 * across / drawing.width
+        size = sizes[index]
         _draw_marks(drawing, axes, size)
         title_panel(axes, name)
         if legend:
             entries = axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0),
-                                  ncols=2, fontsize=size, frameon=False)  # fmt: skip
+                                  ncols=legend_columns[index], fontsize=size,
+                                  frameon=False)  # fmt: skip
             for entry in entries.get_texts():
                 entry.set_parse_math(False)
     return figure
@@ -224,15 +229,50 @@ def _collect_legend(drawing: Drawing) -> dict[str, str]:
     return entries if drawing.note is None else {**entries, get_english(drawing.note): ""}
 
 
-def _make_handle(name: str, kind: str) -> Artist:
+_LEGEND_LETTER_WIDTH, _LEGEND_SYMBOL_WIDTH = 0.6, 4.0
+"""Mean width of a letter of a legend, and of a symbol with its gaps, in parts of the font size
+(measured with DejaVu Sans). They decide whether two entries fit side by side."""
+
+
+def _count_legend_columns(drawing: Drawing, size: float) -> int:
+    """Return 2 if two columns of a legend fit into the width of its panel, otherwise 1.
+
+    Args:
+        drawing: Plot with the legend.
+        size: Font size, relative to the width of the panel.
+    """
+    longest = max(map(len, _collect_legend(drawing)), default=0)
+    width = 2 * size * (_LEGEND_LETTER_WIDTH * longest + _LEGEND_SYMBOL_WIDTH)
+    return 2 if width <= 1 else 1
+
+
+def _make_legend(drawing: Drawing) -> list[Artist]:
+    """Create the entries of a legend. A series without a line has a marker as symbol."""
+    lines = {
+        mark["class"].split()[-1]
+        for mark in drawing.marks
+        if mark["tag"] == "polyline" and len(mark["points"]) > 1
+    }
+    dots = {mark["class"].split()[-1] for mark in drawing.marks if mark["tag"] == "circle"} - lines
+    return [
+        _make_handle(name, kind, dot=kind in dots)
+        for name, kind in _collect_legend(drawing).items()
+    ]
+
+
+def _make_handle(name: str, kind: str, *, dot: bool = False) -> Artist:
     """Create a legend entry with the text ``name``.
 
     Args:
         name: Text.
         kind: Class of the style sheet, or a colour; empty for a text without a symbol.
+        dot: True if the plot marks points instead of a line.
     """
     if not kind:
         return Line2D([], [], ls="", label=name)
+    if dot:
+        colour = _CLASS_COLOURS.get(kind, kind)
+        return Line2D([], [], ls="", marker="o", color=colour, label=name)
     if kind in _CLASS_DASHES or kind == "s0" or kind == "other":
         return Line2D([], [], label=name, **_make_line_style(kind, 1.3))
     return Patch(color=_CLASS_COLOURS.get(kind, kind), label=name)

@@ -40,7 +40,7 @@ def test_a_dropped_robot_falls_lands_and_holds(dropped: viewer.Drop) -> None:
 def test_drop_report_states_height_deviation_and_contacts(dropped: viewer.Drop) -> None:
     """References: nominal height 0.120 m of v3; bare MuJoCo tilts by 0.03 rad, at rest."""
     assert viewer.format_drop(dropped) == (
-        "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)",
+        "base height 120 mm, standard deviation in the last second 0.00 mm (limit 5 mm)",
         "tilt 1.7 deg, only the feet touch the ground",
     )
 
