@@ -126,7 +126,7 @@ def test_robot_is_read_from_standard_input(
     [
         ("stand --explain", "3.170 kg, free base, 12 joints, feet leg_front_r_3, leg_front_l_3"),
         ("live --mujoco --headless", "nq=19"),
-        ("live --drop --headless", "stable)"),
+        ("live --drop --headless", "(limit 5 mm)"),
     ],
 )
 def test_modes_without_a_stance_accept_one_file(
