@@ -390,7 +390,8 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
 
 def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> click.BadParameter:
     """Return the error about a word that is no choice, with the most similar choice, if any."""
-    typed = error.message.partition("'")[2].partition("'")[0]
+    found = _INVALID_CHOICE.match(error.message)
+    typed = "" if found is None else found[1]
     names = {str(name).lower(): str(name) for name in choice.choices}
     alike = difflib.get_close_matches(typed.lower(), names, 1)
     hint = f" Did you mean {names[alike[0]]!r}?" if alike else ""
@@ -745,6 +746,9 @@ def _find_assignment_form(option: str) -> str:
 
 _INVALID_NUMBER = re.compile(r"'(.*)' is not a valid (float|integer)\.?")
 """Message of click about an option value that is no number; the groups are value and type."""
+
+_INVALID_CHOICE = re.compile(r"'(.*?)' is not one of ")
+"""Start of the message of click about a word that is no choice; the group is the word."""
 
 _EXTRA_ARGUMENTS = re.compile(r"Got unexpected extra arguments? \((.*)\)")
 """Message of click about arguments that the command does not have; the group is their text."""
