@@ -27,3 +27,8 @@ def test_left_and_right_names_are_mirror_images(left: str, right: str) -> None:
     assert mirror_name(left) == right
     assert mirror_name(right) == left
     assert find_mirror_pairs([left, "base", right]) == [(left, right)]
+
+
+@pytest.mark.parametrize("name", ["base", "roll", "floor", "world", "RRR", "calf"])
+def test_name_without_a_side_is_its_own_mirror_name(name: str) -> None:
+    assert mirror_name(name) == name

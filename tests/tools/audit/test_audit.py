@@ -29,6 +29,7 @@ from pupper_analysis.tools.audit.audit import (
     audit_model,
 )
 from pupper_analysis.tools.audit.registry import CHECKS, compute_hull_distance
+from pupper_analysis.tools.audit.rules.joints import infer_axis_from_name
 from tests.support.legged import fuse_trunk, quadruped
 from tests.support.repository import ROOT
 
@@ -1041,3 +1042,80 @@ def test_foot_site_of_a_welded_body_is_compared_with_the_sphere_of_the_moving_bo
     )
     [finding] = find_findings(audit_model(path), "foot-sphere-off-frame")
     assert finding.element == "site 'foot'"
+
+
+@pytest.mark.parametrize(
+    ("tag", "name", "severity"),
+    [
+        ("collision", "gone.stl", "error"),
+        ("visual", "gone.stl", "warning"),
+        ("collision", "package://elsewhere/gone.stl", "warning"),
+    ],
+)
+def test_missing_mesh_of_a_urdf_is_an_error_if_it_collides(
+    tag: str, name: str, severity: str, tmp_path: Path
+) -> None:
+    """A package elsewhere may have the mesh."""
+    pattern = rf'(?s)(<{tag}>.*?)<cylinder radius="0.011" length="0.11"/>'
+    edit = Edit(FL_CALF, pattern, rf'\1<mesh filename="{name}"/>')
+    result = audit_model(write_model(tmp_path, "urdf", (edit,)))
+    (finding,) = find_findings(result, "mesh-missing", "link 'FL_calf'")
+    assert finding.severity == severity
+
+
+def test_missing_mesh_of_an_included_mjcf_is_reported_with_its_file(tmp_path: Path) -> None:
+    """The left and the right calf have the same file, which is one finding."""
+    folder = shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
+    (folder / "meshes/calf.stl").unlink()
+    (finding,) = find_findings(audit_model(folder / "pupper_v3.xml"), "mesh-missing")
+    assert finding.element == "mesh 'calf_r'"
+    assert Path(finding.file).name == "pupper_v3_shared.xml"
+
+
+def test_invalid_severities_rules_and_files_are_refused(tmp_path: Path) -> None:
+    """The former name ``info`` of the severity ``note`` is accepted."""
+    assert Severity("info") is Severity.NOTE
+    with pytest.raises(ValueError, match="frightful"):
+        Severity("frightful")
+    unknown = "no rule 'typo'; there are: mass-not-positive"
+    with pytest.raises(pa.ConfigurationError, match=unknown):
+        audit_model(OWN["urdf"], disabled=["typo"])
+    with pytest.raises(pa.ModelError):
+        audit_model(tmp_path / "none.urdf")
+
+
+@pytest.mark.parametrize(
+    ("name", "axis"),
+    [
+        ("FL_HAA", 0),
+        ("left_hip_roll_joint", 0),
+        ("fl.hx", 0),
+        ("FL_thigh_joint", 1),
+        ("RightKnee", None),
+        ("right_knee", 1),
+        ("left_hip_yaw", 2),
+        ("leg_front_l_1", None),
+        ("shoulder_pitch", None),
+        ("hip", None),
+    ],
+)
+def test_axis_is_inferred_from_the_name_of_a_joint(name: str, axis: int | None) -> None:
+    assert infer_axis_from_name(name, {name}) == axis
+
+
+def test_hip_is_the_abduction_if_thigh_and_calf_exist() -> None:
+    names = {"FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"}
+    assert infer_axis_from_name("FL_hip_joint", names) == 0
+    assert infer_axis_from_name("FL_hip_joint", {"FL_hip_joint", "FL_thigh_joint"}) is None
+
+
+def test_joint_that_cannot_move_does_not_start_outside_its_limits(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        """<robot name="arm"><link name="base"/><link name="upper"/><link name="lower"/>
+        <joint name="one" type="revolute"><parent link="base"/><child link="upper"/>
+        <axis xyz="0 1 0"/><limit lower="0.5" upper="0.5" effort="1" velocity="1"/></joint>
+        <joint name="two" type="continuous"><parent link="upper"/><child link="lower"/>
+        <origin xyz="0.3 0 0"/><axis xyz="0 1 0"/></joint></robot>"""
+    )
+    assert not find_findings(audit_model(path), "start-outside-limits")

@@ -41,6 +41,25 @@ def write_config(folder: Path, text: str) -> Path:
     return path
 
 
+def test_missing_keys_have_defaults(folder: Path) -> None:
+    read = read_config(write_config(folder, LEAST))
+    assert read.baseline == folder / "pupper-analysis-baseline.txt"
+    assert read.fail_on is Severity.ERROR
+    (pair,) = read.pairs
+    assert (pair.names, pair.feet, pair.packages, pair.disabled) == ({}, (), {}, {})
+    assert pair.tolerances == Tolerances()
+
+
+def test_configuration_that_is_empty_or_unreadable_is_refused(folder: Path) -> None:
+    with pytest.raises(ModelError, match=r"it has no \[\[pair\]\]"):
+        read_config(write_config(folder, "# nothing\n"))
+    with pytest.raises(ModelError, match="there is no such file"):
+        read_config(folder / "none.toml")
+    (folder / "latin.toml").write_bytes(b'name = "\xe4"\n')
+    with pytest.raises(ModelError, match=r"latin.toml:1: byte 0xe4 is not UTF-8"):
+        read_config(folder / "latin.toml")
+
+
 def test_configuration_with_all_keys_is_read(folder: Path) -> None:
     text = """
 baseline = "known.txt"

@@ -494,3 +494,84 @@ def test_table_of_a_quantity_contains_the_numbers_of_this_quantity_only(
         }
         assert stated
         assert shown == stated
+
+
+def test_files_with_the_same_name_are_distinguished_by_their_folders(
+    sources: dict[str, Path],
+) -> None:
+    real = sources["deploy.yaml"].parent / "real" / "deploy.yaml"
+    real.parent.mkdir()
+    text = sources["deploy.yaml"].read_text()
+    real.write_text(text.replace("step_dt: 0.02", "step_dt: 0.01"))
+    found = contract(sources["gym_cfg.py"], sources["deploy.yaml"], real)
+    names = {one.name for one in found.sources if one.role == "deployment"}
+    assert names == {f"{real.parents[1].name}/deploy.yaml", "real/deploy.yaml"}
+    assert {one.sources[1] for one in found.findings} == {"real/deploy.yaml"}
+    gains = [one for one in found.facts if one.quantity == "kp"]
+    assert len([one for one in gains if one.source == "real/deploy.yaml"]) == 12
+
+
+def test_yaml_with_the_settings_of_legged_gym_is_a_trainer(sources: dict[str, Path]) -> None:
+    """As in HumanoidVerse: names, lists of limits, and gains by parts of joint names."""
+    path = sources["deploy.yaml"].with_name("robot.yaml")
+    path.write_text(
+        f"robot:\n  dof_names: {format_list(JOINTS)}\n"
+        f"  dof_effort_limit_list: {format_list([3.0] * 12)}\n"
+        "  init_state:\n    default_joint_angles:\n"
+        + "".join(f"      {one}: {at}\n" for one, at in zip(JOINTS, ANGLES, strict=True))
+        + "  control:\n    stiffness: {leg: 5.0, _3: 6.0}\n    action_scale: 0.75\n"
+    )
+    found = contract(path, sources["policy.json"])
+    (read,) = [one for one in found.sources if one.path == str(path)]
+    assert (read.role, read.order_source) == ("trainer", "named")
+    (finding,) = found.findings
+    assert (finding.kind, finding.values) == ("kp", (6.0, 5.0))
+    assert set(finding.joints) == set(JOINTS[2::3])
+
+
+@pytest.mark.parametrize("other", OTHERS)
+@pytest.mark.parametrize("trainer", ["mjlab_cfg.py", "isaac_cfg.py", "gym_cfg.py"])
+def test_sources_that_agree_have_no_finding(
+    sources: dict[str, Path], trainer: str, other: str
+) -> None:
+    found = contract(sources[trainer], sources[other])
+    assert [one.message for one in found.findings] == []
+    assert found.passed
+    kp = {(one.source, one.joint): one.value for one in found.facts if one.quantity == "kp"}
+    assert len(kp) == 24
+    assert set(kp.values()) == {5.0}
+
+
+def test_coarsely_rounded_angle_is_a_difference(sources: dict[str, Path]) -> None:
+    """0.3 is no rounding of 0.26."""
+    text = sources["config.yaml"].read_text()
+    sources["config.yaml"].write_text(text.replace("0.26", "0.3"))
+    (finding,) = contract(sources["gym_cfg.py"], sources["config.yaml"]).findings
+    assert finding.kind == "default angle"
+    assert len(finding.joints) == 4
+
+
+def test_expression_without_a_value_is_shown_as_written(sources: dict[str, Path]) -> None:
+    text = sources["isaac_cfg.py"].read_text()
+    sources["isaac_cfg.py"].write_text(text.replace("damping=0.25", "damping=measured()"))
+    found = contract(sources["isaac_cfg.py"], sources["policy.json"])
+    kd = [one for one in found.facts if one.quantity == "kd" and one.value is None]
+    assert {one.expression for one in kd} == {"measured()"}
+    assert len(kd) == 12
+    assert [one for one in found.findings if one.kind == "kd"] == []
+
+
+def test_limits_of_moveit_count_if_they_are_enabled(sources: dict[str, Path]) -> None:
+    path = sources["joint_limits.yaml"]
+    found = contract(path)
+    assert found.findings == ()
+    limits = {
+        (one.joint[-9:], one.quantity): one.value for one in found.facts if one.source == path.name
+    }
+    assert limits == {("front_r_1", "effort"): 3.0, ("front_r_2", "effort"): 3.0}
+    text = path.read_text().replace("has_velocity_limits: false", "has_velocity_limits: true")
+    path.write_text(text.replace("max_effort: 3.0}", "max_effort: 4.5}"))
+    effort, velocity = sorted(contract(path).findings, key=lambda one: one.kind)
+    assert (effort.kind, effort.values, effort.joints) == ("effort", (4.5, 3.0), (JOINTS[1],))
+    assert (velocity.kind, velocity.joints) == ("velocity", (JOINTS[0],))
+    assert velocity.places[0] == f"{path}:4"
