@@ -8,6 +8,8 @@ to picklable data.
 from __future__ import annotations
 
 import copyreg
+import ctypes
+import os
 import re
 import warnings
 from collections.abc import Iterator
@@ -232,11 +234,19 @@ def format_equality_name(index: int, *ends: str) -> str:
     return f"#{index} ({' = '.join(ends)})"
 
 
+_IGNORE_MESSAGE: Final = ctypes.CDLL("msvcrt" if os.name == "nt" else None).strlen
+"""Warning handler without effect: a function of the C library that only reads the message.
+
+MuJoCo's bindings end the process (``std::terminate``) if a thread that simulates calls a handler
+written in Python while another thread removes this handler. C functions are called directly.
+"""
+
+
 class _WarningSuppressor:
     """Suppression of MuJoCo's warnings in the process, for any number of overlapping users.
 
     Threads compile and simulate concurrently, and the warning handler is global. The first user
-    replaces the handler, and the last user restores it.
+    replaces the handler by `_IGNORE_MESSAGE`, and the last user restores it.
     """
 
     def __init__(self) -> None:
@@ -249,7 +259,7 @@ class _WarningSuppressor:
             if self._num_users == 1:
                 previous = mujoco.get_mju_user_warning()
                 self._restore.callback(mujoco.set_mju_user_warning, previous)
-                mujoco.set_mju_user_warning(lambda _: None)
+                mujoco.set_mju_user_warning(_IGNORE_MESSAGE)
                 self._restore.enter_context(warnings.catch_warnings())
                 warnings.simplefilter("ignore")
 
