@@ -69,3 +69,12 @@ def test_tuned_servo_of_a_rod_is_critically_damped(sag: float) -> None:
     assert suggest_fixed_base_gains(coarse, sag)[0][0] == pytest.approx(
         0.5 * (0.5 / 0.05) ** 2, rel=0.01
     )
+
+
+def test_servo_without_gravity_is_tuned_for_its_inertia() -> None:
+    """A rod of 0.25 kg m^2 about a vertical axis: natural frequency 2 Hz, critically damped."""
+    rod = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/>
+      <inertial pos=".5 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""
+    kp, kd = suggest_fixed_base_gains(mujoco.MjModel.from_xml_string(rod))
+    assert kp == pytest.approx([0.25 * (4 * np.pi) ** 2], rel=5e-3)
+    assert kd == pytest.approx([2 * 0.25 * 4 * np.pi], rel=5e-3)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -26,7 +27,16 @@ from tests.support.conversions import (
     write_standing_urdf,
 )
 from tests.support.repository import ROOT
-from tests.support.robots import NOTHING, Part, Parts, arm, change_part, mjcf_text, urdf_text
+from tests.support.robots import (
+    NOTHING,
+    Part,
+    Parts,
+    arm,
+    change_part,
+    mjcf_text,
+    quadruped,
+    urdf_text,
+)
 from tests.support.round_trips import of_mjcf, of_urdf, round_trip, silent_losses
 
 # ---------------------------------------------------------------------------- a URDF as an MJCF
@@ -581,3 +591,155 @@ def test_losses_without_a_message_are_found(tmp_path: Path) -> None:
     said = " ".join(map(str, (*done.not_converted, *back.notes))).lower()
     assert "condim" in silent_losses(before, after, said.replace("condim", ""))
     assert "condim" not in silent_losses(before, after, said)
+
+
+# ------------------------------------------------------------------------------------- details
+
+
+def test_failed_conversion_writes_the_file_and_returns_exit_status_1(tmp_path: Path) -> None:
+    """A robot without shapes has no feet; both files agree all the same."""
+    urdf = tmp_path / "machine.urdf"
+    urdf.write_text(urdf_text(quadruped(), ()))
+    done = answer("convert", "machine.urdf", "-o", "machine.xml", folder=tmp_path)
+    assert done.returncode == 1
+    assert done.stdout.startswith("FAILED machine.urdf and machine.xml: it does not stand: ")
+    assert (tmp_path / "machine.xml").is_file()
+    mjcf, found = convert_file(urdf, "again.xml")
+    assert (found.agree, found.passed, found.verification) == (True, False, None)
+    assert "no feet were found" in str(found.failures[0])
+    assert compare_dynamics(urdf, mjcf) < 1e-9
+
+
+def test_mjcf_is_not_converted_to_a_file_named_xml(tmp_path: Path) -> None:
+    source = tmp_path / "robot.xml"
+    source.write_text(mjcf_text(arm()))
+    with pytest.raises(pa.OutputError, match=r"becomes a URDF: end its name in \.urdf"):
+        pa.convert_model(source, tmp_path / "new.xml")
+    assert [path.name for path in tmp_path.iterdir()] == ["robot.xml"]
+
+
+def test_inertia_that_mujoco_refuses_is_added_to_the_parent_of_a_fixed_link(
+    tmp_path: Path,
+) -> None:
+    parts = arm()
+    parts["tip"] = Part(
+        "tip", "rod", "glue", "fixed", (0.1, 0.02, 0.0), mass=0.3, com=(0.05, 0.0, 0.0),
+        inertia=(1e-5,) * 6,
+    )  # fmt: skip
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(urdf_text(parts, ()))
+    mjcf, found = convert_file(urdf, "arm.xml")
+    assert found.passed, found.failures
+    notes = [str(note) for note in found.notes]
+    assert any("inertia of link 'tip'" in note and "'rod'" in note for note in notes)
+    model = compile_file(mjcf)
+    assert model.body("rod").mass[0] == pytest.approx(0.8)
+    assert model.body("tip").mass[0] == 0
+    assert compare_dynamics(urdf, mjcf) < 1e-9
+
+
+def test_urdf_of_an_mjcf_equals_the_urdf_of_the_same_robot(tmp_path: Path) -> None:
+    """Reference: Pinocchio's model of a URDF that is written from the same parts."""
+    mjcf, original = tmp_path / "machine.xml", tmp_path / "original.urdf"
+    mjcf.write_text(mjcf_text(quadruped()))
+    original.write_text(urdf_text(quadruped()))
+    urdf, found = convert_file(mjcf, "machine.urdf")
+    assert found.passed, found.failures
+    one, two = (pin.buildModelFromUrdf(str(path)) for path in (original, urdf))
+    assert list(one.names) == list(two.names)
+    for first, second in zip(one.inertias, two.inertias, strict=True):
+        np.testing.assert_allclose(
+            first.toDynamicParameters(), second.toDynamicParameters(), rtol=1e-9, atol=1e-12
+        )
+    for first, second in zip(one.jointPlacements, two.jointPlacements, strict=True):
+        np.testing.assert_allclose(first.homogeneous, second.homogeneous, atol=1e-9)
+    for values in ("lowerPositionLimit", "upperPositionLimit", "effortLimit"):
+        np.testing.assert_allclose(getattr(one, values), getattr(two, values), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_massless_frames_of_a_new_urdf_state_their_mass(tmp_path: Path) -> None:
+    """PyBullet gives each link without <inertial> 1 kg."""
+    pa.convert_model(ROOT / "mjcf/pupper_v3.xml", tmp_path / "v3.urdf")
+    found = {finding.rule for finding in pa.audit_model(tmp_path / "v3.urdf").findings}
+    assert "link-without-inertial" not in found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("foot", ["", '<mesh filename="package://x/f.stl"/>'])
+def test_quadruped_without_feet_gets_a_free_base_and_fails(foot: str, tmp_path: Path) -> None:
+    """Without shapes, or with missing meshes, which are then the first cause."""
+    text = write_standing_urdf(tmp_path).read_text()
+    ball = format_shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    assert text.count(ball) == 4
+    new = ball.replace('<sphere radius="0.02"/>', foot) if foot else ""
+    path = tmp_path / "bare.urdf"
+    path.write_text(text.replace(ball, new))
+    mjcf, found = convert_file(path, "bare.xml")
+    assert not found.passed
+    assert is_free(compile_file(mjcf))
+    if foot:
+        assert str(found.failures[0]).index("missing") < str(found.failures[0]).index("no feet")
+
+
+def test_pipe_is_refused_as_output_also_with_force(tmp_path: Path) -> None:
+    source, pipe = tmp_path / "robot.urdf", tmp_path / "new.xml"
+    source.write_text(urdf_text(arm()))
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with pytest.raises(pa.OutputError, match="no regular file"):
+            pa.convert_model(source, pipe, force=True)
+        assert os.read(reader, 1) == b""
+    finally:
+        os.close(reader)
+    assert pipe.is_fifo()
+
+
+@pytest.mark.slow
+def test_converted_robot_needs_no_defaults_and_rests_at_its_keyframe(quad: Path) -> None:
+    """MuJoCo alone, 3 s: the servos carry the robot, which does not move."""
+    notes = pa.load_robot(urdf=quad.with_suffix(".urdf"), mjcf=quad).notes
+    codes = {note.code for note in notes}
+    assert codes.isdisjoint({"servos-added", "ground-added"})
+    assert "start-pose-is-keyframe" in codes
+    model = compile_file(quad)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    start = data.qpos.copy()
+    for _ in range(round(3 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    assert np.abs(data.qvel).max() < 1e-4
+    np.testing.assert_allclose(data.qpos[7:], start[7:], atol=1e-3)
+    assert data.qpos[2] == pytest.approx(start[2], abs=1e-3)
+    assert np.abs(data.actuator_force).max() > 1.0
+
+
+def test_two_robots_in_one_mjcf_are_both_named(tmp_path: Path) -> None:
+    inertial = '<inertial mass="1" pos="0 0 0.1" diaginertia="0.1 0.1 0.1"/>'
+    arms = "".join(
+        f'<body name="{side}/base"><body name="{side}/arm"><joint name="{side}/turn"/>{inertial}'
+        "</body></body>"
+        for side in ("left", "right")
+    )
+    path = tmp_path / "two.xml"
+    path.write_text(f"<mujoco><worldbody>{arms}</worldbody></mujoco>")
+    with pytest.raises(pa.ModelError, match=r"'left/base' with 1 .*'right/base' with 1 "):
+        pa.convert_model(path, tmp_path / "two.urdf")
+
+
+def test_joint_properties_of_a_urdf_are_kept(tmp_path: Path) -> None:
+    """Reference: MuJoCo's compiled joints and motors."""
+    urdf, motor = tmp_path / "arm.urdf", {"damping": 0.7, "friction": 0.3, "effort": 12.5}
+    urdf.write_text(urdf_text(change_part(arm(), "boom", **motor), ()))
+    mjcf, found = convert_file(urdf, "arm.xml")
+    assert found.passed, found.failures
+    assert found.verification is None
+    model = compile_file(mjcf)
+    assert [model.joint(i).name for i in range(3)] == ["turn", "lift", "push"]
+    assert model.joint("turn").limited[0] == 0
+    np.testing.assert_array_equal(model.joint("lift").range, [-1, 1])
+    np.testing.assert_array_equal(model.joint("push").range, [0, 0.3])
+    assert model.jnt_type[2] == mujoco.mjtJoint.mjJNT_SLIDE.value
+    assert (model.dof_damping[1], model.dof_frictionloss[1]) == (0.7, 0.3)
+    np.testing.assert_array_equal(model.actuator("lift").forcerange, [-12.5, 12.5])
