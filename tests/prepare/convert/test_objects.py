@@ -245,6 +245,7 @@ def test_xml_text_of_mjcf_is_loaded_with_fixed_base() -> None:
     assert not robot.floating
 
 
+@pytest.mark.slow
 def test_spec_with_other_compiler_settings_attached_is_read_from_its_model() -> None:
     """MuJoCo cannot write such a spec. Reference: mass and mass matrix of MuJoCo's model."""
     spec = read_spec()

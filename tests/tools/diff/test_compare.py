@@ -480,6 +480,7 @@ def test_file_that_is_excluded_from_exports_is_read(repository: Path) -> None:
     assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
 
 
+@pytest.mark.slow
 def test_changed_spec_in_memory_is_compared_with_its_file() -> None:
     """The caller changes a mass of the spec [kg]; the old value has a line, the new value none."""
     path = ROOT / "mjcf" / "pupper_v3.xml"
