@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.joints import leg_joints
 from pupper_analysis.tools.analyze.analysis import (
     compute_leg_jacobians,
     measure_leg_lengths,
@@ -20,6 +21,7 @@ from pupper_analysis.tools.analyze.analysis import (
 )
 from tests.support.robots import Frame, Part, mjcf_text, urdf_text, write
 from tests.support.tiny import TINY_MJCF, TINY_URDF
+from tests.support.variants import load
 
 
 @pytest.mark.slow
@@ -131,3 +133,32 @@ def test_thigh_length_is_none_for_legs_of_one_joint(tmp_path: Path) -> None:
     assert analysis.thigh_length is None
     weight = analysis.total_mass * 9.81
     np.testing.assert_allclose(analysis.statics.joint_torques, -(weight / 4 - 0.981), rtol=1e-6)
+
+
+V3_LEG = (np.hypot(0.0494, 0.0685), np.hypot(0.06231, 0.06216))
+
+
+@pytest.mark.parametrize(
+    ("name", "lengths"),
+    [
+        ("original", (0.08, 0.11)),
+        ("long-leg", (0.12, 0.165)),
+        ("v3", V3_LEG),
+        ("v3-long-leg", (1.5 * V3_LEG[0], 1.5 * V3_LEG[1])),
+    ],
+)
+def test_leg_lengths_are_those_of_the_file(name: str, lengths: tuple[float, float]) -> None:
+    """Thigh and calf [m]; reference: joint positions, read in the files."""
+    assert measure_leg_lengths(load(name)) == pytest.approx(lengths, rel=1e-12)
+
+
+def test_joints_of_a_leg_are_those_between_base_and_foot() -> None:
+    robot = load("v3")
+    assert leg_joints(robot, "RL") == ("leg_back_l_1", "leg_back_l_2", "leg_back_l_3")
+    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
+        leg_joints(robot, "XX")
+
+
+def test_analysis_of_an_unreachable_stance_is_refused() -> None:
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.analyze_variant(load("v3"), pa.StandTask(height=0.4))

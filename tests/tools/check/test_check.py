@@ -68,6 +68,7 @@ def test_sample_repository_passes_and_is_not_changed(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stdout
     assert "PASSED pupper-analysis.toml: 0 to fix, 1 known" in result.stdout
+    assert "0 to fix, 1 known" in run(folder, "--format", "github").stdout
     assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
 
 
@@ -597,3 +598,11 @@ def test_baseline_values_have_no_digits_of_rounding() -> None:
     assert to_plain(np.array([1.0, 1e-17, -0.0])) == [1.0, 0.0, 0.0]
     assert to_plain((np.int64(3), "x", None, -0.0)) == [3, "x", None, 0.0]
     assert to_plain({"rest": np.array([1 / 3])}) == {"rest": [0.333333333]}
+
+
+@pytest.mark.parametrize("other", [[4.4, 1.0], [], {"a": 4.4}, "4.4", True])
+def test_number_does_not_agree_with_a_value_of_another_kind(other: object) -> None:
+    """A person may write such a value into a baseline."""
+    assert not values_agree({"urdf": 4.4}, {"urdf": other})
+    assert not values_agree({"urdf": other}, {"urdf": 4.4})
+    assert values_agree({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)})

@@ -137,3 +137,40 @@ def test_invalid_input_is_refused_in_one_line(
     assert len(err.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
     assert {path: path.stat().st_mtime_ns for path in models.rglob("*")} == before
+
+
+def test_verbose_prints_more(models: Path) -> None:
+    short, full = (run(models, "robot.urdf", "heavier.xml", *more) for more in ((), ("-v",)))
+    assert short.returncode == full.returncode == 1
+    assert len(full.stdout) > len(short.stdout)
+
+
+def test_folder_of_a_package_may_be_given(models: Path) -> None:
+    result = run(models, "robot.urdf", "robot.xml", "--package", "parts=folder")
+    assert result.returncode == 0, result.stderr
+
+
+def test_help_describes_options_exit_status_and_examples(models: Path) -> None:
+    result = run(models, "--help")
+    assert result.returncode == 0
+    for word in ("--map", "--tolerance", "--format", "Exit status: 0", "Examples:"):
+        assert word in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"hip1" type="revolute"', '"hip1" type="floating"', "and was fixed at rest"),
+        ('"hip1" type="revolute"', '"hip1" type="planar"', "and was fixed at rest"),
+        ('upper="-0.5"', 'upper="-28.65"', "(degrees for radians?)"),
+    ],
+)
+def test_unusual_joint_of_a_urdf_is_compared(
+    models: Path, tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    text = (models / "robot.urdf").read_text()
+    assert old in text
+    (tmp_path / "robot.urdf").write_text(text.replace(old, new))
+    result = run(tmp_path, "robot.urdf", str(models / "robot.xml"))
+    assert result.returncode == 1
+    assert message in result.stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import pickle
 import re
@@ -32,6 +33,7 @@ from tests.support.robots import (
     pendulum,
     quadruped,
     turned_about,
+    turned_frames,
     urdf_text,
 )
 from tests.support.variants import load
@@ -645,3 +647,31 @@ def test_robot_without_joints_is_compared(tmp_path: Path) -> None:
     assert diff.complete
     assert diff.torques == {}
     assert "joint positions" not in diff.deviations
+
+
+def test_rotated_link_frames_are_no_change(tmp_path: Path) -> None:
+    """The frames of all links are turned at random; the robot is the same."""
+    text = mjcf_text(ROBOT)
+    diff = pa.diff_models(*write_both(tmp_path, text, turned_frames(ROBOT, seed=3), "xml"))
+    assert list_changes(diff) == []
+    assert diff.complete
+    assert max(diff.deviations.values()) < 1e-9
+
+
+@pytest.mark.slow
+def test_command_prints_changes_and_torques(tmp_path: Path) -> None:
+    """By hand: the knee carries the shank alone, whose mass is twice as large."""
+    new = change_part(change_part(ROBOT, "shank0", mass=0.4), "thigh3", upper=0.8)
+    write_both(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
+    result = run(tmp_path, "old.urdf", "new.urdf", "-v", "--json", "diff.json")
+    assert result.returncode == 1
+    assert "DIFFERENT old.urdf and new.urdf: 2 changes" in result.stdout
+    assert "1. link shank0: mass 0.2 kg in the old file, 0.4 kg in the new file" in result.stdout
+    content = json.loads((tmp_path / "diff.json").read_text())
+    before, after = content["torques"]["knee0"]
+    assert after == pytest.approx(2 * before, rel=1e-9)
+    lines = result.stdout.splitlines()
+    row = next(line for line in lines if line.startswith("knee0"))
+    assert row.split() == ["knee0", f"{before:.4g}", f"{after:.4g}", "+100", "%"]
+    assert not any(line.startswith("knee1") for line in lines)
+    assert content["same"] is False
