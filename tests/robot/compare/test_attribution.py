@@ -422,6 +422,29 @@ def test_each_tolerance_passes_just_below_and_fails_just_above(
             )
 
 
+def test_tolerance_of_a_frame_is_that_of_positions(tmp_path: Path) -> None:
+    for distance, expected in ((0.98e-5, []), (1.02e-5, [("frame", "foot2")])):
+        position = (0.002, 0.0, -0.2 + distance)
+        moved = [f._replace(position=position) if f.name == "foot2" else f for f in FEET]
+        files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
+        assert list_differences(explain_differences(match_files(files).robot)) == expected
+
+
+def test_tolerances_are_changed_by_name() -> None:
+    tolerances = Tolerances().with_values({"mass": 0.01, "com": 0.002})
+    assert (tolerances.mass, tolerances.com) == (0.01, 0.002)
+    assert tolerances.inertia == Tolerances().inertia
+
+
+def test_armature_of_a_neck_is_not_compared_with_legs(tmp_path: Path) -> None:
+    """As in Apollo, whose neck has as many joints above it as a joint of an arm."""
+    neck = Part("head", "base", "neck", position=(0.3, 0.0, 0.4), mass=0.2, armature=0.5)
+    nod = Part("face", "head", "nod", position=(0.0, 0.0, 0.05), mass=0.1, armature=0.6)
+    parts = quadruped() | {"head": neck, "face": nod}
+    explanation = explain_differences(robot_of(tmp_path, parts, parts))
+    assert not [d for d in explanation.differences if d.kind == "armature"]
+
+
 def test_unknown_tolerance_is_refused_with_the_valid_names() -> None:
     with pytest.raises(ConfigurationError, match=r"no kind 'masses'; valid: mass, com, inertia,"):
         Tolerances().with_values({"masses": 1.0})

@@ -69,3 +69,10 @@ def test_foot_excluded_from_the_world_is_a_difference(tmp_path: Path) -> None:
     found = pa.compare_models(*write_edited(tmp_path, "mjcf/pupper_v3.xml", "</mujoco>", exclude))
     (difference,) = found.differences
     assert difference.diagnostic.code == "foot-touches-in-one-file"
+
+
+@pytest.mark.slow
+def test_equal_feet_agree() -> None:
+    found = pa.compare_models(ROOT / "urdf/pupper_v3.urdf", ROOT / "mjcf/pupper_v3.xml")
+    assert found.agree
+    assert not [note for note in found.notes if note.code.startswith("collisions")]

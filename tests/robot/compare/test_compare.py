@@ -12,7 +12,9 @@ from typing import Any
 import pytest
 
 from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.compare.differences import Difference
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.crosscheck import crosscheck
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
@@ -280,3 +282,55 @@ def test_position_limit_of_one_file_alone_is_an_infinite_deviation(
         ("lower limit", "hip0"),
         ("upper limit", "hip0"),
     }
+
+
+def test_differences_within_the_tolerances_agree(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, quadruped(), change_part(quadruped(), "base", mass=6.0002))
+    assert compare_files(files).agree
+    assert not compare_files(files, tolerances=Tolerances.strict()).agree
+    assert not compare_files(files, tolerances=Tolerances().with_values({"mass": 1e-5})).agree
+
+
+def test_number_of_configurations_and_seed_are_used(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, quadruped(), quadruped())
+    check = compare_files(files, configurations=3, seed=7).check
+    assert (check.configurations, check.seed) == (3, 7)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, True, "1"])
+def test_invalid_seed_is_refused(tmp_path: Path, seed: Any) -> None:
+    files = write_parts(tmp_path, quadruped(), quadruped())
+    with pytest.raises(ConfigurationError, match=r"seed: .* is not a whole number"):
+        compare_files(files, seed=seed)
+
+
+def test_other_name_is_a_difference_with_strict_names(tmp_path: Path) -> None:
+    """A mapping states that the names mean the same joint."""
+    parts = change_part(quadruped(), "shank2", joint="lh_kfe")
+    files = write_parts(tmp_path, parts, quadruped())
+    assert compare_files(files).agree
+    strict = compare_files(files, strict_names=True)
+    assert not strict.agree
+    assert strict.complete
+    assert list_differences(strict) == [("name", "knee2")]
+    difference = strict.differences[0]
+    assert (difference.urdf, difference.mjcf) == ("lh_kfe", "knee2")
+    in_urdf, in_mjcf = lines_of(difference, files)
+    assert '<joint name="lh_kfe"' in in_urdf
+    assert '<joint name="knee2"' in in_mjcf
+    assert compare_files(files, strict_names=True, names={"lh_kfe": "knee2"}).agree
+
+
+def test_urdf_without_any_mass_is_refused(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, all_changed(quadruped(), mass=0.0), quadruped())
+    with pytest.raises(ModelError, match="its links weigh 0 kg together; give them <inertial>s"):
+        compare_files(files)
+
+
+def test_mjcf_that_mujoco_refuses_is_refused_with_its_line(tmp_path: Path) -> None:
+    """A copy without the sensor would agree."""
+    text = mjcf_text(quadruped(), extra='<sensor>\n<gyro site="nix"/>\n</sensor>')
+    lines = text.splitlines()
+    line = next(number for number, one in enumerate(lines, 1) if "<gyro" in one)
+    with pytest.raises(ModelError, match=rf"robot.xml:{line}: .* unrecognized name 'nix'"):
+        compare_files(write(tmp_path, urdf_text(quadruped()), text))

@@ -105,6 +105,10 @@ TORQUES: dict[str, tuple[dict[str, str], Callable[[np.ndarray, np.ndarray], np.n
         {SWING: f'{SWING} stiffness="7 2 3"'},
         lambda angle, _: (7 + 2 * angle + 3 * angle**2) * angle,
     ),
+    "spring with a rest angle": (
+        {SWING: f'{SWING} stiffness="7" springref="0.3"'},
+        lambda angle, _: 7 * (angle - 0.3),
+    ),
     "damping": (
         {'damping="0.1"': 'damping="0.1 0.2 0.3"'},
         lambda _, speed: (0.2 * np.abs(speed) + 0.3 * speed**2) * speed,
@@ -116,6 +120,7 @@ TORQUES: dict[str, tuple[dict[str, str], Callable[[np.ndarray, np.ndarray], np.n
         tendon('stiffness="2" springlength="0.5"'),
         lambda angle, _: 3 * 2 * (-3 * angle - 0.5),
     ),
+    "tendon's damping": (tendon('damping="2"'), lambda _, speed: 3 * 2 * 3 * speed),
     # Stokes' drag on the sphere of the same inertia box: 3 pi d mu v, and pi d^3 mu omega (MuJoCo
     # documentation, "Fluid forces: Inertia model"); d is the mean edge of the box.
     "viscosity": (
@@ -643,3 +648,18 @@ def test_disable_flags_remove_the_forces_that_the_file_states(tmp_path: Path) ->
     ):
         (tendon,) = (one for one in flagged(word, cord).differences if one.kind == "tendon")
         assert (left in tendon.message, gone in tendon.message) == (True, False)
+
+
+def test_armature_of_a_tendon_counts_with_coef_squared(tmp_path: Path) -> None:
+    """Closed form: 3^2 0.02 kg m^2."""
+    effects, _, _ = swing(tmp_path, **tendon('armature="0.02"'))
+    assert effects["mass matrix"].deviation == pytest.approx(3**2 * 0.02, rel=1e-9)
+    assert effects["mass matrix"].relative == pytest.approx(3**2 * 0.02 / ROD, rel=1e-9)
+
+
+def test_gravity_of_the_mjcf_is_compared_with_that_of_the_earth(tmp_path: Path) -> None:
+    """Closed form of a pendulum: (9.81 - 1.62) m l sin(q)."""
+    edits = {"<worldbody>": '<option gravity="0 0 -1.62"/><worldbody>'}
+    effects, angle, _ = swing(tmp_path, **edits)
+    expected = np.abs((GRAVITY - 1.62) * MASS * LENGTH * np.sin(angle)).max()
+    assert effects["gravity"].deviation == pytest.approx(expected, rel=1e-9)
