@@ -515,3 +515,52 @@ def test_dependent_joint_of_an_inactive_coupling_is_not_preferred(active: str) -
     assert closure is not None
     dependent = ["abc"[joint] for joint in closure.dependent_joints]
     assert dependent == (["a", "b"] if active == "true" else ["b"])
+
+
+@pytest.mark.slow
+def test_motors_of_a_fixed_base_hold_the_coupled_joints(tmp_path: Path) -> None:
+    """Reference: virtual work, with a knee that turns -0.8 times as far as its motor."""
+    pair = belts(tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, fixed_base=True)
+    qpos = np.zeros(robot.nq)
+    for leg in LEGS:
+        qpos[robot.joint_names.index(f"{leg}_motor")] = 1.0
+        qpos[robot.joint_names.index(f"{leg}_knee")] = -1.0
+    config = pa.Configuration(robot, qpos)
+    torques, tree = pa.gravity_compensation(config).joint_torques, config.gravity()
+    for leg in LEGS:
+        assert joint_value(robot, torques, f"{leg}_knee") == 0.0
+        assert joint_value(robot, torques, f"{leg}_motor") == pytest.approx(
+            joint_value(robot, tree, f"{leg}_motor") - 0.8 * joint_value(robot, tree, f"{leg}_knee")
+        )
+
+
+def test_robot_without_loops_or_connected_to_the_world_has_no_closure(tmp_path: Path) -> None:
+    assert load(quadruped(tmp_path)).closure is None
+    (tmp_path / "tied").mkdir()
+    pair = belts(tmp_path / "tied")
+    tie = '<equality><connect body1="trunk" anchor="0 0 0" solref="0.1 1"/>'
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<equality>", tie))
+    assert load(pair).closure is None
+
+
+@pytest.mark.slow
+def test_motors_at_both_ends_of_a_belt_hold_the_stand(tmp_path: Path) -> None:
+    """Statics has no unique distribution: each motor exerts its commanded torque."""
+    pair = belts(tmp_path)
+    knees = "".join(f'<motor joint="{leg}_knee" ctrlrange="-30 30"/>' for leg in LEGS)
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", f"<actuator>{knees}"))
+    robot = load(pair)
+    assert robot.closure is not None
+    stand = verify_held_stand(robot)
+    torques = pa.stance.stand_statics(robot, stand).joint_torques
+    assert abs(joint_value(robot, torques, "FL_knee")) > 1
+
+
+@pytest.mark.slow
+def test_robot_with_belts_withstands_a_push_and_a_sweep_of_gains(tmp_path: Path) -> None:
+    robot = load(belts(tmp_path))
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    sweep = pa.simulation.sweep_gains(robot, stand, kp=[110.0], kd=[5.5], duration=2.0)
+    assert sweep.height_deviation.max() < 1e-3
+    assert not pa.simulation.simulate_push(robot, stand, 1.0, duration=3.0).failure

@@ -306,3 +306,38 @@ def test_symmetric_robot_does_not_stand_on_servos_beyond_their_stability_limit(
     shaking = pa.verify_stand(robot, stand, kp=3000.0, kd=200.0, integrator="Euler")
     assert not shaking.passed
     assert "mode-shakes" in {failure.code for failure in shaking.failures}
+
+
+def test_effort_limit_is_the_force_range_times_the_gear() -> None:
+    robot = add_gears("v3", force=0.9)
+    expected = np.minimum(0.9 * np.abs(GEARS), load("v3").effort_limits)
+    np.testing.assert_allclose(robot.effort_limits, expected, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_robot_with_gears_stands_as_without_for_equal_gains_at_the_joints() -> None:
+    stand = stand_of("v3")
+    plain, geared = (
+        pa.verify_stand(robot, stand, kp=8.0, kd=0.2, feedforward=False, duration=2.0)
+        for robot in (load("v3"), add_gears("v3"))
+    )
+    np.testing.assert_allclose(geared.joint_torques, plain.joint_torques, atol=1e-7)
+    assert geared.base_height == pytest.approx(plain.base_height, abs=1e-8)
+    sag = [pa.steady_state(robot, stand, kp=8.0) for robot in (load("v3"), add_gears("v3"))]
+    np.testing.assert_allclose(sag[1].qpos, sag[0].qpos, atol=1e-10)
+
+
+def test_motor_in_the_parent_frame_has_the_limit_of_its_joint(tmp_path: Path) -> None:
+    pair = with_motors(quadruped(tmp_path), IN_PARENT)
+    robot = load_pair(pair)
+    assert robot.effort_limits[robot.joint_names.index("RL_knee")] == 30
+    assert pa.compare_models(pair.urdf, pair.mjcf).agree
+
+
+def test_diff_compares_the_range_of_each_control_of_a_motor(tmp_path: Path) -> None:
+    old, new = tmp_path / "old.xml", tmp_path / "new.xml"
+    text = with_motors(quadruped(tmp_path), PID, "FL").mjcf.read_text()
+    old.write_text(text)
+    new.write_text(text.replace('ctrlrange="-30 30"', 'ctrlrange="-30 40"', 1))
+    (change,) = (c for c in pa.diff_models(old, new).changes if c.kind == "motor")
+    assert change.message.startswith("motor #3: ctrlrange (-30, 30) in the old file")

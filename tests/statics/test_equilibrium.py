@@ -886,3 +886,50 @@ def test_com_margin_of_a_triangle_ignores_a_contact_inside(com: np.ndarray) -> N
     else:  # the nearest point may be a corner
         assert margin <= min(edges) + 1e-12
         assert margin >= -np.linalg.norm(corners - com, axis=1).min() - 1e-12
+
+
+def test_com_in_front_of_all_feet_is_the_cause_with_its_distance() -> None:
+    """Reference: distance [m] of the CoM ahead of the front feet."""
+    robot = load("original")
+    qpos = robot.neutral()
+    qpos[8::3] = 1.2
+    config = pa.Configuration(robot, qpos)
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        pa.gravity_compensation(config)
+    assert caught.value.reason is pa.errors.Infeasibility.COM_OUTSIDE
+    ahead = config.center_of_mass()[0] - config.foot_positions()["FL"][0]
+    assert caught.value.margin == pytest.approx(-ahead, abs=1e-9)
+
+
+def test_text_instead_of_a_list_of_feet_is_refused() -> None:
+    with pytest.raises(pa.PupperAnalysisError):
+        pa.gravity_compensation(at_stand("v3"), "FR")
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_distribution_may_be_given_by_its_value(distribution: pa.statics.ForceDistribution) -> None:
+    config = at_stand("v3")
+    one, two = (
+        pa.gravity_compensation(config, distribution=given)
+        for given in (distribution, distribution.value)
+    )
+    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
+
+
+def test_minimum_torque_is_below_that_of_minimum_tangential_forces(variant: str) -> None:
+    """v3: by more than 0.1 %. The legs of the others are equal, with feet below the hips: equal.
+    Minimum tangential forces are the default."""
+    config, kinds = at_stand(variant), pa.statics.ForceDistribution
+    least, tangential, default = (
+        pa.gravity_compensation(config, **given).joint_torques
+        for given in (
+            {"distribution": kinds.MIN_TORQUE},
+            {"distribution": kinds.MIN_TANGENTIAL},
+            {},
+        )
+    )
+    np.testing.assert_array_equal(default, tangential)
+    if variant.startswith("v3"):
+        assert np.linalg.norm(least) < 0.999 * np.linalg.norm(tangential)
+    else:
+        assert np.linalg.norm(least) == pytest.approx(np.linalg.norm(tangential), rel=1e-9)
