@@ -42,6 +42,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         word = "walk-does-not-follow"
     else:
         word = "walk-follows" if walk.passed else "UNKNOWN"
+    causes = (*_list_limit_warnings(walk), *map(doc.diagnostic_text, walk.remarks))
     return doc.Document(
         text("walk-title"),
         text("walk-of", robot=doc.Name(walk.name), policy=doc.Name(walk.policy)),
@@ -57,11 +58,11 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             doc.diagnostic_text(gait.fall) for gait in fallen[:1] if gait.fall is not None
         ),
         findings=(
+            *(causes if fallen else ()),
             speed,
             torque,
             *_list_warnings(walk),
-            *_list_limit_warnings(walk),
-            *map(doc.diagnostic_text, walk.remarks),
+            *(() if fallen else causes),
         ),
         details=tuple(details),
         brief=True,
@@ -157,7 +158,7 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
     peak = _max_over_runs(walk, "torque_peak")
     null = [joint for joint, limit in zip(walk.joints, walk.limits, strict=True) if limit <= 0]
     if null:
-        yield text("walk-without-torque", joints=doc.Name(", ".join(null)))
+        yield text("walk-without-torque", joints=tuple(null))
     unknown = np.flatnonzero(np.isinf(walk.limits) & (peak > 0))
     if unknown.size:
         yield text(
