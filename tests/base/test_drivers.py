@@ -162,3 +162,10 @@ def test_no_log_is_written_if_a_model_has_warnings(
             pa.audit_model("nan.xml")
     assert not mujoco_log.exists()
     assert [path.name for path in tmp_path.iterdir()] == ["nan.xml"]
+
+
+@pytest.mark.slow
+def test_mujoco_is_imported_without_a_driver_if_drawing_is_disabled(tmp_path: Path) -> None:
+    code = "import pupper_analysis, mujoco; print(mujoco.MjModel.__name__)"
+    result = run_python("-c", code, folder=tmp_path, gl="disable")
+    assert result.stdout == "MjModel\n", result.stderr

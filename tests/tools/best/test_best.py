@@ -284,3 +284,9 @@ def test_next_best_stance_is_returned_if_the_best_does_not_hold(
     assert tried == sorted(tried)
     assert study.best.value == pytest.approx(tried[2])
     assert tried[0] < study.best.value
+
+
+@pytest.mark.slow
+def test_best_stance_is_deterministic() -> None:
+    robot = load("original")
+    assert best_stance(robot).to_json() == best_stance(robot).to_json()
