@@ -1,8 +1,9 @@
 """Test whether a robot comes to rest in a stand, with a simulation as short as possible.
 
 `comes_to_rest` simulates a stand with given servos until base and feet are at rest, nudges the
-robot, and evaluates the growing modes; it returns True or False. It is used to test many servos or
-stands. `verify_stand` simulates 12 s and returns all quantities.
+robot, and evaluates the growing modes; it returns True or False. A simulation ends as soon as the
+robot has left the stand, shakes without decay, or rests with displaced feet. The function is used
+to test many servos or stands. `verify_stand` simulates 12 s and returns all quantities.
 """
 
 from __future__ import annotations
