@@ -139,7 +139,8 @@ MAX_LISTED_NAMES = 16
 of a quadruped with four joints per leg. Chosen, not tuned."""
 
 NUM_CLOSE_NAMES = 5
-"""Number of the most similar names that the message lists if there are more. Chosen, not tuned."""
+"""Number of valid names, the most similar to the unknown name, in the message of `UnknownNameError`
+if there are more than `MAX_LISTED_NAMES`. Chosen, not tuned."""
 
 
 class UnknownNameError(ModelError):

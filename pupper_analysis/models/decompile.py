@@ -389,7 +389,10 @@ def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
 
 
 def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[str]:
-    """Yield the names of arrays in which a compiled spec differs from the model."""
+    """Yield the names of the arrays and options in which two compiled models differ.
+
+    ``model`` is the original, ``made`` is compiled from the spec that was reconstructed from it.
+    """
     for name in dir(model):
         if not name.startswith(_COMPARED_PREFIXES) or name in _IGNORED_ARRAYS:
             continue

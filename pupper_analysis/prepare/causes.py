@@ -421,7 +421,10 @@ def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield welds and connections between the robot and the world or a mocap body."""
+    """Yield constraints of the published model that may cause a deviation from the prepared robot.
+
+    These are the initially active welds and connects with the world or a mocap body.
+    """
     kinds = {mujoco.mjtEq.mjEQ_WELD.value: "weld", mujoco.mjtEq.mjEQ_CONNECT.value: "connect"}
     for number in np.flatnonzero(np.isin(model.eq_type, list(kinds)) & model.eq_active0).tolist():
         ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
@@ -488,7 +491,11 @@ def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
 
 
 def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: shapes whose contacts the preparation disabled, and obstacles."""
+    """Yield shapes of the published model that may cause a deviation from the prepared robot.
+
+    These are shapes whose contacts the preparation disabled, and obstacles: shapes other than
+    planes that are fixed to the world or to a mocap body.
+    """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     replaced = {model.body(name).id for name in _list_ball_bodies(robot)}

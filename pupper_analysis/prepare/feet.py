@@ -263,7 +263,10 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
 def _select_sphere(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], place: Array
 ) -> list[int]:
-    """Return the nearest sphere within `_MAX_SPHERE_DISTANCE` of a position; else all geoms."""
+    """Return the index of the sphere nearest to a position, shape (3,) [m], in the world frame.
+
+    All ``geoms`` are returned if no sphere of these is nearer than `_MAX_SPHERE_DISTANCE`.
+    """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
     distances = {geom: float(np.linalg.norm(data.geom_xpos[geom] - place)) for geom in spheres}

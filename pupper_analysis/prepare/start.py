@@ -444,13 +444,16 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
 
 
 def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[Stand]:
-    """Return stands at the largest number of consecutive heights, from high to low.
+    """Return the longest series of stands at successive base heights, from high to low.
+
+    The heights are fixed fractions of the leg length. A series ends at a height without a stand.
 
     Args:
         robot: Robot.
         pose: Preferred joint positions, shape (nu,) [rad, m].
         margin: Distance of the joints from their limits [rad, m].
-        known: Largest number of stands known so far. The search ends once it cannot be exceeded.
+        known: Length of the longest series for other poses. The search ends once no longer series
+            is possible; the result may then be shorter, or empty.
     """
     length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = [

@@ -129,7 +129,10 @@ def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
 
 @lru_cache(maxsize=_CACHE_SIZE)
 def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) -> Robot:
-    """Build a robot with the hands, welds and grips of a task; cached for `_CACHE_SIZE` robots."""
+    """Build a robot with the hands, welds and grips of a task; cached for `_CACHE_SIZE` robots.
+
+    A hand is a part of the robot that touches a surface of the task and is not a foot.
+    """
     tools = {
         name: _find_frame(robot, name)
         for name, touching in properties.items()
@@ -218,7 +221,10 @@ def _free_base(robot: Robot) -> Robot:
 
 
 def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
-    """Return a robot with additional contact points in both models."""
+    """Return a robot with a contact point for each hand, in the URDF and in the MJCF.
+
+    A hand is a part of the robot that touches a surface of the task and is not a foot.
+    """
     (urdf, mjcf), description = robot.description.trees(), robot.description
     model, frames = robot.pin_model.copy(), dict[str, tuple[str, str]]()
     used_names = {site.name for site in mjcf.spec.sites} | {geom.name for geom in mjcf.spec.geoms}
@@ -267,8 +273,8 @@ collision shapes is computed: the library (coal) requires a body with a volume. 
 tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
-"""Radius [m] of the contact sphere of a hand whose contact point is not inside a collision shape of
-the link. Chosen, not tuned."""
+"""Radius [m] of the contact sphere of a hand (a touching part other than a foot), if the sphere's
+centre is not inside a collision shape of the link. Chosen, not tuned."""
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:

@@ -163,7 +163,10 @@ def confirm_growth(
 
 
 def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
-    """Return the deviations (rad or m, rad/s or m/s) with which modes are tested, in order."""
+    """Return the sizes of the initial deviations with which growing modes are simulated, in order.
+
+    Each is a joint displacement [rad, m] and a velocity [rad/s, m/s].
+    """
     small, large = (NUDGE_ANGLE, NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
     if not modes[0].without_dry_friction:
         return [small]

@@ -342,7 +342,10 @@ def _max_horizontal_norm(displacements: Array) -> float:
 
 
 def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Array) -> Array:
-    """Compute target minus mean position of each stance foot, shape (feet, 3) [m]."""
+    """Compute target minus mean position over ``states`` of each stance foot, (feet, 3) [m].
+
+    Positions are sphere centres in the world frame.
+    """
     positions, stand = [], held.stand
     for state in states[:: -max(1, round(_SAMPLE_TIME / held.drive.model.opt.timestep))]:
         mujoco.mj_setState(held.drive.model, data, state, STATE_SPEC)

@@ -106,9 +106,9 @@ _MAX_GROWTH_EXPONENT = 20.0
 growth by a factor of 5e8. Chosen, not tuned."""
 
 _CLEARANCE_FACTOR = 2.0
-"""Ratio between the distance by which the base of a resting robot is lowered, to test if another
-part could reach the ground, and the largest motion of a coordinate in the remaining time. Chosen,
-not tuned: once for the motion of the base, once for that of the joints."""
+"""Factor on the largest predicted motion of a coordinate in the remaining time. The base of a robot
+at rest is lowered by the product, to test if another part could reach the ground. Chosen, not
+tuned: once for the motion of the base, once for that of the joints."""
 
 
 class Failure(StrEnum):

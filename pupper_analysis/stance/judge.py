@@ -105,7 +105,7 @@ class Stand(Pictured, Tabular):
 
     @cached_property
     def _statics(self) -> list[tuple[ref[Robot], str, GravityCompensation]]:
-        """Cached results of statics, each with a weak reference to the robot, and the criterion."""
+        """Cache of statics: (weak reference to the robot, criterion of contact forces, result)."""
         return []
 
     def cached_statics(

@@ -51,8 +51,9 @@ Measured with flat minima: with larger units (stand heights) and with smaller un
 SLSQP stops before the minimum."""
 
 _MAX_ITERATIONS = 100
-"""Upper bound of the SLSQP iterations that minimise foot distances a second time. About 45 are
-needed if the feet are at the limit of reach. Chosen, not tuned."""
+"""Upper bound of the SLSQP iterations in the second run of `minimise_foot_distances`, which uses a
+finer unit of distance. About 45 are needed if the feet are at the limit of reach. Chosen, not
+tuned."""
 
 _MIN_PROGRESS_RATIO = 0.9
 """Upper bound of the ratio ``violation / smallest earlier violation`` with which an SLSQP iteration
@@ -356,7 +357,7 @@ class StanceProgram:
         )
 
     def _point(self, x: Array) -> _Point:
-        """Return the evaluated point of the variables; the latest is cached."""
+        """Evaluate the constraints at the vector ``x`` of variables; the last result is cached."""
         if self._last is None or not (x == self._last.x).all():
             self._last = self._evaluate(x)
         return self._last

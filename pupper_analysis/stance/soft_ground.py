@@ -50,16 +50,18 @@ _MAX_ITERATIONS = 50
 feet. Chosen, not tuned."""
 
 _MAX_STALLED_ITERATIONS = 8
-"""Number of successive iterations without a smaller change of the depths, after which the iteration
-fails: for example, a sole that is loaded at its edge tilts ever further. Chosen, not tuned."""
+"""Number of successive iterations without a new smallest change of the feet's penetration depths,
+after which the fixed-point iteration fails. Example: a sole that is loaded at its edge tilts ever
+further. Chosen, not tuned."""
 
 _MAX_PLAIN_RATIO = 0.5
-"""Ratio of two successive changes of the depths [1] above which the steps are relaxed. Chosen, not
-tuned: with this ratio, the plain iteration needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
+"""Ratio of two successive changes of the feet's penetration depths above which the steps of the
+fixed-point iteration are scaled by a relaxation factor. Chosen, not tuned: with this ratio, the
+plain iteration needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
 
 _RELAXATION_RANGE = 0.05, 1.0
-"""Lower and upper bound of the relaxation factor of the fixed-point iteration [1]. Chosen, not
-tuned."""
+"""Lower and upper bound of the factor [1] on a step of the fixed-point iteration for the feet's
+penetration depths. Chosen, not tuned."""
 
 
 @check_arguments

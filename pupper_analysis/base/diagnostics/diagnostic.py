@@ -37,7 +37,7 @@ class Severity(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Severity | None:
-        """Return NOTE for "info"; None for other unknown values."""
+        """Return the severity for a value of no member: NOTE for "info", otherwise None."""
         return cls.NOTE if value == "info" else None  # name in older audits and configurations
 
     @property

@@ -72,9 +72,10 @@ class MeshFiles:
 
     @staticmethod
     def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
-        """Return the first ROS package of left-out files; empty if there is none.
+        """Return the first ROS package (``package://NAME/...``) that missing mesh files name.
 
-        The result is empty too if the reason ``why`` is not that the files do not exist.
+        Empty if no file names a package, or if ``why`` states another reason than missing files for
+        leaving out the ``files``.
         """
         missing_files = files if why.code == "no-such-mesh-file" else ()
         named = (

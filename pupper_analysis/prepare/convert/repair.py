@@ -147,10 +147,10 @@ def repair_inertials(
 ) -> tuple[list[Diagnostic], list[Repair]]:
     """Make the inertials of a URDF valid for MuJoCo, in place: move or repair them.
 
-    An inertial of zeros is removed. An invalid inertial is added to that of a body to which it is
-    fixed by any number of joints, which changes no motion. If no such sum is valid, an inertial
-    with mass is repaired. An invalid inertial without mass remains if its body does not move, or is
-    fixed to a body with mass.
+    An inertial of zeros is removed. An invalid inertial is added to the inertial of a link that
+    fixed joints connect to its link, directly or through other links; this changes no motion. If no
+    such sum is valid, an inertial with mass is repaired. An invalid inertial without mass remains
+    if its body does not move, or is fixed to a body with mass.
 
     Args:
         urdf: URDF as read.

@@ -333,5 +333,5 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
 
 
 _SCALE_LENGTHS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Lengths of the scale bar [m]; the longest of at most 0.6 times the support polygon is
-drawn. Chosen, not tuned."""
+"""Possible lengths of the scale bar [m]: the longest that is at most 0.6 times the size of the
+support polygon is drawn, otherwise the shortest. Chosen, not tuned."""

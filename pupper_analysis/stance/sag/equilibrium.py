@@ -292,8 +292,10 @@ RESIDUAL_TOLERANCE = 3e-12
 x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
-"""Predicted residual of the equilibrium equations, in units of robot weight, weight x height and
-height, up to which Newton's method reuses a Jacobian. Chosen as the size of rounding errors."""
+"""Scaled residual of the equilibrium equations [1]. In exact solves, Newton's method reuses the
+previous Jacobian if the predicted residual after the step is at most this value. Forces are divided
+by the weight, torques by weight x height, lengths by the height. Chosen as the size of rounding
+errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
 """Penetration, in units of `EquilibriumScales.length`, up to which a contact does not count as
@@ -537,9 +539,9 @@ class SagEquilibrium:
         ).reshape(-1, 2)
 
     def _force_scales(self) -> Array:
-        """Return the normal stiffness of each touching contact as it begins, shape (n,) [N/m].
+        """Return the normal stiffness of each touching contact at the start of contact, (n,) [N/m].
 
-        A force residual divided by this stiffness is a penetration residual [m].
+        Forces [N] divided by this stiffness are penetrations [m].
         """
         return np.array(
             [self.laws[point].normal_stiffness(-self.laws[point].margin) for point in self.anchors]

@@ -106,7 +106,7 @@ def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the effort of the mirrored joint, if that of a URDF joint is zero or negative."""
+    """Yield the repair of a zero or negative effort of a URDF: the effort of the mirrored joint."""
     effort = robot.joints[found.name].stated.get("effort")
     if not isinstance(robot, UrdfModel) or effort is None or effort > 0:
         return
@@ -124,7 +124,8 @@ _LIMB_SHORT_NAMES: Final = ("fl", "fr", "rl", "rr", "hl", "hr", "bl", "br", "lf"
 _SIDE_TOKENS: Final = frozenset(
     {*_LIMB_SHORT_NAMES, "l", "r", "lr", "left", "right", "front", "rear", "hind", "back", "middle"}
 )
-"""Words of names that distinguish limbs."""
+"""Words in names that distinguish limbs. `strip_sides` removes these words from names to find the
+equal links or joints of several limbs."""
 
 
 def strip_sides(name: str) -> str:
@@ -212,9 +213,11 @@ def _repair_number(
 
 
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the mirrored tensor of the partner, and tensors with one moved decimal point.
+    """Yield the possible repairs of an inertia tensor of a URDF.
 
-    If exactly one moved decimal point agrees with the mirrored tensor, only this repair is yielded.
+    These are the tensor with one decimal point moved, and the mirror image of the tensor of the
+    link on the other side. If exactly one moved decimal point agrees with the mirror image, only
+    this repair is yielded.
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -234,9 +237,9 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 
 
 _MIRROR_RTOL = 0.02
-"""Largest relative difference between two repairs of a moment of inertia (moved decimal point, and
-mirrored tensor of the partner) that counts as agreement: then only the former is proposed. Chosen,
-not tuned."""
+"""Largest relative difference with which two repairs of an inertia tensor agree: a moved decimal
+point, and the mirror image of the tensor on the other side. If both agree, only the moved decimal
+point is proposed. Chosen, not tuned."""
 
 
 MAX_DECIMAL_SHIFT = 6

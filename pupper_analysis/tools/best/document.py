@@ -102,7 +102,8 @@ def _format_lengths(*lengths: float) -> str:
 
 
 _MIN_PRINTED_ANGLE = 0.005
-"""Smallest angle [deg] that the next command contains: half of the last printed digit."""
+"""Magnitude [deg] of roll, pitch or yaw above which the printed command for the best stance
+contains the angle: half of the last printed digit."""
 
 
 def _make_search_line(best: BestStance) -> doc.Text:

@@ -122,9 +122,9 @@ class EvaluatedStance:
 
 
 _MIN_LEVEL_STEP = 0.2
-"""Smallest difference between the levels (scaled objectives) of two successively simulated stances,
-relative to the difference between the levels of the initial and the best stance. If the best stance
-fails, at most five further stances are therefore simulated. Chosen, not tuned."""
+"""Smallest step between the objectives of two stances that are simulated in succession, because the
+better stances failed in simulation; relative to the difference between the objectives of the
+initial and the best stance. At most five stances follow the best stance. Chosen, not tuned."""
 
 
 class StanceSearch:

@@ -70,8 +70,9 @@ along this constraint slightly violates it. The reserve is never smaller than th
 violation stays inside the joint limits. Chosen."""
 
 MIN_MOTION_RCOND = 1e-6
-"""Smallest singular value of the Jacobians of the contact points by the joints, relative to the
-largest, at which `StanceSpace.compute_motions` determines motions. Chosen, not tuned."""
+"""Smallest over largest singular value of the contact points' Jacobian by the joints, below which
+the joint motions count as undetermined (`StanceSpace.compute_motions` returns None). Chosen, not
+tuned."""
 
 MAX_MOTION_RESIDUAL = 1e-9
 """Largest error of the velocity of a contact point, per unit velocity of a coordinate [m/m or

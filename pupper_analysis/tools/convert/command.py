@@ -21,7 +21,8 @@ _MJCF_OPTIONS = {
 """Parameters of the command that are used only if the output is an MJCF (``.xml``)."""
 
 _USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIONS}
-"""Parameters of the command that are used, for each suffix of the output file."""
+"""{suffix of the output file: parameters of ``convert`` that have an effect for this format}. An
+option without an effect is refused if the user typed it."""
 
 
 @shared.command("convert", meanings={"source": "the URDF, MJCF or USD to convert"})

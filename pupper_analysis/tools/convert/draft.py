@@ -375,8 +375,8 @@ def _add_servos_of_fixed_base(bare: ConvertedMjcf, options: MjcfOptions) -> list
 def _free_legged_robot(bare: ConvertedMjcf, options: MjcfOptions) -> Robot | None:
     """Load a legged robot, whose URDF fixes it to the link "world", with a free base.
 
-    The servos are then those with which the robot stands. None if the caller specifies the base,
-    the root link has another name, or the robot does not stand (an arm, a hand).
+    None if the caller specifies whether the base is fixed, the root link has another name, or the
+    robot has no stand (for example, an arm).
     """
     if options.fixed_base is not None or bare.bodies.root != WORLD_LINK:
         return None

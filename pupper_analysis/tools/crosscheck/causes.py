@@ -210,7 +210,7 @@ class PatternCase:
                 base.
 
         Returns:
-            (kind, element) pairs; all differences of this case if the trees cannot be aligned.
+            (kind, element) of each difference; all of ``keys`` if the trees have different joints.
         """
         first = self.first if only is None else self.first.select_joints(only)
         try:
@@ -409,10 +409,12 @@ _MASS_UNITS = {
 """{factor: (unit used, unit required)} of masses."""
 
 _ANGLE_UNITS = {math.degrees(1.0): ("degrees", "radians")}
-"""{ratio of the numbers for an angle: (unit used, unit required)}."""
+"""{factor on an angle: (unit used, unit required)}. The factor is the number in the unit used,
+divided by the number in the required unit."""
 
 _LENGTH_UNITS = {1e3: ("mm", "m"), 1e2: ("cm", "m"), 39.3701: ("inches", "m")}
-"""{ratio of the numbers for a length: (unit used, unit required)}."""
+"""{factor on a length: (unit used, unit required)}. The factor is the number in the unit used,
+divided by the number in the required unit."""
 
 _INERTIA_UNITS = {
     1e3: ("g m^2", "kg m^2"),

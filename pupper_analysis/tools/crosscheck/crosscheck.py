@@ -209,10 +209,10 @@ def list_mass_shares(
 
 
 def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
-    """List the deviations of two engines on the same model above `ENGINE_RTOL`.
+    """List deviations between two engines that evaluate the same model, above `ENGINE_RTOL`.
 
-    Deviations on the MJCF are skipped if the listed differences do not explain the deviation of the
-    two models, since both engines may then have different models.
+    Deviations on the MJCF are skipped if the found differences do not explain the whole deviation
+    between URDF and MJCF. The two engines may then not have received the same model.
     """
     return tuple(
         diagnose(

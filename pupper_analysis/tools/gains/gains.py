@@ -593,7 +593,7 @@ class _Gains:
         limited = math.isfinite(limit) and limit > 0
 
         def scale_class_damping(factor: float) -> _Pair:
-            """Return stable kp and kd, (nu,) each, after multiplying the kd of this class."""
+            """Return stable kp and kd, (nu,) each, with the kd of the joints ``members`` scaled."""
             stiffness, damping = self.scale_gains(*stable_pair)
             damping[list(members)] *= factor
             return stiffness, damping

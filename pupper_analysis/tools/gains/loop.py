@@ -84,8 +84,8 @@ _MAX_JOINT_SPEED = 100.0
 tuned."""
 
 _MAX_SHIFT_RATIO = 1.1
-"""Ratio of the largest joint displacement in the second half of a simulation to the displacement at
-the middle, above which (plus `_MIN_SHIFT`) the robot counts as leaving the stand. Chosen, not
+"""Factor on the largest joint displacement at the middle of a simulation. If a later displacement
+exceeds the product by more than `_MIN_SHIFT`, the robot counts as leaving the stand. Chosen, not
 tuned."""
 
 _MIN_SHIFT = 1e-3

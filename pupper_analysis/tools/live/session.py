@@ -384,7 +384,10 @@ class Session:
             self._play_motion(answer, time, motion)
 
     def _play_motion(self, answer: Answer, time: Any, motion: Any) -> None:
-        """Play a motion (times [s], configurations (n, nq)) in real time, until other work."""
+        """Play a motion in real time on the page, until the motion ends or other work is pending.
+
+        ``time`` are times, shape (n,) [s]; ``motion`` are configurations, shape (n, nq).
+        """
         robot, task = answer.robot, answer.task
         assert robot is not None
         assert task is not None

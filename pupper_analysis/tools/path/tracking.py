@@ -48,8 +48,9 @@ inertia of a joint, which the contacts ignore. Measured torque errors of the Pup
 ``original`` by this effect: 15 % at 4 ms, 4 % at 1 ms, 1 % at this bound."""
 
 _SPLINE_ENDS = ("clamped", "not-a-knot")
-"""Boundary conditions of joint splines: the path starts at rest; the last time step may end before
-the end of the path, so the velocity is not prescribed."""
+"""Boundary conditions of the cubic splines of joint positions over time, at the start and at the
+end. The path starts at rest. The velocity at the end is not prescribed, because the last time step
+of the simulation may end before the path."""
 
 _NEWTON_STEPS = 2
 """Number of Newton iterations that extend the legs by the penetration of the ground, which is a few
@@ -344,11 +345,12 @@ def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
 
 
 JOINT_TOLERANCE = 0.1
-"""Upper bound of the joint error of a tracked path [rad]. Chosen, not tuned."""
+"""Position error of a joint [rad] from which a simulated path counts as not tracked. Chosen, not
+tuned."""
 
 TORQUE_TOLERANCE = 0.05
-"""Upper bound of the torque error of a tracked path, relative to the largest torque of the path.
-Chosen, not tuned."""
+"""Torque error, relative to the largest torque of the path, above which a simulated path counts as
+not tracked. Chosen, not tuned."""
 
 MIN_LIFTED_HEIGHT = 2e-3
 """Planned height [m] of a foot above which touching the ground is a failure. Chosen, not tuned."""

@@ -586,11 +586,11 @@ class _PayloadSearch:
         self._last_stand = 0.0, self._solve_stand(0.0)
 
     def find_bounds(self) -> dict[str, Bound]:
-        """Find the bounds of the payload mass by stance, motors and servos: {name: bound}.
+        """Find the largest payload [kg] for stance, motors and servos: {one of these: bound}.
 
-        The mass grows until all three kinds have failed, the stance has failed, or the mass exceeds
-        the ceiling (`UNLIMITED_MASS_RATIO`, `MAX_BOUND_RATIO`); then the bound of each kind that
-        has failed is bisected. The bound of the servos is checked by simulations.
+        The mass is increased until all three have failed, the stance has failed, or the mass
+        exceeds a ceiling (`UNLIMITED_MASS_RATIO`, `MAX_BOUND_RATIO`). Each bound that was exceeded
+        is then refined by bisection. The bound of the servos is checked by simulations.
         """
         find_causes = {
             "stance": self.find_stance_failure,
@@ -647,9 +647,11 @@ class _PayloadSearch:
         return self._last_stand[1]
 
     def _solve_stand(self, mass: float) -> _LoadedStand:
-        """Return the stand with a payload [kg]; without a stand, the cause (kind, parts).
+        """Solve the stand with a payload of ``mass`` [kg].
 
-        Kinds are out of reach, tipping, and sliding if more friction would permit the stand.
+        If there is no stand, the result contains the cause: kind of failure, and names of the parts
+        concerned. Kinds are out of reach, sliding (more friction would permit the stand), and
+        tipping.
         """
         try:
             return _LoadedStand(

@@ -80,9 +80,10 @@ relative to the requested time: 60 s by default. A robot that still moves then h
 Chosen, not tuned."""
 
 _MAX_REMAINING_RATIO = 0.1
-"""Upper bound of the base motion that is predicted for the remaining time (with `_SPEED_FACTOR`),
-relative to the CoM height, with which a pushed robot counts as at rest. Measured on v3-long-leg:
-the robot returns from 0.03, and falls slowly from 0.07."""
+"""Largest predicted motion of the base, relative to the CoM height, with which a pushed robot
+counts as at rest. The motion is predicted from the speed for the remaining time, times
+`_SPEED_FACTOR`. Measured on v3-long-leg: the robot returns from 0.03, and falls slowly from
+0.07."""
 
 _SPEED_FACTOR = 1.5
 """Safety factor on the motion of the base that is predicted from its speed for the remaining time,

@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 
 
 NUMBER_RTOL: Final = 1e-12
-"""Deviation of a number in the file from the target, relative to the largest number of the vector
-(or a larger given floor), up to which the text in the file is kept. Chosen, not tuned: far below
-the tolerances of comparisons."""
+"""Largest deviation of a number in a file from the requested number with which the text in the file
+is kept. Relative to the largest number of the vector, or to a larger scale that the caller passes.
+Chosen, not tuned: far below the tolerances of comparisons."""
 
 
 _ROUNDING_STEPS: Final = ((10, 1e-13), (16, 4e-16))

@@ -103,7 +103,7 @@ class UrdfSide(Side):
             joint.element.ensure("origin").set("xyz", text)
 
     def _find_joint(self, name: str) -> UrdfJoint:
-        """Return the URDF's joint of a robot's joint."""
+        """Return the joint of the URDF that matches the joint ``name`` of the robot."""
         return self.tree.joints[self.sides.matched.urdf_joint[name]]
 
     def _write_number(self, joint: UrdfJoint, kind: str, value: float, floor: float = 0.0) -> None:
@@ -113,7 +113,8 @@ class UrdfSide(Side):
             joint: Joint.
             kind: Kind of the attribute, such as ``effort`` or ``damping``.
             value: Number.
-            floor: Lower bound of the magnitude that the tolerance of the number refers to.
+            floor: Lower bound of the scale of the relative tolerance `NUMBER_RTOL`, in the unit of
+                the number; by default the tolerance is relative to the number.
         """
         attribute = BY_KIND[kind]
         assert attribute.urdf is not None

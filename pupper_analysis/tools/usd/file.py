@@ -174,7 +174,7 @@ def _check_depth(path: Path, text: bytes) -> None:
 
 
 def _name_prims(prims: list[Any]) -> dict[str, str]:
-    """Return {name: path} of prims; the path is the name if several prims share a name."""
+    """Return {name: path} of prims; for a name that several prims share, the key is the path."""
     names_and_paths = [
         (prim.GetDisplayName() or prim.GetName(), str(prim.GetPath())) for prim in prims
     ]

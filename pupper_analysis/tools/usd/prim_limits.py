@@ -83,7 +83,7 @@ class _PrimCounter:
         return total + sum(self.count(layer, path) for path in inherited)
 
     def _open(self, layer: Any, name: str) -> Any:
-        """Open a layer that another layer names; None if USD cannot open it."""
+        """Open the USD layer that another layer refers to; None if USD cannot open it."""
         from pxr import Sdf, Tf
 
         path = layer.ComputeAbsolutePath(name)

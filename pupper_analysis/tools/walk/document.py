@@ -154,7 +154,7 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
 
 
 def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the motors without torque, and the motors whose limit no file states."""
+    """Yield warnings on motors with a torque limit of zero, and on used motors without a limit."""
     peak = _max_over_runs(walk, "torque_peak")
     null = [joint for joint, limit in zip(walk.joints, walk.limits, strict=True) if limit <= 0]
     if null:

@@ -293,7 +293,10 @@ def _make_zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckF
 
 
 def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Yield (joint, stated numbers) for the moving joints of a URDF that mimic no joint."""
+    """Yield (joint, {attribute: number in the file}) of each movable joint of a URDF.
+
+    Joints that mimic another joint are skipped. Nothing is yielded for an MJCF.
+    """
     if isinstance(robot, UrdfModel):
         for name, joint in robot.file.tree.joints.items():
             if not joint.is_fixed and joint.mimic is None:

@@ -602,12 +602,13 @@ class MomentCoordinates:
         return moments
 
     def differentiate_parameters(self, moments: Array) -> Array:
-        """Return the derivative of the physical parameters by first-moment coordinates, (n, n).
+        """Return the derivative of `to_parameters`, shape (n, n).
 
-        It is the derivative of `to_parameters`.
+        That function converts the coordinates of the fit (first moments, see `from_parameters`) to
+        physical parameters.
 
         Args:
-            moments: First-moment coordinates at which the derivative is evaluated, shape (n,).
+            moments: Coordinates of the fit at which the derivative is evaluated, shape (n,).
         """
         derivative, mass_ratio = np.eye(len(moments)), self._compute_mass_ratio(moments)
         deviation = moments[self._coms] - self._stated_com

@@ -278,8 +278,9 @@ class _RecordingSession:
     def _ramp_commands(self, stand: PlannedStand, target: Array, rows: int) -> None:
         """Ramp the command to the joint positions ``target`` of a stand, shape (nu,) [rad].
 
-        The ramp to the first stand starts at the measured positions. ``rows``, the number of
-        recorded stands, is stored for the servos that follow.
+        The ramp to the first stand starts at the measured positions. For each servo that follows
+        the ramp, the number of stands recorded so far (``rows``) is stored: if the servo stops
+        later, this number limits the rows that are kept.
         """
         if self._command is None:  # start at the measured positions
             self._command = self._read_positions(stand)

@@ -278,10 +278,10 @@ _SURPRISE_PROBABILITY = 0.0027
 to that of three standard deviations. Chosen, not tuned."""
 
 _MIN_VARIANCE_REDUCTION = 0.02
-"""Smallest reduction of the variance by the measurements, as a fraction of the prior variance, with
-which the estimate of a combination of parameters is tested against its prior: with less, the
-measurements hardly determine the combination. In the test of single parameters, smaller reductions
-are replaced by this value. Chosen, not tuned."""
+"""Lower bound of 1 - posterior variance / prior variance, in tests whether an estimate is too far
+from its prior. Combinations of parameters with a smaller value are not tested, because the
+measurements hardly determine them. For a single parameter, a smaller value is replaced by this
+bound. Chosen, not tuned."""
 
 _MIN_NAMED_STDS = 2.0
 """Deviation of a foot's parameter from its prior, in standard deviations, from which the error
@@ -1156,10 +1156,10 @@ class LogCoordinates:
         return replace(linearised, information=information, gradient=rates * linearised.gradient)
 
     def transform_posterior(self, posterior: Posterior) -> Posterior:
-        """Convert a distribution of the coordinates y to a distribution of the parameters x.
+        """Convert a distribution of the fit's coordinates y to one of the physical parameters x.
 
-        The conversion is linearised about the mean: covariance and prior widths are scaled by dx/dy
-        there. A mean mass of twice the stated mass thus has twice the prior width.
+        `to_parameters` converts y to x. Covariance and prior widths are scaled by dx/dy at the
+        mean. A mean mass of twice the stated mass thus has twice the prior width.
         """
         rates = self.compute_rates(posterior.mean)
         return replace(
