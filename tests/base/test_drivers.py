@@ -66,6 +66,7 @@ def test_pictures_are_drawn_without_opengl(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "variants.png").is_file()
 
 
+@pytest.mark.slow
 def test_study_process_runs_without_opengl(tmp_path: Path) -> None:
     """Modules that are imported directly, as when a robot is unpickled, without the package's
     command line."""

@@ -96,6 +96,7 @@ def test_is_input_is_false_for_an_impossible_name(tmp_path: Path) -> None:
     assert not is_input(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [one for one in damaged.kinds() if one.name.endswith(".toml")])
 @pytest.mark.parametrize("place", ["first", "last", "value"])
 def test_error_line_is_short_for_a_huge_word(

@@ -81,6 +81,7 @@ def test_reports_reach_the_innermost_observer_alone() -> None:
         assert later.total == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -90,6 +90,7 @@ def test_tree_of_a_pinocchio_model_has_its_dynamics(name: str, fixed: bool) -> N
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * scale)
 
 
+@pytest.mark.slow
 def test_tree_keeps_limits_and_inertias_of_continuous_and_sliding_joints(tiny: pa.Robot) -> None:
     """Reference: each number of Pinocchio's model; a continuous joint has no position limits."""
     model, again = tiny.pin_model, rebuild_by_tree(tiny).pin_model

@@ -100,6 +100,7 @@ def test_an_mjcf_with_xacro_is_refused(tmp_path: Path) -> None:
         read_model(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mark", ["", "\ufeff"])
 def test_blank_lines_before_the_xml_declaration_are_accepted(files: Any, mark: str) -> None:
     """Line numbers count the blank lines, and edited files keep them."""

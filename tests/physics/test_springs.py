@@ -52,6 +52,7 @@ def torques_at(robot: Robot, qpos: np.ndarray) -> np.ndarray:
     return pa.gravity_compensation(pa.Configuration(robot, qpos)).joint_torques
 
 
+@pytest.mark.slow
 def test_knee_springs_reduce_the_motor_torques_as_in_closed_form(tmp_path: Path) -> None:
     """In closed form: tau' = tau + k (q - q_rest) at the knees, and nothing else changes."""
     plain = pa.load_variant("v3")
@@ -146,6 +147,7 @@ def test_sag_of_a_quadruped_with_knee_springs_equals_the_simulation(tmp_path: Pa
     assert abs(sag.height_loss - plain.height_loss) > 1e-4
 
 
+@pytest.mark.slow
 def test_torque_derivatives_equal_finite_differences(tmp_path: Path) -> None:
     """Reference: central differences of the static load, with gravity compensation and springs."""
     robot = load(with_springs(compensate_gravity(quadruped(tmp_path), "trunk", 0.3), "_knee"))

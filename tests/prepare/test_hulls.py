@@ -73,6 +73,7 @@ def test_a_stiff_shank_beside_a_soft_foot_is_the_contact_point(
     assert judge_stand(robot, stand).passed
 
 
+@pytest.mark.slow
 def test_a_soft_foot_stays_the_contact_point_if_it_carries_more_than_its_shank(
     tmp_path: Path,
 ) -> None:

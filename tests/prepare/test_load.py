@@ -188,6 +188,7 @@ def test_unknown_keyframe_is_refused_with_the_valid_names(tmp_path: Path) -> Non
         load(quadruped(tmp_path), keyframe="crouch")
 
 
+@pytest.mark.slow
 def test_contact_points_equal_the_contacts_of_mujoco(tmp_path: Path) -> None:
     """Horizontal positions within 10 um, and depths within 10 nm."""
     robot = load(biped(tmp_path))
@@ -378,6 +379,7 @@ def test_foot_mesh_that_is_not_round_gives_a_note(tmp_path: Path) -> None:
     assert not any(note.code == "balls-for-feet" for note in load(quadruped(tmp_path)).notes)
 
 
+@pytest.mark.slow
 def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) -> None:
     """Else Cassie's feet, of condim 1, would have no friction on it."""
     pair = quadruped(tmp_path)
@@ -544,6 +546,7 @@ def test_servos_with_other_torques_than_predicted_are_the_last_choice(
     assert not [note for note in robot.notes if "come to rest" in str(note)]
 
 
+@pytest.mark.slow
 def test_names_with_another_prefix_are_matched_with_a_note(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, prefix="rob_"))
     assert "FL_roll = rob_FL_roll" in find_note(robot, "other names")

@@ -172,6 +172,7 @@ def test_servos_that_are_too_soft_are_the_named_cause(tmp_path: Path) -> None:
     assert not stiffer.falls
 
 
+@pytest.mark.slow
 def test_zero_ctrl_of_torque_motors_is_no_command(tmp_path: Path) -> None:
     """A torque of zero and an angle of zero are written alike, so they are no evidence."""
 

@@ -123,6 +123,7 @@ def test_velocity_servos_hold_no_position(tmp_path: Path, drive: Drive, few: boo
     assert has_few_servos(replace(bare, drives=most)) is few
 
 
+@pytest.mark.slow
 def test_velocity_servos_without_commands_do_not_count_as_a_fall(tmp_path: Path) -> None:
     """In bare MuJoCo the file sinks on its velocity servos, whose commands are speeds.
 

@@ -71,6 +71,7 @@ def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
     assert not verdict.servos.made
 
 
+@pytest.mark.slow
 def test_height_loss_excludes_the_drop_of_a_keyframe_in_the_air(tmp_path: Path) -> None:
     """Pupper v3's own keyframe is 0.15 m above the ground, as many that are dropped from."""
     pair = standing(tmp_path)
@@ -147,6 +148,7 @@ def test_robot_that_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
     assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 
+@pytest.mark.slow
 def test_affine_actuator_with_zero_bias_is_not_a_torque_motor(tmp_path: Path) -> None:
     """``biastype="affine"`` defines a servo: the file is simulated with its own commands, and
     falls."""

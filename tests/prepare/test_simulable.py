@@ -57,6 +57,7 @@ def test_model_that_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path,
         pa.load_robot(*pair)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upper", ["-2.6", "-0.5"])
 def test_lower_limit_above_the_upper_limit_is_refused(tmp_path: Path, upper: str) -> None:
     pair = standing(tmp_path)

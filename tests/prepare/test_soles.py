@@ -310,6 +310,7 @@ def test_osculating_sphere_has_the_point_and_mean_curvature_of_the_support_funct
     assert radius == pytest.approx(curvature / 2, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_round_sole_touches_at_its_rim(tmp_path: Path) -> None:
     """Reference: the radius of the cylinder, 90 mm from its axis."""
     robot = load(biped(tmp_path, BIPED_FEET["cylinder"]))

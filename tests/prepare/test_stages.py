@@ -81,6 +81,7 @@ def test_deferred_stages_keep_the_fields_that_were_read_before(tmp_path: Path) -
     assert robot.pin_model is pin_model
 
 
+@pytest.mark.slow
 def test_joint_order_with_a_coupled_joint_is_final_after_loading(tmp_path: Path) -> None:
     """Reference: the robot of which all passes are applied at once."""
     pair = quadruped(tmp_path)

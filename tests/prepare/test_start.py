@@ -35,6 +35,7 @@ def test_omitted_joints_are_at_zero_clipped_to_their_limits() -> None:
     np.testing.assert_array_equal(clip_to_limits(robot, {first: 99.0, second: 0.1}), expected)
 
 
+@pytest.mark.slow
 def test_keyframe_without_a_stand_is_replaced_by_a_reachable_height(
     tmp_path: Path,
 ) -> None:

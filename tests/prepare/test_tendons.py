@@ -111,6 +111,7 @@ def test_the_unmodified_file_decides_about_joints_at_tendons(tmp_path: Path, len
     assert [run.feedforward for run in verdict.published.runs] == [True]
 
 
+@pytest.mark.slow
 def test_the_force_range_of_a_tendon_limits_the_joint_that_it_drives_alone(tmp_path: Path) -> None:
     """Closed form: 3 N at the tendon are 6 N m at the knee, whose lever is 2."""
     robot = with_tendon(tmp_path, 'kp="40" kv="2" forcerange="-3 3"')
@@ -121,6 +122,7 @@ def test_the_force_range_of_a_tendon_limits_the_joint_that_it_drives_alone(tmp_p
     assert limits["FL_pitch"].upper == limits["FR_pitch"].upper
 
 
+@pytest.mark.slow
 def test_the_force_range_of_a_tendon_itself_limits_its_joint(tmp_path: Path) -> None:
     """Reference: the torque that bare MuJoCo applies to the knee with a large command."""
     robot = with_tendon(tmp_path, tendon='actuatorfrcrange="-2 2"')

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
@@ -42,6 +43,7 @@ def test_visuals_are_kept_in_a_fluid() -> None:
     assert spec.copy().compile().ngeom == 3
 
 
+@pytest.mark.slow
 def test_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
     """A visual box before the other geoms; the foot geoms are still the spheres."""
     pair = quadruped(tmp_path)
@@ -55,6 +57,7 @@ def test_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
         assert robot.mj_model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE.value
 
 
+@pytest.mark.slow
 def test_published_model_has_geoms_in_the_order_of_the_robot(tmp_path: Path) -> None:
     """Geoms without collisions are found by their index among the geoms of the body."""
     pair = quadruped(tmp_path)

@@ -88,6 +88,7 @@ def join_lines(rows: Rows) -> list[list[str]]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REPORTS)
 def test_cells_are_equal_on_terminals_pages_and_in_markdown(name: str) -> None:
     """Each cell is in its column, under its header and unit. If a report has tables that compare

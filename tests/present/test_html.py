@@ -520,6 +520,7 @@ def test_view_is_omitted_without_three_js(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(page.text) < 400_000
 
 
+@pytest.mark.slow
 def test_page_contains_the_licences_of_three_js() -> None:
     found = write.load_viewer_library()
     assert found is not None

@@ -40,6 +40,7 @@ def load(path: Path) -> Trimesh:
     return part
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_mesh_is_one_closed_solid(fresh: Path, name: str) -> None:
     part = load(fresh / f"{name}.stl")

@@ -121,6 +121,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_page_of_robots_states_its_number_of_rows(generated: Path) -> None:
     """At least 80 robots, each with the line of the first defect or none."""
     page = (generated / "en/reference/generated/tables/robots.md").read_text()

@@ -57,8 +57,8 @@ def test_number_of_packages_and_imports_is_bounded() -> None:
 
 def test_modules_contain_no_banners() -> None:
     """Lines of dashes that divide a module: it is short enough without."""
-    for path in trees():
-        text = (PACKAGE / path).read_text(encoding="utf-8")
+    for path in PACKAGE.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
         assert not re.findall(r"^ *# ?[-=#*]{4,}.*", text, re.MULTILINE), path
 
 

@@ -129,25 +129,28 @@ def test_the_package_is_imported_without_a_tool(tool: str, tmp_path: Path) -> No
     check_imports(tool, copy_without((tool,), tmp_path))
 
 
+def list_imports(path: Path) -> list[str]:
+    """List the names that the import statements of a file contain, in functions too."""
+    names: list[str] = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return names
+
+
 @cache
 def imports_of_tests() -> dict[Path, list[str]]:
-    """Return {test file: names that its import statements contain}, in functions too."""
-    found: dict[Path, list[str]] = {}
-    for path in sorted((ROOT / "tests").rglob("test_*.py")):
-        names = found.setdefault(path, [])
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                names += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                names += [f"{node.module}.{alias.name}" for alias in node.names]
-    return found
+    """Return {test file: names that its import statements contain}."""
+    return {path: list_imports(path) for path in sorted((ROOT / "tests").rglob("test_*.py"))}
 
 
 @pytest.mark.parametrize("path", QUICK)
 def test_quick_tests_of_the_core_import_no_tool(path: str) -> None:
     """Any tool may be the one that is deleted before these tests run in a copy."""
     tool = re.compile(r"(pupper_analysis|tests)\.tools\.")
-    assert list(filter(tool.match, imports_of_tests()[ROOT / path])) == []
+    assert list(filter(tool.match, list_imports(ROOT / path))) == []
 
 
 @pytest.mark.slow

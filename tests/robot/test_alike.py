@@ -19,6 +19,7 @@ def write_slip(folder: Path, old: str, new: str) -> Path:
     return edited_by(write_standing_urdf(folder), lambda text: new.join(text.rsplit(old, 1)))
 
 
+@pytest.mark.slow
 def test_four_equal_legs_with_feet_give_no_report(tmp_path: Path) -> None:
     assert report_limbs_without_feet(pa.load_robot(write_standing_urdf(tmp_path))) == ()
 
@@ -46,6 +47,7 @@ def test_leg_without_a_foot_shape_is_named(tmp_path: Path) -> None:
     assert "RR_calf has none" in str(message)
 
 
+@pytest.mark.slow
 def test_limbs_of_different_masses_are_similar_by_their_dimensions(tmp_path: Path) -> None:
     """The calves have 0.2, 0.3, 0.4 and 0.5 kg, and equal lengths; the last leg has no foot."""
     path = write_slip(tmp_path, '<sphere radius="0.02"/>', "")
@@ -59,6 +61,7 @@ def test_limbs_of_different_masses_are_similar_by_their_dimensions(tmp_path: Pat
     assert (message.values["feet"], message.values["alike"]) == (3, 4)
 
 
+@pytest.mark.slow
 def test_named_feet_are_used_without_a_report(tmp_path: Path) -> None:
     robot = pa.load_robot(write_standing_urdf(tmp_path), feet=["FL_calf", "FR_calf", "RL_calf"])
     assert len(robot.feet) == 3

@@ -535,6 +535,7 @@ def test_motors_of_a_fixed_base_hold_the_coupled_joints(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_robot_without_loops_or_connected_to_the_world_has_no_closure(tmp_path: Path) -> None:
     assert load(quadruped(tmp_path)).closure is None
     (tmp_path / "tied").mkdir()

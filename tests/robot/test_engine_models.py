@@ -110,6 +110,7 @@ def test_state_returns_after_conversion_to_pinocchio_and_back(robot: pa.Robot) -
         check_close(robot.to_mujoco(q), qpos)
 
 
+@pytest.mark.slow
 def test_link_velocities_agree_after_conversion(robot: pa.Robot) -> None:
     """MuJoCo's ``mj_objectVelocity`` and Pinocchio's ``getFrameVelocity`` of each moving body."""
     for qpos, qvel in states(robot):

@@ -327,6 +327,7 @@ def test_robot_with_gears_stands_as_without_for_equal_gains_at_the_joints() -> N
     np.testing.assert_allclose(sag[1].qpos, sag[0].qpos, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_motor_in_the_parent_frame_has_the_limit_of_its_joint(tmp_path: Path) -> None:
     pair = with_motors(quadruped(tmp_path), IN_PARENT)
     robot = load_pair(pair)

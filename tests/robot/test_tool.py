@@ -99,6 +99,7 @@ def test_payload_on_a_fixed_base_or_at_an_invalid_point_is_refused() -> None:
         with_payload(load("v3"), 1.0, (0.0, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["geom_1", "FL_foot"])
 def test_payload_on_a_geom_shifts_the_com_by_its_place_in_mujoco(frame: str) -> None:
     """A geom of a free base, and of a leg.

@@ -115,6 +115,7 @@ def test_every_deviation_of_a_real_pair_is_explained(name: str) -> None:
 # ------------------------------------------------------------------------------------- Mini Cheetah
 
 
+@pytest.mark.slow
 def test_mini_cheetah_has_the_base_of_another_robot() -> None:
     """The URDF's base has 3.3 kg; the MJCF's 6.921 kg are the Go2's, and so is all else of it."""
     comparison = comparison_of("mini cheetah")

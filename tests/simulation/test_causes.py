@@ -15,6 +15,7 @@ from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "says"),
     [

@@ -117,6 +117,7 @@ def test_a_light_foot_that_bounces_is_reported_and_no_failure() -> None:
     assert {"light-foot-lifts", "light-foot-bounces"} <= {note.code for note in run.notes}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damping", "is_small"), [(0.0, True), (0.05, True), (-0.05, False), (-5.0, False)]
 )

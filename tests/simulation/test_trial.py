@@ -47,6 +47,7 @@ def test_joint_at_its_limit_from_the_start_is_no_failure(
     assert np.array_equal(upper, robot.upper_limits)
 
 
+@pytest.mark.slow
 def test_joint_whose_range_permits_no_motion_is_named_and_has_no_limits_in_the_trial(
     tmp_path: Path,
 ) -> None:

@@ -109,6 +109,7 @@ def test_equal_planes_of_all_feet_are_equivalent_to_a_slope() -> None:
         )
 
 
+@pytest.mark.slow
 def test_sag_between_two_planes_equals_mujoco() -> None:
     """Pinned feet in a gutter, in which gravity presses the feet against both planes."""
     robot = load("v3")

@@ -144,6 +144,7 @@ def test_stand_of_another_robot_is_refused(other: str) -> None:
             use(robot, stand)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [0.22, 0.25, 0.5, 1.0, 3.0])
 def test_height_beyond_the_legs_is_refused_by_the_missing_length(height: float) -> None:
     """Reference: the skeleton's foot is at most 0.19 m from its hip, and its radius is 0.018 m."""

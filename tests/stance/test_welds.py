@@ -180,6 +180,7 @@ def test_welded_links_beside_pressing_feet_hold_in_simulation(task: pa.StandTask
         np.testing.assert_allclose(force, force[2] * stand.normals[foot], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [None, (0.42, 0.05, 0.5)])
 def test_welded_hand_is_at_its_place_or_its_home_position(
     armed: pa.Robot, place: tuple[float, float, float] | None
@@ -477,6 +478,7 @@ def test_payload_of_a_welded_arm_equals_the_fixed_base_result(arm: pa.Robot) -> 
     assert most.passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alone", [True, False])
 def test_welded_arm_has_the_verdict_and_document_of_a_stand(arm: pa.Robot, *, alone: bool) -> None:
     """Also if the weld of the base is the only contact."""

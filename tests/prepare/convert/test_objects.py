@@ -211,6 +211,7 @@ def test_each_kind_of_pinocchio_shape_is_loaded() -> None:
     assert sorted(kinds) == sorted(int(kind) for kind in expected)
 
 
+@pytest.mark.slow
 def test_objects_are_not_modified() -> None:
     """XML of the spec, masses of the model and Pinocchio's model are equal before and after
     loading.

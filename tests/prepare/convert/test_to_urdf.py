@@ -41,6 +41,7 @@ def convert_equality(folder: Path, equality: str) -> tuple[list[ElementTree.Elem
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "equality",
     [
@@ -57,6 +58,7 @@ def test_equality_that_is_no_mimic_is_left_out_with_a_note(tmp_path: Path, equal
     assert left == ["equality-not-in-urdf"]
 
 
+@pytest.mark.slow
 def test_each_link_of_the_urdf_states_its_mass(tmp_path: Path) -> None:
     """PyBullet assumes 1 kg for a link without mass. Reference: total mass [kg] in MuJoCo."""
     source, out = tmp_path / "fingers.xml", tmp_path / "fingers.urdf"
@@ -170,6 +172,7 @@ def test_body_option_is_refused_for_a_urdf() -> None:
         pa.load_robot(find_model_folder("urdf") / "pupper_v3.urdf", body="base_link")
 
 
+@pytest.mark.slow
 def test_contact_parameters_and_options_that_a_urdf_cannot_state_are_listed(
     tmp_path: Path,
 ) -> None:
@@ -195,6 +198,7 @@ def test_contact_parameters_and_options_that_a_urdf_cannot_state_are_listed(
     assert not any(word in urdf.read_text() for word in listed)
 
 
+@pytest.mark.slow
 def test_linear_equality_of_joints_becomes_a_mimic(tmp_path: Path) -> None:
     """second = 0.1 - 2 first."""
     (joint,), left = convert_equality(

@@ -112,6 +112,7 @@ def test_converted_urdf_has_the_verdicts_of_its_source(seed: int, tmp_path: Path
     )
 
 
+@pytest.mark.slow
 def test_each_added_element_has_a_reason(tmp_path: Path) -> None:
     """A servo per joint, one floor and one keyframe; each reason is a note of the robot as well."""
     robot = pa.load_robot(write_random_quadruped(tmp_path, 70201))

@@ -24,6 +24,7 @@ def write_edited(folder: Path, file: str, old: str, new: str) -> tuple[Path, Pat
     return folder / "urdf/pupper_v3.urdf", folder / "mjcf/pupper_v3.xml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "old", "new", "lower"),
     [

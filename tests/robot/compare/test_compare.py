@@ -65,6 +65,7 @@ PLACES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", PLACES)
 def test_differences_point_at_the_lines_of_both_files(what: str, tmp_path: Path) -> None:
     kind, urdf, mjcf, *expected = PLACES[what]
@@ -191,6 +192,7 @@ def test_fixed_base_is_compared_in_both_engines(tmp_path: Path) -> None:
     assert comparison.check.passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["equal", "different", "unlimited"])
 def test_json_of_a_comparison_has_all_fields_and_no_infinite_number(
     tmp_path: Path, case: str

@@ -364,6 +364,7 @@ def test_passive_force_is_the_first_difference_and_engines_agree(kind: str, tmp_
     assert edges["models (MuJoCo)" if kind == "motor damping" else EXTRAS_EDGE] > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", UNFELT)
 def test_attribute_without_effect_on_acceleration_is_still_a_difference(
     kind: str, tmp_path: Path

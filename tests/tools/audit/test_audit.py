@@ -621,6 +621,7 @@ def test_equal_ranges_of_all_hinges_are_found_beside_other_joints(
 FLOOR = Edit("<worldbody", '<geom name="floor".*?/>', "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rule", "edits"),
     [
@@ -654,6 +655,7 @@ def test_file_without_ground_is_checked_on_a_default_ground(
     assert bool(find_findings(result, rule)) is bool(rule)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "named"), [(100.0, True), (0.01, True), (10.0, False)])
 def test_individually_identified_motors_are_no_finding(
     factor: float, named: bool, tmp_path: Path

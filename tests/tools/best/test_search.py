@@ -29,6 +29,7 @@ def test_violated_constraints_worsen_a_stance_in_proportion_to_their_sum() -> No
     assert search.merit(None) == np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("objective", "task", "scale"),
     [

@@ -80,6 +80,7 @@ def test_change_since_a_revision_is_not_written_to_the_baseline(folder: Path) ->
     assert check(folder).passed
 
 
+@pytest.mark.slow
 def test_new_file_or_unreadable_old_version_has_no_history(folder: Path) -> None:
     (folder / "mjcf/pupper_v3.xml").write_text("<mujoco>")
     git(folder, "commit", "-qam", "broken")

@@ -105,6 +105,7 @@ def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
     assert "that of 3 *_rotor of 0.089 kg each" in get_cause_message(comparison, "links")
 
 
+@pytest.mark.slow
 def test_missing_link_is_found_despite_rotated_frames(folder: Path) -> None:
     files = write(
         folder, urdf_text(add_rotors()), turned_frames(remove_parts(add_rotors(), "_rotor"), seed=3)

@@ -120,6 +120,7 @@ def hold_rows(rows: int = 4) -> Any:
 NAMED = JOINTS[::-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_states_are_read_and_a_command_holds_until_the_next(
     tmp_path: Path, plugin: StoragePlugin

@@ -157,6 +157,7 @@ def test_fit_overwrites_its_own_models_unless_edited(v3: pa.Robot, tmp_path: Pat
     assert urdf.read_bytes() == first
 
 
+@pytest.mark.slow
 def test_fit_never_overwrites_the_source_files(tmp_path: Path) -> None:
     for name in ("urdf", "mjcf"):
         shutil.copytree(ROOT / name, tmp_path / name)

@@ -185,6 +185,7 @@ def test_hold_refuses_a_free_base_and_stand_refuses_no_feet() -> None:
         pa.solve_stand(arm())
 
 
+@pytest.mark.slow
 def test_any_mass_is_held_without_gravity(tmp_path: Path) -> None:
     """The torque error is relative to the torques under normal gravity, so zero torques give no
     NaN."""

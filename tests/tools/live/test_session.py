@@ -255,6 +255,7 @@ def test_value_that_is_not_finite_changes_no_state(page: Open, value: float) -> 
     assert controls.state == State(roll=2.0)
 
 
+@pytest.mark.slow
 def test_stance_out_of_reach_is_not_simulated(page: Open) -> None:
     page.ask(State(height=500.0))
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")

@@ -187,6 +187,7 @@ def test_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
     assert error < 1e-9
 
 
+@pytest.mark.slow
 def test_tangential_and_rolling_friction_share_one_cone() -> None:
     """Reference: MuJoCo's contact forces, which are on the edge of the cone while a foot is pushed
     and rolls; those of the path must be within.

@@ -67,6 +67,7 @@ def test_pushes_of_two_files_in_a_stance_equal_the_python_result(
     assert imread(figure).std() > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -399,6 +399,7 @@ def test_stand_without_a_push_does_not_move() -> None:
     assert np.ptp(trial.motion, axis=0).max() < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("feedforward", [True, False])
 def test_push_result_states_gains_and_settings(*, feedforward: bool) -> None:
     trial = pa.simulation.simulate_push(

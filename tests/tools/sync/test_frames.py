@@ -145,6 +145,7 @@ def test_positions_inside_a_frame_are_not_changed(tmp_path: Path) -> None:
     assert files_agree(files)
 
 
+@pytest.mark.slow
 def test_body_of_an_offset_joint_is_not_changed(tmp_path: Path) -> None:
     """A change of the joint position would move the body relative to its shapes."""
     text = mjcf_text(ROBOT).replace('<joint name="hip2"', '<joint name="hip2" pos="0 0.01 -0.02"')

@@ -37,6 +37,7 @@ MOTORS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MOTORS)
 def test_effort_of_the_urdf_is_written_before_the_gear(tmp_path: Path, kind: str) -> None:
     """All three permit 15 N m at the joint; 21 N m of the URDF need 7 in place of 5."""

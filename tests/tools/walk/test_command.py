@@ -76,6 +76,7 @@ def test_invalid_input_is_refused_in_one_line(
         check_refusal(capfd, tmp_path, (*words, *more), message)
 
 
+@pytest.mark.slow
 def test_error_is_one_line_if_servos_or_joints_of_the_policy_are_missing(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
