@@ -168,10 +168,10 @@ def _proposed_limit_fields(
 
 
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
-    """Return a joint of a similar limb and the statement of its effort limit; None without one.
+    """Return the corresponding joint of a similar limb and the statement of its effort limit.
 
-    ``null`` are the limits that are zero or negative. The result corresponds to the first joint
-    among them for which a similar limb states a limit.
+    ``null`` are the limits that are zero or negative; the first of these counts for which the files
+    state a limit in a similar limb. None if there is none.
     """
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:

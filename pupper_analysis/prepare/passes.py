@@ -410,7 +410,7 @@ def _limit_continuous_joints(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("takes the narrower of both files' joint limits"), _has_free_base)
 def _narrow_limits(draft: Draft) -> PassOutput:
-    """Apply the narrower of the joint limits of both files."""
+    """Give each joint of the robot the narrower of the limits in URDF and MJCF, and add notes."""
     description, messages = narrow_limits(draft.robot)
     return _rebuild_robot(draft, description), messages
 
@@ -549,7 +549,7 @@ def _choose_solver(draft: Draft) -> PassOutput:
     lambda draft: _stands_on_feet(draft) or _has_fixed_base(draft),
 )
 def _report_uncommanded_joints(draft: Draft) -> PassOutput:
-    """Note coupled joints, and actuators that are not commanded."""
+    """Add notes on the coupled joints, and on the actuators that get no command, of the robot."""
     return draft, (
         *notes.report_coupled_joints(draft.robot),
         *notes.report_uncommanded_actuators(draft.robot),

@@ -495,12 +495,12 @@ def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, 
 def name_remaining_cause(
     robot: Robot, own: OwnRun | None, published: Published | None
 ) -> tuple[OwnRun | None, Published | None]:
-    """Name the cause of a failure for which no other cause was found.
+    """Add the most probable cause to a failed simulation for which no other cause was found.
 
-    If the run from the keyframe fails, the cause is the stiffness of the servos, if the robot
-    stands with stiffer servos. Otherwise the cause is the joint that deviates most, or the
-    divergence of the simulation. If only the comparison with the prediction fails, the cause is the
-    joint that deviates most.
+    If the run from the keyframe fails, the cause is the stiffness of the servos if the robot stands
+    with stiffer servos, otherwise a joint (see `_deviating_joint`) or the divergence of the
+    simulation. If only the comparison with the prediction fails, the cause is the joint that
+    deviates most.
 
     Args:
         robot: Prepared robot.

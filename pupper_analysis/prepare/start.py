@@ -216,8 +216,8 @@ height. The small weight only selects among the postures in which the soles lie 
 tuned."""
 
 _MAX_SOLE_ERROR = 1e-3
-"""Upper bound of the height error of a contact point, and of the CoM offset, relative to the base
-height, with which joint positions are used as initial guess of a stand. Chosen, not tuned: the
+"""Upper bound of the errors of joint positions that are used as initial guess of a stand: height
+error of a contact point, and CoM offset, both divided by the base height. Chosen, not tuned: the
 stand is solved exactly afterwards."""
 
 _LIMIT_CLEARANCE = 1e-9

@@ -134,5 +134,6 @@ def _chain_length(model: mujoco.MjModel) -> float:
 
 
 _MAX_LIMIT_RATIO = 2.0
-"""Assumed largest position of a slide joint in a simulation, relative to its limit, in the bound of
-the robot's displacements: limits in MuJoCo are soft. Chosen, not tuned."""
+"""Largest position that a slide joint is assumed to reach in a simulation, divided by its limit.
+Used for the upper bound of the robot's displacements, because limits in MuJoCo are soft. Chosen,
+not tuned."""

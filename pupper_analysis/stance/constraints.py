@@ -172,9 +172,10 @@ class Loops(Constraint):
         self._closure = closure
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the openings of closed loops minus their static deflection, shape (m,) [m, rad].
+        """Return the openings of closed loops and joint couplings, shape (m,) [m, rad].
 
-        Entries are the equations of the closed loops and joint couplings.
+        An opening is the violation of one equation of a loop or coupling, minus its static
+        deflection.
         """
         left = self._closure.residual(at.qpos)
         return left if goal.give is None else left - goal.give

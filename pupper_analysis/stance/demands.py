@@ -315,9 +315,9 @@ def round_outward(
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
     """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
 
-    ``usual`` is the value in the nominal stand. The number is unchanged if it equals ``usual``, or
-    if rounding would reach ``usual``. Within `_ROUNDING` of ``requested``, it becomes
-    ``requested``.
+    A number within `_ROUNDING` of ``requested`` becomes ``requested``. The number is unchanged if
+    it equals ``usual`` (the value in the nominal stand), or if the rounded number would equal or
+    pass ``usual``.
     """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit

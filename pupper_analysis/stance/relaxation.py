@@ -208,8 +208,8 @@ class _Search:
     def _relax_one(self, demand: str) -> Relaxation | None:
         """Return the smallest relaxation of one demand; None without a feasible relaxation.
 
-        The program may end in a local minimum. If a stand with less relaxation exists, the program
-        starts again from this stand.
+        The nonlinear program may end in a local minimum. If a search finds a stand with less
+        relaxation, the program starts again from this stand.
         """
         relaxation = self._find_smallest([demand], self.starts)
         shares = list(_REDUCTION_SHARES)

@@ -358,7 +358,7 @@ class HomotopyPath:
     def _solve_at(self, share: float) -> Solution | None:
         """Solve the equilibrium with a fraction ``share`` (0 to 1) of the feed-forward removed.
 
-        The set of touching contacts stays that of ``system``. None if no solution is found.
+        The contacts that touch the ground are those of ``system``. None if no solution is found.
         """
         self._set_command(share)
         return self.system.solve(self.solution)

@@ -279,7 +279,7 @@ class Sampling:
 
     @property
     def product(self) -> int:
-        """Number of combinations of all value lists; 0 if a variable is a distribution."""
+        """Number of designs in the full grid of variables; 0 if a variable is a distribution."""
         return math.prod(len(variable.levels or ()) for variable in self.variables.values())
 
     def __len__(self) -> int:

@@ -343,7 +343,7 @@ def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the operation Clip: limits to bounds from its inputs, else from its attributes."""
+    """Return the ONNX operation Clip, with bounds from its inputs, otherwise its attributes."""
 
     def apply(value: Array, low: Any = None, high: Any = None) -> Any:
         low = attributes.get("min", -np.inf) if low is None else low
@@ -353,7 +353,7 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation GRU; None if not forward, or if activations are stated."""
+    """Return the ONNX operation GRU; None if not forward, or with an activations attribute."""
     if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
     reset_after = bool(attributes.get("linear_before_reset", 0))

@@ -190,13 +190,15 @@ def _get_shape_tag(robot: RobotModel, shape: Shape) -> str:
 
 
 def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
-    """Return True if a point is ahead on the axis of a rod that begins at a joint.
+    """Return True if a point is near the axis of a rod that begins at a joint.
+
+    The distance from the joint along the axis is more than two radii. The distance from the axis is
+    less than half a radius, or less than `POSITION_TOLERANCE`.
 
     Args:
         offset: Point relative to the joint, shape (3,) [m].
-        direction: Unit axis of the rod, shape (3,).
-        radius: Radius of the rod [m]. The point must be more than two radii ahead, and less than
-            half a radius, or `POSITION_TOLERANCE`, beside the axis.
+        direction: Unit vector along the rod, away from the joint, shape (3,).
+        radius: Radius of the rod [m].
     """
     along = float(offset @ direction)
     across = float(np.linalg.norm(offset - along * direction))

@@ -787,11 +787,11 @@ class StandEquations:
         return total
 
     def set_noise_point(self, x: Array) -> None:
-        """Take from a parameter vector the values that scale the noise.
+        """Set servo stiffness, mass and dead band that scale the noise, from a parameter vector.
 
-        These are servo stiffness, mass and dead band; until the first call, the stated stiffness
-        and mass, and a dead band of zero. The values are constant during a fit, since the fit would
-        otherwise prefer parameters with large noise.
+        Until the first call, the noise is scaled by the stated stiffness and mass, and by a dead
+        band of zero. The values are constant during a fit, since the fit would otherwise prefer
+        parameters with large noise.
 
         Args:
             x: Parameters, shape (n,).
