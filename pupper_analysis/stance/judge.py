@@ -105,7 +105,7 @@ class Stand(Pictured, Tabular):
 
     @cached_property
     def _statics(self) -> list[tuple[ref[Robot], str, GravityCompensation]]:
-        """Cache of statics: (weak reference to the robot, criterion of contact forces, result)."""
+        """Cached statics, each a tuple (weak reference to the robot, force criterion, result)."""
         return []
 
     def cached_statics(
