@@ -126,7 +126,7 @@ def other_packages() -> Mapping[str, Tool]:
 
 @cache
 def formats() -> Mapping[str, Format]:
-    """Return {name: format} of all formats, our own first."""
+    """Return {name: format} of all file formats besides URDF and MJCF, first of this package."""
     by_name = {}
     packages = {
         **_find_own_packages("format.toml"),

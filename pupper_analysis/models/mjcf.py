@@ -272,7 +272,8 @@ class _WarningSuppressor:
 
 
 _WARNING_SUPPRESSOR = _WarningSuppressor()
-"""Shared suppressor of warnings, which counts the blocks that use it."""
+"""The only suppressor of MuJoCo's warnings in the process, shared by all blocks of
+`silence_mujoco`."""
 
 
 @contextmanager

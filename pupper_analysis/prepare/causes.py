@@ -213,7 +213,10 @@ def _yield_if_any(
 
 
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: integration, and an inaccurate constraint solver."""
+    """Yield candidate causes of a deviation of the published model.
+
+    They are the integration, and an inaccurate constraint solver.
+    """
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
     if not model.actuator_delay.any():  # a delay is stored as a number of samples
@@ -248,7 +251,10 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 
 
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: servos with a bias, a gain unequal to the stiffness, or a delay."""
+    """Yield candidate causes of a deviation of the published model.
+
+    They are servos with a bias, a gain unequal to the stiffness, or a delay.
+    """
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     served = motors[model.actuator_biastype[motors] == affine]
@@ -266,7 +272,10 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield a candidate cause: actuators with a negative gear, which is seldom intended."""
+    """Yield a candidate cause of a deviation of the published model: negative gears of actuators.
+
+    A negative gear is seldom intended.
+    """
     model = published.model
     negative = [
         m for m in _list_actuator_ids(published, robot).tolist() if actuator_gear(model, m)[0] < 0
@@ -278,7 +287,10 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 
 
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: springs, joint limits, fluid forces, and tilted gravity."""
+    """Yield candidate causes of a deviation of the published model.
+
+    They are springs, joint limits, fluid forces, and tilted gravity.
+    """
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
@@ -347,7 +359,10 @@ contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: contacts with low friction (slippery), and soft contacts."""
+    """Yield candidate causes of a deviation of the published model.
+
+    They are contacts with low friction (slippery), and soft contacts.
+    """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     slippery_geoms = np.flatnonzero(_select_bad_contacts(model, "geom", "slippery") & collidable)
@@ -393,7 +408,10 @@ def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
 
 
 def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: contact exclusions between the robot and static bodies."""
+    """Yield candidate causes of a deviation of the published model.
+
+    They are contact exclusions between the robot and static bodies.
+    """
     fixed = {0, *np.flatnonzero(model.body_weldid == 0).tolist()}
     for number in range(model.nexclude):
         pair = divmod(int(model.exclude_signature[number]), 1 << 16)
@@ -405,7 +423,10 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: the contact override, and disabled actuator groups."""
+    """Yield candidate causes of a deviation of the published model.
+
+    They are the contact override, and disabled actuator groups.
+    """
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
     for acts, code, element, field, value in (
         (flags & override, "override", "flag override", "enableflags", flags & ~override),
@@ -457,7 +478,9 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes: actuators that are at no hinge or slide, and slow actuator filters.
+    """Yield candidate causes of a deviation of the published model.
+
+    They are actuators that are at no hinge or slide, and slow actuator filters.
 
     Servos at fixed tendons that drive joints without actuator are commanded, and left out.
     """
@@ -482,7 +505,10 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 
 
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield a candidate cause: joints that move in the file, and are held at zero when loaded."""
+    """Yield a candidate cause of a deviation of the published model: loose joints.
+
+    They move in the file, but the loaded robot holds them at zero.
+    """
     model, loose = published.model, list_unmatched_joints(published, robot)
     named = _name_elements(model, _OBJECT_TYPE.mjOBJ_JOINT, loose)
     yield from _yield_if_any(

@@ -245,22 +245,22 @@ def _register_pass(
 
 
 def _applies_always(_draft: Draft) -> bool:
-    """Return True for every draft."""
+    """Return True for every draft: the condition of preparation steps that always run."""
     return True
 
 
 def _has_free_base_request(draft: Draft) -> bool:
-    """Return True if no fixed base was requested. For passes before the files are matched."""
+    """Return True if no fixed base was requested, for steps before the files are matched."""
     return not draft.request.fixed_base
 
 
 def _has_free_base(draft: Draft) -> bool:
-    """Return True if the base is free. For passes after the files are matched."""
+    """Return True if the base is free, for steps after the files are matched."""
     return not draft.request.fixed_base and draft.match.robot.floating
 
 
 def _has_fixed_base(draft: Draft) -> bool:
-    """Return True if the base is fixed. For passes after the files are matched."""
+    """Return True if the base is fixed, for steps after the files are matched."""
     return not _has_free_base(draft)
 
 

@@ -73,7 +73,7 @@ Chosen, not tuned."""
 def find_carrying_hulls(
     footless: Robot, robot: Robot, feet: Sequence[Foot]
 ) -> tuple[tuple[Foot, ...], Diagnostic] | None:
-    """Find shapes beside soft feet that carry most of their load in the published model.
+    """Find other shapes on the bodies of soft feet that carry most of the load of the feet.
 
     A soft foot may penetrate the ground so far that another shape of its body, such as the convex
     hull of the shank, touches too and is stiffer. The foot's fraction of the load is estimated as
@@ -85,9 +85,9 @@ def find_carrying_hulls(
         feet: Feet, each with contact points.
 
     Returns:
-        Feet, with the other shapes as contact points, and a note. None if the stand on soft ground
-        is not solved, if no other shape touches, or if the feet carry more than half of the load,
-        on average over the feet whose other shape touches.
+        All feet, and a note. Feet whose other shape touches have this shape as contact point.
+        None if the stand on soft ground is not solved, if no other shape touches, or if the own
+        shapes of these feet carry more than half of their load on average.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)

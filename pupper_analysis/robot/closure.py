@@ -63,9 +63,9 @@ step is small, because the stiffness of a soft constraint varies within a millim
 violation. Chosen, not tuned."""
 
 _MAX_COMPLIANCE_FACTOR = 2.0
-"""Largest accepted constraint violation of a loop under load, relative to the static deflection at
-maximum compliance. Larger than 1, because the deflection is computed with the constraint forces of
-the closed loop, not of the deflected loop. Chosen, not tuned."""
+"""Largest accepted violation of a soft loop constraint under load, less `MAX_OPENING`, relative to
+the computed deflection of the constraint. Larger than 1, because the deflection is computed with
+the forces of the closed loop, not of the deflected loop. Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
 """Weight of the Newton step of joints between base and feet, relative to other joints, while loops

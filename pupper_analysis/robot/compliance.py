@@ -31,8 +31,9 @@ _STEP_RTOL = 1e-9
 Chosen, not tuned."""
 
 _DEPTH_RTOL = 4e-16
-"""Distance between lower and upper bound of a penetration, relative to the penetration, at which
-`GroundLaw.depth` ends: about two units of double precision."""
+"""Difference between upper and lower bound of a penetration, relative to the penetration plus the
+contact margin, at which the iteration of `GroundLaw.depth` ends. The value is two roundings of
+double precision (2.2e-16 each)."""
 
 
 @dataclass(frozen=True)

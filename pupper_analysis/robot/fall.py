@@ -201,7 +201,9 @@ def simulate_held_keyframe(
     start: mujoco.MjData,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulate a robot with a fixed base, nudged, for ``keyframe_duration``, to test divergence.
+    """Simulate a robot with a fixed base after a nudge (small velocities), to test divergence.
+
+    The simulated time is ``keyframe_duration``.
 
     Args:
         model: MuJoCo model.

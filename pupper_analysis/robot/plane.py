@@ -177,8 +177,8 @@ class Bar:
     def point_above(self, x: float, y: float) -> Point:
         """Return a point (x, y, z) [m] above this bar, near a horizontal position (x, y) [m].
 
-        The point of the bar's axis that is nearest to (x, y) in the horizontal plane is moved up,
-        perpendicular to the axis: by 1 m for a horizontal bar, by 0 for a vertical bar.
+        It is the point of the bar's axis that is nearest to (x, y) in the horizontal plane,
+        displaced upward, perpendicular to the axis, by 1 m times the cosine of the inclination.
         """
         along = np.array(self.direction)
         level = along[:2] @ along[:2]

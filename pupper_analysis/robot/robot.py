@@ -131,6 +131,7 @@ def _are_equal_efforts(first: float, second: float) -> bool:
 
 
 _T = TypeVar("_T")
+"""Type of an object that is made for a robot, such as a result of `Robot.compute_once`."""
 
 
 _LIMIT_FIELDS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit")

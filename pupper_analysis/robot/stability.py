@@ -96,9 +96,10 @@ def step_derivative(
 def _difference_steps(
     model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Write centred differences of complete MuJoCo steps into ``matrix``, and return it.
+    """Compute the derivative of the next state by the state into ``matrix``, and return it.
 
-    For the integrator RK4, which ``mjd_transitionFD`` does not support.
+    The method is that of centred differences of complete MuJoCo steps, for the integrator RK4,
+    which ``mjd_transitionFD`` does not support. Arguments and shape are those of `step_derivative`.
     """
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
@@ -566,9 +567,13 @@ class _Modes:
 
 
 def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
-    """Return up to `_MAX_NAMED_JOINTS` names with the largest shares, largest first.
+    """Return the names of up to `_MAX_NAMED_JOINTS` joints that move most, the largest first.
 
-    Shares of zero, or below `_MIN_NAMED_SHARE` of the largest share, are omitted.
+    Joints that do not move, or less than `_MIN_NAMED_SHARE` of the largest motion, are omitted.
+
+    Args:
+        shares: {joint: magnitude of its motion}, for example amplitudes [rad, m]; only the ratios
+            count.
     """
     names = sorted(shares, key=shares.__getitem__, reverse=True)
     least = _MIN_NAMED_SHARE * shares[names[0]] if names else 0.0

@@ -341,11 +341,11 @@ def _make_cache(_: Robot) -> _LoadedModel:
 def _build_loaded_robot(
     robot: Robot, place: tuple[str, bytes, str], mass: float, changes: dict[str, Any]
 ) -> Robot:
-    """Build a robot with a payload; from the second mass at a place on, without a compilation.
+    """Build a robot with a payload; from the third mass at a place on, without a compilation.
 
-    The second mass is compiled as well, and both models are compared byte by byte. If they differ,
-    for example because MuJoCo computes the damping of a servo from ``dampratio``, each mass is
-    compiled.
+    The models with the first two masses are compiled. The second model is compared byte by byte
+    with the first model after a change of its mass. If they differ, for example because MuJoCo
+    computes the damping of a servo from ``dampratio``, all masses are compiled.
 
     Args:
         robot: Robot without payload.

@@ -248,13 +248,14 @@ def _count_windows_until_grown(maxima: Array) -> int:
 
 @np.errstate(invalid="ignore", over="ignore")
 def _final_amplitude(lows: Array, highs: Array, count: int) -> float:
-    """Return half the range of the difference in the last windows: the largest over the joints.
+    """Return the amplitude [rad, m] with which the deviation of a joint oscillates at the end.
 
-    A constant difference has the amplitude 0.
+    It is half the range of the deviation in the last windows (intervals of time), for the joint
+    with the largest range; 0 if the deviations of all joints are constant.
 
     Args:
-        lows: Smallest values in n windows, shape (n, joints).
-        highs: Largest values in n windows, shape (n, joints).
+        lows: Smallest deviation of each joint in n windows, shape (n, joints) [rad, m].
+        highs: Largest deviation of each joint in n windows, shape (n, joints) [rad, m].
         count: Number of windows at the end, at least one period of the oscillation.
     """
     return float(np.max(highs[-count:].max(axis=0) - lows[-count:].min(axis=0)) / 2)

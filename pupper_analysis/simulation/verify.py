@@ -552,10 +552,13 @@ def _compare_with_prediction(
 
 
 def _describe_height_loss(result: StandVerification, com_height: float) -> list[Diagnostic]:
-    """Report that the base of a standing robot settles too far below the stand with feed-forward.
+    """Report that the base of a simulated robot with feed-forward settles too far below the stand.
+
+    Empty if the robot collapses, or if the base settles less than `MAX_HEIGHT_LOSS_RATIO` times
+    ``com_height`` lower.
 
     Args:
-        result: Comparison with the prediction.
+        result: Simulation with feed-forward, compared with the prediction.
         com_height: CoM height of the stand above the feet [m].
     """
     share = result.height_loss / com_height

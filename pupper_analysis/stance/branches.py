@@ -413,13 +413,13 @@ class _Descent:
 
 
 def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:
-    """Yield joint positions (nu,) [rad, m] for each combination of a branch per limb, best first.
+    """Yield joint positions (nu,) [rad, m] for each combination of an IK branch per limb.
 
-    The cost of a combination is a sum over limbs: the absolute joint distances to ``near``, plus
-    the foot error beyond 1 um, of which 1 um counts like 1 rad.
+    The combination with the lowest cost comes first. The cost is a sum over limbs: the absolute
+    differences of joint positions from ``near`` [rad, m], plus 1 per um of foot error above 1 um.
 
     Args:
-        found: {limb: its branches}.
+        found: {limb: its IK branches}.
         near: Joint positions, shape (nu,) [rad, m]; joints outside of limbs stay unchanged.
     """
     groups = list(found)

@@ -35,8 +35,9 @@ Array = NDArray[np.float64]
 
 
 _MIN_SUPPORT_WIDTH = 1e-3
-"""Extent of the support region [m], a singular value of its centred corners, below which the
-contacts count as collinear, and the task is rejected: the stand would tip. Chosen, not tuned."""
+"""Width of the support region [m], below which the contacts count as collinear and the task is
+rejected, because the stand would tip. The width is the smaller singular value of the corners minus
+their mean. Chosen, not tuned."""
 
 
 _FIXED_COORDINATES = {1: 3, 2: 5}

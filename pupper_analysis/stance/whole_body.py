@@ -591,9 +591,10 @@ class _PinocchioBody:
         return np.array([pair.distance for pair in pairs])
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
-        """Return the derivatives of `self_clearances` by PlaCo's q, and q.
+        """Return the derivatives of `self_clearances` by the configuration, and the configuration.
 
-        The shapes are (n, nq) and (nq,). Derivatives by the pose of the base are zero.
+        The configuration q is that of PlaCo's robot, shape (nq,). The derivatives of n distances
+        have the shape (n, nq); those by the pose of the base are zero.
         """
         robot, convention = self._config.robot, self._config.robot.pin_convention
         rates = self._collision.shapes.distance_jacobian(self._config, _NUM_NEAREST_PAIRS)

@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 BALANCE_TOLERANCE = 1e-9
 """Largest norm of the residual of the base's balance that counts as zero, relative to the norm of
-the base load (N and N m mixed). Other modules use the same value as tolerance of level normals and
-as relative tolerance of contact forces. Chosen, not tuned."""
+the base load (N and N m mixed). Other modules use the same value to decide whether ground normals
+point upward, and as relative tolerance of contact forces. Chosen, not tuned."""
 
 
 _CONE_MARGIN = 1e-6

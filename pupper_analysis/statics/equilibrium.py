@@ -319,10 +319,10 @@ def balance_load(
     friction = None if held else carrying.friction
 
     def distribute(problem: Balance) -> Array | None:
-        """Return the forces of the requested distribution; None if no forces are feasible.
+        """Return the contact forces by the requested criterion; None if no forces are feasible.
 
-        Feasible forces satisfy the equations of balance ``problem`` and, unless ``held``, the
-        friction cones.
+        Feasible forces satisfy the equations of balance ``problem``, and also the friction cones,
+        unless the feet are treated as glued to the ground (``held``).
         """
         if criterion is ForceDistribution.MIN_MAX_TORQUE:
             return problem.min_max_torque(friction, robot.effort_limits)

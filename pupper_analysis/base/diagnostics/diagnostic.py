@@ -249,7 +249,7 @@ def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ..
 
 
 def _shorten(value: Value) -> Value:
-    """Replace diagnostics in a value of a diagnostic by their short texts, if they have one."""
+    """Return a value of a diagnostic; other diagnostics in it become their short texts, if any."""
     if isinstance(value, tuple):
         return tuple(map(_shorten, value))
     return (value.short or value) if isinstance(value, Diagnostic) else value

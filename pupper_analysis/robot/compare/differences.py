@@ -91,7 +91,8 @@ KIND_ORDER = (
     "option",
     "key",
 )
-"""All kinds. Differences of equal effect are listed in this order."""
+"""All kinds of differences between two models. Differences of equal urgency and effect are listed
+in this order."""
 
 CONVENTION_KINDS = ("base frame", "zero")
 """Kinds of differences in coordinates only, for the same robot."""
@@ -184,7 +185,11 @@ class Difference(Stated, Result):
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Sort key, most urgent repair first: ``tier``, effects, kind, change of a limit."""
+        """Key by which differences are sorted, the most urgent repair first.
+
+        The differences are sorted by ``tier``, then by relative effects, by kind, and by the
+        relative difference of a limit.
+        """
         kind = KIND_ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
         return (
             self.tier,

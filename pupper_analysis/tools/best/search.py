@@ -78,8 +78,9 @@ if derivatives are not known in closed form (`StanceSearch.differentiate_rows`).
 
 _SLACK_REDUCTION = 1e-6
 """Amount by which the nonlinear program reduces the slacks (distances from the bounds) of its
-constraints [1, rad, 0.1 m], except for the penetration, so that descents end at stances without
-violations despite SLSQP's tolerance. Chosen, not tuned."""
+constraints, so that descents end at stances without violations despite SLSQP's tolerance. It is
+1e-6 rad for joint limits and 0.1 um for the CoM margin; see `StanceSlack.to_vector`. The slack of
+the penetration is not reduced. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
 """Weight of the sum of constraint violations in `StanceSearch.merit`, which adds it to the level
@@ -237,9 +238,10 @@ class StanceSearch:
     def list_next_best(self) -> Iterator[EvaluatedStance]:
         """Yield allowed stances from the second best to worse ones, then the initial task's stance.
 
-        Levels (scaled objectives, smaller is better) increase by at least ``_MIN_LEVEL_STEP`` times
-        the difference between the initial and the best level, and remain below the initial level.
-        The best stance is not yielded, unless it is the stance of the initial task.
+        Stances of almost equal level (scaled objective, smaller is better) are skipped: each level
+        exceeds that of the stance before (at first the best) by at least ``_MIN_LEVEL_STEP`` times
+        the difference between the initial and the best level. Stances that are not better than the
+        initial task's are skipped, too.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_LEVEL_STEP * (self.nominal.level - self.best.level)

@@ -507,9 +507,10 @@ def count_findings(remarks: Iterable[Remark]) -> int:
 
 
 def values_agree(first: Any, second: Any) -> bool:
-    """Return True if two values of the remarks in a baseline agree, numbers to `_VALUE_RTOL`.
+    """Return True if the values of two remarks agree, for example of a finding and the baseline.
 
-    Tables need the same keys, lists the same structure.
+    Numbers may differ by `_VALUE_RTOL`, relative to the largest number of their list. Tables need
+    the same keys, lists the same structure.
     """
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return first.keys() == second.keys() and all(

@@ -295,9 +295,9 @@ def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
     """Find whether the second source has the numbers of the first source at other joints.
 
     Returns:
-        {joint: joint that has its number of the second source in the first source}. Empty if the
-        numbers are not a permutation, if they only differ in their signs, or if more than half of
-        the joints have the same number.
+        {joint: other joint, whose number in the first source is that of the joint in the second}.
+        Empty if the numbers are not a permutation, if they only differ in their signs, or if more
+        than half of the joints have the same number.
     """
     a, b = (
         Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)

@@ -315,7 +315,10 @@ class Evaluator:
         )
 
     def _run_raise(self, *_: object) -> None:
-        """Leave a loop, or a function that raises."""
+        """Raise the signal that leaves the innermost loop, or else the function or module.
+
+        For the statements ``raise`` and ``break``.
+        """
         raise _LeaveSignal
 
     _run_break = _run_raise

@@ -210,8 +210,8 @@ def _refuse_mjcf_options(options: MjcfOptions, source: str) -> None:
 def _list_disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterator[Diagnostic]:
     """Yield the differences between source and new file that the notes do not explain.
 
-    Repaired inertials and feet whose meshes were replaced by balls are explained by notes. Other
-    reasons against agreement follow.
+    The notes explain repaired inertials, and feet whose meshes were replaced by balls. The
+    objections of the comparison (reasons against agreement that are no differences) come last.
     """
     repaired = {repair.body for repair in draft.repairs}
     for difference in comparison.differences:

@@ -44,8 +44,9 @@ _MAX_SWEEPS = 30
 """Maximum number of sweeps over all joints in a search. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
-"""Relative gain of torque in a sweep over all joints up to which a search stops, and relative
-variation up to which samples of the torque count as constant (rounding). Chosen, not tuned."""
+"""Increase of the torque in a sweep over all joints, relative to the torque, at or below which the
+search for the largest torque stops. Also the relative variation up to which samples of the torque
+count as constant (rounding). Chosen, not tuned."""
 
 _PEAK_POSITION_ATOL = 1e-6
 """Tolerance [rad, m] of the joint position of a torque maximum between samples. The error of the

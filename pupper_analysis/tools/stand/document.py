@@ -82,7 +82,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
 def _make_pass_table(
     title: doc.Words, passes: Iterable[PassRun], *, detail: bool = False
 ) -> doc.Table:
-    """Create the table of passes, a row per change that a pass made."""
+    """Create the table of preparation steps (passes), with a row per note of each step."""
     rows: list[tuple[doc.Cell, ...]] = []
     for run in passes:
         done = tuple(map(doc.diagnostic_text, run.done)) or (text("nothing-to-do"),)

@@ -83,7 +83,7 @@ class Design:
     def _equilibrium_or_error(self) -> SteadyState | PupperAnalysisError:
         """Steady state without feed-forward, as by the command ``stand``, or the error.
 
-        A search that fails is not repeated.
+        The error is stored, so that a failed computation is not repeated.
         """
         try:
             return steady_state(self.robot, self.simulated_stand)

@@ -237,10 +237,10 @@ SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
 are written to a shard. Chosen, not tuned."""
 
 FIRST_SHARD_SECONDS = 0.5
-"""Smallest time [s] between two written shards (Parquet files of results), also until the first
-shard, unless `SHARD_ROWS` rows are complete: a run that ends early loses little. Later the time is
-a fifth of the elapsed time, at most `SHARD_SECONDS`, so that a long run has few shards. Chosen, not
-tuned."""
+"""Initial time [s] since the last shard (Parquet file) after which the results are written to a
+shard: a run that ends early loses little. Later this time is a fifth of the elapsed time, at most
+`SHARD_SECONDS`, so that a long run has few shards. `SHARD_ROWS` rows are written earlier. Chosen,
+not tuned."""
 
 MAX_CRASHES = 2
 """Number of crashes of a worker with a single design, after which the design is recorded as

@@ -66,16 +66,18 @@ class MirrorPlane:
 
 
 def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane | None:
-    """Find the plane in which the largest number of link pairs are mirror images at zero angles.
+    """Find the plane in which the largest number of left-right link pairs are mirror images.
+
+    All joint positions are zero.
 
     Args:
         robot: Model of the robot.
         tolerance: Largest distance between a link and the mirror image of its partner [m].
 
     Returns:
-        Plane, normal to an axis of the base. If less than a third of the pairs are mirror images in
-        any such plane: the plane of the motion if both links of all pairs are at the same place and
-        all hinges are parallel to one axis of the base, otherwise None. None without pairs.
+        Plane, normal to an axis of the base, that mirrors at least a third of the pairs. If there
+        is none, for a planar robot (both links of each pair at the same place, all hinges parallel
+        to one axis of the base): the plane in which the robot moves. Otherwise None.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:

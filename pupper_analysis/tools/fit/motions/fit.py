@@ -518,7 +518,7 @@ class MotionResiduals:
         noise. The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the prior
         widths, with H = A + P, information A, prior precision P, and B the covariance of the
         gradient under the autocorrelated noise. If the iteration stalled, the outer product of the
-        unrealised step is added.
+        last step, which did not decrease the cost as predicted, is added to the covariance.
 
         Raises:
             FitError: If the iteration does not converge.

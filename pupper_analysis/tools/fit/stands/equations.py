@@ -145,8 +145,9 @@ bound, a force equal to the weight changes the residuals by one standard deviati
 values belong to distributions of the force within a sole. Chosen, not tuned."""
 
 _MIN_READING_INFORMATION = 1e-4
-"""Lower bound of the information that all other readings provide about a joint reading, relative to
-1 / (encoder noise)^2. Prevents a division by zero. Chosen, not tuned."""
+"""Lower bound of the information (1 / variance) about the error of a joint reading that follows
+from all other readings, relative to 1 / (encoder noise)^2. It prevents a division by zero in
+`StandRows.find_contradictions`. Chosen, not tuned."""
 
 
 class StandRows:

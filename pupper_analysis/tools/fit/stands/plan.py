@@ -525,7 +525,11 @@ class RandomStands:
         )
 
     def _solve_task(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
-        """Return the stand and the steady state; if not held, count the reason and return None."""
+        """Return the stand of a task and its steady state with feed-forward, or None.
+
+        None, with the reason counted, if the stand is out of reach, if the servos do not hold the
+        robot on the same feet, or if a motor exceeds `_MAX_UTILISATION` of its limit.
+        """
         robot, smaller_margin = self._robot, _COM_MARGIN_RATIO * self._robot.stand_height
         try:
             try:
