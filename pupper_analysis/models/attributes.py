@@ -200,7 +200,7 @@ TREE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if at
 """Joint parameters with a field in `multibody.TreeJoint`."""
 
 PASSIVE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.resists)
-"""Parameters that resist the motion of a joint independently of the motor."""
+"""Joint parameters that resist motion independently of the motor, such as damping."""
 
 COMPILED_ATTRIBUTES: Final = tuple(
     attribute for attribute in JOINT_ATTRIBUTES if attribute.mujoco or attribute.of_joints

@@ -43,8 +43,9 @@ _MAX_COMBINATIONS = 256
 `_BRANCH_ROUNDS`. Derived from four legs with four branches each."""
 
 _BRANCH_ROUNDS = 4
-"""Upper bound of rounds in which the IK branches are determined. A further round starts if the
-smallest foot error has at least halved. Chosen, not tuned."""
+"""Upper bound of rounds of a stand search. A round determines the IK branches of the limbs near the
+best configuration, and tries their combinations. A further round starts if the smallest foot error
+has at least halved. Chosen, not tuned."""
 
 _CLOSE_MISS = 3e-3
 """Foot error [m] below which configurations with a displaced base are tried as initial guesses.

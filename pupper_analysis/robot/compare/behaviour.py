@@ -124,7 +124,7 @@ def offsets_in_world(
 
 
 def _is_robot_body(robot: Robot, reference: Reference) -> list[bool]:
-    """Return a mask (nbody,) of the bodies of the reference that belong to the robot.
+    """Return a mask (nbody,) of the bodies of a compiled MJCF that belong to the robot.
 
     For a fixed base, all static bodies belong to the robot, as in `pinocchio_from_mujoco`.
     """

@@ -68,11 +68,12 @@ class Solution:
 
 
 def integrate_step(qpos: Array, step: Array) -> Array:
-    """Integrate a displacement in the order of qvel from a configuration; return qpos, (nq,).
+    """Return the configuration, shape (nq,), that is reached from another by a displacement.
 
     Args:
-        qpos: Configuration, shape (nq,).
-        step: Shape (nv,); linear base part in the world frame, angular part in the base frame.
+        qpos: Initial configuration, shape (nq,).
+        step: Displacement in the order of qvel, shape (nv,) [m, rad]; of the base, the linear part
+            is in the world frame, the angular part in the base frame.
     """
     if len(qpos) == len(step):  # the base is fixed
         return qpos + step

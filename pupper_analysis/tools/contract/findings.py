@@ -346,7 +346,11 @@ def _classify_mistake(quantity: str, a: float, b: float) -> tuple[str, str]:
 
 
 def _describe_effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
-    """Return the effects of a difference that follow from both numbers alone."""
+    """Return messages on the effects of a difference on the robot, such as a weaker servo.
+
+    The effects follow from the numbers ``a`` and ``b`` of both sources alone; empty if there are
+    none.
+    """
     if quantity in _ANGLE_QUANTITIES:
         return (diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad")),)
     if not (a and b and math.isfinite(a * b)):

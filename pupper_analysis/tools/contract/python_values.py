@@ -345,7 +345,10 @@ class Evaluator:
                     self.run_statements(statement.body, scope)
 
     def _run_try(self, statement: ast.Try | ast.With, scope: Scope) -> None:
-        """Evaluate the body of ``try`` or ``with``, then ``else`` and ``finally``."""
+        """Evaluate the body of ``try`` or ``with``, then of ``else`` and ``finally``.
+
+        Exception handlers are not evaluated.
+        """
         self.run_statements(
             [
                 *statement.body,

@@ -35,9 +35,9 @@ _TESTED_RANGE_FRACTIONS = (0.29, 0.71, 1.0)
 motion. Chosen, not tuned."""
 
 _NUM_LINEAR_SAMPLES = 24
-"""Number of samples of the torque along the motion of an independent joint, if all dependent joints
-move in proportion. Used if the torque is not a single sinusoid, whose maximum has a closed form.
-Chosen, not tuned."""
+"""Number of positions of an independent joint at which a torque is sampled to find its maximum, if
+all dependent joints move in proportion. A torque that is a sinusoid plus a linear term is not
+sampled: its maximum has a closed form. Chosen, not tuned."""
 
 _NUM_LOOP_SAMPLES = 25
 """Number of samples along the only independent joint of a loop: 3 degrees apart for a gripper.

@@ -290,7 +290,12 @@ class Scene:
         figure.show(True)
 
     def hide(self, name: str) -> None:
-        """Hide the figure ``stand``, ``ghost`` or ``twin``, if it exists."""
+        """Hide a figure, if it exists.
+
+        Args:
+            name: ``stand``, ``ghost`` (transparent figure of a stance) or ``twin`` (simulated
+                figure beside the stand).
+        """
         if name in self._figures:
             self._figures[name].show(False)
 

@@ -121,7 +121,7 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
 
 
 def _describe_limit(limit: PayloadLimit) -> doc.Words | None:
-    """Return the text of the failure above the largest mass; None with unknown torque limits."""
+    """Return the text of the failure that limits the payload; None with unknown torque limits."""
     if limit.unknown_limits and limit.upper_bound > 0:
         return None
     return text("payload-limited", failure=_describe_failure(limit.failure, limit.failing_parts))

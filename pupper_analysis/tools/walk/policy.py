@@ -367,7 +367,10 @@ def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation LSTM; None if not forward, or if activations are stated."""
+    """Return the operation LSTM of an ONNX node, or None if its attributes are not supported.
+
+    Other directions than forward, and stated activation functions, are not supported.
+    """
     if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
 

@@ -43,7 +43,7 @@ MAX_KEYFRAMES = 100
 """Largest number of keyframes of a file that are checked. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
-"""Difference between the command of a keyframe and the joint position [rad, m] above which the
+"""Difference between a servo command and the joint position in a keyframe [rad, m], above which the
 keyframe is reported, for a servo without torque limit. Chosen, not tuned."""
 
 _MIN_TIMESTEP = 1e-4

@@ -71,8 +71,8 @@ _REST_RANGE = 1e-3
 at rest. Chosen, not tuned."""
 
 _REST_WINDOW = 1.0
-"""Duration [s] in which the range of the joint positions decides on rest, and over which the
-positions are averaged. Chosen, not tuned."""
+"""Duration [s] of the last measurements whose range decides whether the robot is at rest, and over
+which the joint positions are averaged. Chosen, not tuned."""
 
 _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
