@@ -380,7 +380,7 @@ _CIRCLE_POINTS = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np
 _SAMPLE_VECTORS = np.concatenate(
     [np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))]
 )
-"""Vectors (66, 3) before normalisation: both directions of each axis, and 60 random vectors."""
+"""Vectors of `COMPARISON_DIRECTIONS` before normalisation, shape (66, 3)."""
 
 COMPARISON_DIRECTIONS = _SAMPLE_VECTORS / np.linalg.norm(_SAMPLE_VECTORS, axis=1, keepdims=True)
 """Directions (66, 3) in which the extents of two shapes are compared: the axes and 60 random

@@ -234,7 +234,7 @@ def make_unique_name(wanted: str, taken: set[str]) -> str:
 
 
 _COMPACT_SECTIONS = {"transmission"}
-"""Elements of a URDF that follow each other without a blank line."""
+"""Tags of the elements of a URDF before which the writer inserts no blank line."""
 
 
 _INVALID_CHARACTERS: Final = re.compile(

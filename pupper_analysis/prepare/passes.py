@@ -275,7 +275,10 @@ def _may_be_altered(draft: Draft) -> bool:
 
 
 def _may_get_servos(draft: Draft) -> bool:
-    """Return True if servos may be added: robot on feet or fixed, and not `as_is`."""
+    """Return True if servos may be added to the robot.
+
+    The robot must have feet or a fixed base, and the caller must permit changes (no ``as_is``).
+    """
     return _may_be_altered(draft) or (_has_fixed_base(draft) and not draft.request.as_is)
 
 
@@ -327,7 +330,11 @@ def _name_elements(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("frees the base of a robot with limbs"), _has_free_base_request)
 def _free_base(draft: Draft) -> PassOutput:
-    """Free a base with at least two limbs, or join the joints of a free base (`free_base`)."""
+    """Add a free joint to a fixed base with at least two limbs; see `free_base`.
+
+    If the base moves by slides and hinges, or a ball joint, that the URDF lacks, the free joint
+    replaces these joints.
+    """
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
 
@@ -763,7 +770,7 @@ def prepare_robot(
 
 
 def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> Draft:
-    """Return the draft after the passes that run when a robot is loaded: all but the deferred."""
+    """Run all preparation passes that are not deferred until first use; return the draft robot."""
     check_simulable(mjcf)
     return _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
 

@@ -371,10 +371,11 @@ def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
 
 
 def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
-    """Return the robot nearest to the middle of a sequence that has a nominal stand; else None.
+    """Return the first robot with a nominal stand, tried from the middle of a sequence outwards.
 
     The robots differ in the start of the search for this stand. A start may fail: the stand needs
-    the CoM in the centre of the feet, and straight legs move the CoM when they are bent.
+    the CoM in the centre of the feet, and straight legs move the CoM when they are bent. None if
+    all fail.
     """
     middle = len(starts) // 2
     ordered = sorted(range(len(starts)), key=lambda number: abs(number - middle))
@@ -411,9 +412,9 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
 def _spread_feet(robot: Robot, pose: Array) -> Array:
     """Return joint positions (nu,) with each foot at a bounded horizontal distance from the hip.
 
-    Legs that are straight to the side, such as a spider's at zero angles, cannot reach the
-    ground from their foot positions. If the legs cannot reach the targets, the result has the
-    smallest foot errors that are found.
+    A foot that is too near or too far in the posture ``pose``, shape (nu,), is moved. Legs that
+    are straight to the side, such as a spider's at zero angles, cannot reach the ground below
+    their feet. If the legs cannot reach the targets, the foot errors are the smallest found.
     """
     qpos = robot.make_qpos(pose)
     config = Configuration(robot, qpos)

@@ -70,8 +70,8 @@ class Clause:
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Return the statements of a verdict, without repetitions.
 
-    If the verdict is good, statements that support the stand come first; if the verdict is bad,
-    statements against the stand, and among these the first one and the causes in the files.
+    Statements that agree with the verdict come first. In a bad verdict, the causes (`_CAUSES`)
+    follow directly after the first statement.
     """
     run_clauses, fails = (
         tuple(make_keyframe_run_clauses(verdict.keyframe_run)),

@@ -197,7 +197,10 @@ class _ShakingRecord:
 
     @np.errstate(invalid="ignore", over="ignore")  # diverged values: not sustained
     def add(self, states: Array) -> None:
-        """Add successive states after each step, shape (n, size), of whole intervals."""
+        """Record the largest speeds in successive simulated states, shape (n, size).
+
+        The states are those after each step of one or more whole ``_CHECK_INTERVAL``.
+        """
         for begin in range(0, len(states) - self._interval + 1, self._interval):
             rows = states[begin : begin + self._interval, self._velocities]
             self._speeds.append(measure_speed_deviation(rows))

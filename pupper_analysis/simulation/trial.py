@@ -48,9 +48,9 @@ _HORIZONTAL_NUDGES = 8
 """Number of horizontal nudges, at equal angles; the first is along world x. Chosen, not tuned."""
 
 _HORIZONTAL_FACTOR = 1 / math.cos(math.pi / _HORIZONTAL_NUDGES)
-"""Factor of the horizontal speeds, so that the octagon of nudges contains the circle with radius
-``BASE_NUDGE_SPEED``: a stand that survives two neighbouring nudges is assumed to survive smaller
-nudges between them."""
+"""Factor on ``BASE_NUDGE_SPEED`` for horizontal nudges: the polygon with the nudge velocities as
+corners then contains the circle with radius ``BASE_NUDGE_SPEED``. A stand that survives two
+neighbouring nudges is assumed to survive smaller nudges between them."""
 
 MAX_JOINT_DEVIATION = 0.1
 """Largest deviation of a joint from the stand [rad, m] after a nudge; beyond, the stand has
@@ -94,8 +94,9 @@ beyond the values that the coordinate has had since the nudge (`_NudgedRun._boun
 as a hundredth of ``MAX_JOINT_DEVIATION``."""
 
 _SPEED_FACTOR = 1.5
-"""Safety factor on the largest measured speed in the bound of the remaining motion, since an
-oscillation may be slower for a while. Chosen, not tuned."""
+"""Safety factor on the largest measured speed, from which an upper bound of the motion in the
+remaining time of a nudged simulation is computed: an oscillation may be slower while the speed is
+measured. Chosen, not tuned."""
 
 _PREDICTION_FACTOR = 1.25
 """Safety factor on the displacements that the linearised MuJoCo step predicts for the remaining

@@ -395,7 +395,11 @@ class _Descent:
         return step
 
     def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
-        """Return position errors of f points in k configurations, (k, f, 3) [m], and Jacobians."""
+        """Return position errors of f contact points in k configurations, (k, f, 3) [m].
+
+        The second result is the derivative by the j joints of the limbs, shape (k, f, 3, j), which
+        is zero for joints that do not move the point.
+        """
         convention, model, data = self._robot.pin_convention, self._model, self._data
         ends = np.empty((len(joints), len(self._last), 3, 4))
         columns = np.empty((len(joints), 1, 6, len(self._joints)))

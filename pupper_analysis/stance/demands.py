@@ -233,10 +233,10 @@ def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 
 
 def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
-    """Return the lower and upper bound of a number of a task under relaxation [m, rad].
+    """Return the bounds (lower, upper) [m, rad] within which a relaxation may change a number.
 
-    Margins, lifts, slopes and steps may only change towards zero; other numbers may change in both
-    directions. ``turns`` is True for an angle.
+    ``value`` is the number in the stand task, and ``turns`` is True for an angle. Margins, lifts,
+    slopes and steps may only change towards zero; other numbers may change in both directions.
     """
     far = _MAX_RELAXATION * robot.stand_height
     if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter

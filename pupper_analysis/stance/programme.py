@@ -89,12 +89,12 @@ class Relaxation:
 
     @property
     def is_met(self) -> bool:
-        """Whether the configuration satisfies the relaxed task to 1e-6 [m, rad]."""
+        """Whether the configuration satisfies the task with changed numbers to 1e-6 [m, rad]."""
         return self.violation <= _SATISFIED_VIOLATION
 
     @property
     def slack(self) -> float:
-        """Sum of the changes of all relaxed values, as lengths / stand height and angles [rad]."""
+        """Sum of the changes of the task's numbers, as lengths / stand height and angles [rad]."""
         return sum(self.relaxations.values())
 
 

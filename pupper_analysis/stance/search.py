@@ -393,11 +393,11 @@ def default_initial_guesses(robot: Robot, goal: Goal) -> Iterator[Array]:
 def minimise_foot_errors(
     context: SearchContext, goal: Goal, qpos: Array, iterations: int = 0
 ) -> Stand:
-    """Minimise the distances of the feet from the targets of a goal, and return this `Stand`.
+    """Minimise the distances of the feet from the targets of a goal; return the resulting `Stand`.
 
     The nonlinear program starts at the configuration ``qpos``, shape (nq,). Clearances are ignored.
     PlaCo's Gauss-Newton steps assume that errors vanish, and end before this minimum.
-    ``iterations`` is the number of quadratic programs so far, for the result.
+    ``iterations`` is the number of quadratic programs solved before, which the stand states.
     """
     feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, goal, feet.minimise_foot_distances(qpos), iterations)

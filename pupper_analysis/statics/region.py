@@ -54,7 +54,7 @@ class SupportRegion(Tabular):
     torque_limits: bool
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {"x", "y": coordinates of the corners [m]}, the columns of the table."""
+        """Return {"x", "y": coordinates [m]} for a table with a row per corner of this region."""
         return dict(zip(("x", "y"), self.corners.T, strict=True))
 
 

@@ -121,7 +121,7 @@ def _describe_group(
 
 
 def _describe_repairs(finding: Finding) -> Iterable[doc.Words]:
-    """Describe the repair of a finding, or the candidates."""
+    """Describe the repair of a finding, or its alternative repairs; nothing without a repair."""
     candidates = [
         (_format_change(repair), doc.diagnostic_text(repair.reason)) for repair in finding.repairs
     ]

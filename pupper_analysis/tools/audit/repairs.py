@@ -273,7 +273,11 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 
 
 def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
-    """Yield the tensor of the mirrored link, if that tensor is possible and the masses agree."""
+    """Yield a repair that replaces a link's inertia tensor by the mirrored one of its twin link.
+
+    Nothing if there is no twin on the other side, if the twin's tensor is physically impossible, or
+    if the masses differ by more than 1 %.
+    """
     mirror = find_mirror_plane(robot)
     twin = None if mirror is None else _find_twin(robot, name)
     link = robot.links[name]

@@ -65,9 +65,9 @@ legs whose feet sink into soft ground. Chosen. Without a reserve, a small distur
 fail: with the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg failed."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
-"""Largest accepted violation of the reserve at the joint limits (`JOINT_RESERVE`) [rad]: a descent
-along this constraint slightly violates it. The reserve is never smaller than this value, so that a
-violation stays inside the joint limits. Chosen."""
+"""Largest amount [rad] by which a joint may enter the reserve at its limits (`JOINT_RESERVE`): the
+optimiser slightly violates this constraint while it follows it. The reserve is at least this
+amount, so the joint stays within its limits and the task's margin. Chosen."""
 
 MIN_MOTION_RCOND = 1e-6
 """Smallest over largest singular value of the contact points' Jacobian by the joints, below which
@@ -101,10 +101,10 @@ class StanceSlack:
     penetration: float
 
     def to_vector(self, reduction: float) -> Array:
-        """Return the slacks of a stance as a vector for the nonlinear program, shape (n,).
+        """Return the constraint slacks of a stance as a vector for the nonlinear program, (n,).
 
-        Order: singular values, joints, edges, penetration. Lengths [m] are multiplied by 10, to
-        have the magnitude of the other slacks.
+        The order is that of the attributes: ``singular_values``, ``joints``, ``edges``,
+        ``penetration``. Lengths [m] are multiplied by 10, to have the magnitude of the others.
 
         Args:
             reduction: Small number that is subtracted from the entries, so that the program ends

@@ -319,9 +319,9 @@ def _has_refusal(remarks: Iterable[Remark]) -> bool:
 
 
 def _drop_repeated(remarks: Iterable[Remark]) -> Iterator[Remark]:
-    """Yield remarks, those about a file that belongs to several pairs only once.
+    """Yield remarks without repetitions, since a file may belong to several pairs of files.
 
-    Differences between two files are not dropped.
+    Remarks on differences between two files are never dropped.
     """
     seen = set()
     for remark in remarks:

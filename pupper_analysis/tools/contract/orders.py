@@ -259,8 +259,9 @@ def _determine_order(
 
 
 MAX_UNLIKE_FRACTION = 1 / 3
-"""Largest fraction of left-right pairs whose numbers are no mirror images, with which a joint order
-that no source states is assumed. Chosen, not tuned."""
+"""Largest fraction of the left-right pairs of values (such as gains) that may contradict the mirror
+symmetry of an assumed joint order. Above, the joint order that no source states remains unknown.
+Chosen, not tuned."""
 
 
 def _compute_unlike_fraction(order: tuple[str, ...], source: Source, model: RobotJoints) -> float:

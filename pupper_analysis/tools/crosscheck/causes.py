@@ -873,7 +873,11 @@ def find_link_mistakes(case: PatternCase) -> PatternFindings:
 
 
 def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
-    """Return the mistake that explains the difference of a body; None if there is none."""
+    """Return the mistake in a body's links that explains the inertial difference of this body.
+
+    Tested mistakes: one file lacks links, or the mass of one link differs by a factor. None if no
+    mistake explains the difference. ``name`` is the joint that moves the body, or the base.
+    """
     first, second = case.first.bodies[name], case.second.bodies[name]
     difference = compute_moments(first) - compute_moments(second)
     if not first.mass or not second.mass or not difference[0]:

@@ -619,7 +619,7 @@ ENGINE_EDGES = ("engines (URDF)", "engines (MJCF)", "yourdfpy (URDF)")
 """Names of the pairs of evaluations (edges) of the same model in two engines."""
 
 MJCF_ENGINE_EDGES = ("engines (MJCF)",)
-"""Those of `ENGINE_EDGES` in which both engines evaluate the MJCF."""
+"""Names in `ENGINE_EDGES` of pairs in which both engines evaluate the MJCF."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -405,7 +405,10 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
 
 
 def _tabulate_quantities(comparison: Comparison) -> doc.Table:
-    """Create the table of the relative deviations of each quantity, a column per edge."""
+    """Create the table of relative deviations: a row per quantity, a column per compared pair.
+
+    A pair consists of two evaluations, for example of one model in two engines.
+    """
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
     sides = [side for side in every if any(side in q.edge_deviations for q in check.quantities)]

@@ -795,7 +795,10 @@ class SimulatedPair:
     def _compare_pair(
         self, before: _SimulatedRun, after: _SimulatedRun
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Compare two simulations; the messages state duration, keyframe and an added ground."""
+        """Return the differences between two simulations as effects, and messages about them.
+
+        The messages state the duration, the initial keyframe and whether a ground was added.
+        """
         seconds = Quantity(min(before.seconds, after.seconds), "s")
         start = self.old.key(0).name if self.old.nkey else ""
         return _compare_runs(

@@ -121,7 +121,10 @@ def _collect_numbers(
 def _set_com_component(
     numbers: dict[Key, float | Array], robot: Robot, parameter: Parameter, value: float
 ) -> None:
-    """Set a component of a CoM among the values; the other components are as in the file."""
+    """Set a component of a link's CoM [m] in ``numbers``, the values that the new files get.
+
+    Components that were not set before are those of the robot's model.
+    """
     model = robot.pin_model
     joint = model.frames[model.getFrameId(parameter.subject, pin.FrameType.BODY)].parentJoint
     com = np.array(numbers.get((parameter.kind, parameter.subject), model.inertias[joint].lever))

@@ -89,9 +89,9 @@ exceeds the product by more than `_MIN_SHIFT`, the robot counts as leaving the s
 tuned."""
 
 _MIN_SHIFT = 1e-3
-"""Growth of the largest joint displacement [rad, m] in the second half of a simulation, in addition
-to the factor `_MAX_SHIFT_RATIO`, up to which it counts as creep of MuJoCo's friction. Measured: v3
-creeps by 0.01 mrad in 12 s."""
+"""Absolute part [rad, m] of the growth that is permitted in the second half of a simulation: the
+largest joint displacement may reach `_MAX_SHIFT_RATIO` times its value at the middle plus this
+amount, because MuJoCo's friction creeps. Measured: v3 creeps by 0.01 mrad in 12 s."""
 
 _MAX_SHIFT = 0.1
 """Displacement of a joint from the stand [rad, m] above which a simulation of the controller has

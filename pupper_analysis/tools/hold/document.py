@@ -131,7 +131,7 @@ def _describe_limit(payload: float) -> doc.Words:
 
 
 def _list_limits(hold: Hold) -> Iterator[doc.Words]:
-    """State the posture of the verdict, its motor with the largest utilisation, its payload."""
+    """Yield a line with the judged posture, its most utilised motor, and the largest payload."""
     loads = tuple(describe_hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)
     yield text(

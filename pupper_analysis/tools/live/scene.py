@@ -388,7 +388,10 @@ class Scene:
             box.wxyz, box.position = step.quaternion, step.centre - rise * normal
 
     def _draw_support(self, described: StandingScene, *, held: bool) -> None:
-        """Draw the support polygon [m, world frame]; its colour shows if the stance is `held`."""
+        """Draw the support polygon in the world frame [m]; ``held`` selects the colour.
+
+        ``held`` is True if the stand can be held and its CoM margin is not negative.
+        """
         points = described.polygon + np.array([0.0, 0.0, 0.005 * self._size])
         padded = np.concatenate([points, np.tile(points[-1], (_NUM_POLYGON_CORNERS, 1))])[
             :_NUM_POLYGON_CORNERS

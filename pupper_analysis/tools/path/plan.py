@@ -120,13 +120,14 @@ def compute_path_sample(
 
 
 def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Return the carrying feet of neighbouring segments in which fewer feet carry load.
+    """Find the adjacent path segments whose loaded feet are a subset of those at a path sample.
+
+    Near the stance that the two segments share, the load moves gradually to or from this subset.
 
     Returns:
-        For the previous and the next path segment, if fewer feet carry there than at the sample
-        ``place``: carrying feet of that segment; nearness of the sample to the stance between the
-        two segments, from 0 (at the other end) to 1 (in this stance); CoM margin [m] in this stance
-        with the feet of that segment.
+        For each such segment, previous or next: its loaded feet; nearness of the sample ``place``
+        to the shared stance, from 0 (other end of the sample's segment) to 1 (in the stance); CoM
+        margin [m] in the shared stance on the loaded feet of the adjacent segment.
     """
     segment, stance_feet = place.segment, place.stand.stance_feet
     return [

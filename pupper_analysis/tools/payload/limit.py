@@ -119,8 +119,8 @@ after a first failure, relative to the first payload that fails (or to the robot
 larger). The bound of a kind that has not failed by then is infinite. Chosen, not tuned."""
 
 VERIFIED_FRACTION = 0.97
-"""Fraction of the limit with which the loaded stance is judged, and simulated with nudges. Chosen,
-not tuned."""
+"""Payload, as a fraction of the computed largest payload, with which the stance is judged and
+simulated with nudges. Chosen, not tuned."""
 
 FAILING_RATIO = 1.03
 """Payload that tests the bound of the servos (computed from eigenvalues), relative to this bound:

@@ -152,7 +152,10 @@ class Design:
         return interval.high - interval.low
 
     def utilisation_at_rest(self) -> float:
-        """Return the largest torque / effort limit at `standing_equilibrium`; NaN if not known."""
+        """Return the largest ratio motor torque / effort limit at `standing_equilibrium`.
+
+        NaN if not known.
+        """
         return _find_peak(compute_utilisation(self.robot, self.standing_equilibrium.joint_torques))
 
 

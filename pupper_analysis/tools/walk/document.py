@@ -124,7 +124,10 @@ def _list_figures(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield how many of several runs track, and the bodies other than feet that touched ground."""
+    """Yield the numbers of runs that track the command and that fall; bodies that touched ground.
+
+    The numbers are omitted for a single run. The bodies are those that are no feet.
+    """
     gaits = walk.gaits
     if len(gaits) > 1:
         yield text(

@@ -166,8 +166,8 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find joints without position limits (URDF type ``continuous``) with stated limits.
 
-    In an MJCF also ranges of joints, tendons and servos from a number to the same number, which
-    MuJoCo ignores: WARNING.
+    In an MJCF, ranges of joints, tendons and servos with equal ends are findings too (WARNING),
+    because MuJoCo ignores such ranges.
     """
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))

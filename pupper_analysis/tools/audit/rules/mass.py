@@ -467,7 +467,8 @@ MIN_EQUAL_FRACTION = 0.75
 density is reported. In 30 published robots with measured masses the largest fraction is 0.44."""
 
 MIN_COMPARED_LINKS = 4
-"""Smallest number of links with mass and known volume, for a comparison. Chosen, not tuned."""
+"""Smallest number of links with mass and known volume for which the rule `one_density` compares the
+densities of a robot. Chosen, not tuned."""
 
 COPY_RTOL = 1e-3
 """Relative difference of mass and volume up to which a link is a copy of another. Mirrored meshes

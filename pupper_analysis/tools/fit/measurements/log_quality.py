@@ -55,12 +55,13 @@ _MAX_OPPOSED_CORRELATION = -0.7
 gives 0, and servos are not slower. Chosen, not tuned."""
 
 _MIN_OWN_CORRELATION = 0.5
-"""Correlation of a position with the command of the same joint below which the column may be that
-of another joint. Chosen, not tuned."""
+"""Correlation of the positions in a log column with the commands of the same joint, below which the
+column may contain the positions of another joint. Chosen, not tuned."""
 
 _MIN_OTHER_CORRELATION = 0.9
-"""Correlation of a position with another joint's command above which the column belongs to that
-joint. Joints with similar commands have high correlations with both. Chosen, not tuned."""
+"""Correlation of the positions in a log column with the commands of another joint, above which the
+column is reported as that joint's, if the correlation with the own commands is also below
+`_MIN_OWN_CORRELATION`. With similar commands both correlations are high. Chosen, not tuned."""
 
 _MAX_INTERVAL_DEVIATION = 0.3
 """Standard deviation of the sampling intervals, as a share of the median, above which a log has

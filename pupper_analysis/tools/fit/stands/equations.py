@@ -290,9 +290,10 @@ class StandRows:
         ), step
 
     def _project_out_unknowns(self, columns: Array) -> tuple[Array, float, Array]:
-        """Project whitened columns onto the complement of the unknowns of a stand.
+        """Whiten columns by the noise, and eliminate the stand's own unknowns by projection.
 
-        The first column of ``columns``, shape (m, n), contains the residuals.
+        The own unknowns of a stand are base tilt, base height and contact forces. The first column
+        of ``columns``, shape (m, n), contains the residuals.
 
         Returns:
             Projected columns, log determinant of the noise covariance, and Gauss-Newton step of
