@@ -246,7 +246,7 @@ def shorten(value: object, other: object = None) -> str:
 
 
 def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list[str]:
-    """Return the short texts of the items of a vector, beside those of ``other`` (`shorten`)."""
+    """Return a short text per item of a vector, with digits as `shorten` beside ``other``."""
     items = list(values)
     compared = list(other) if isinstance(other, tuple | list | np.ndarray) else []
     if len(compared) != len(items):

@@ -31,7 +31,8 @@ _UNSUPPORTED_COUNTS: Final = {
     "nplugin": "plugin",
     "nplastic": "springyield",
 }
-"""{count of a model: element that is not written to a spec}."""
+"""{field of a MuJoCo model with the number of such elements: name of the element for messages}. A
+model with one of these elements cannot be converted to a spec, and is refused."""
 
 # Fields of the elements of a spec that are copied from the arrays of a model. A tuple contains the
 # common name of both; a mapping is {field of the spec: array of the model without the prefix}.

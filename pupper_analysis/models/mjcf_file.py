@@ -704,7 +704,7 @@ class MjcfFile:
         return self._model
 
     def check_compiled(self) -> None:
-        """Raise an error if MuJoCo refuses this file, or compiles a bad number (``refusal``).
+        """Raise an error if MuJoCo refuses this file, or a number of the model is not valid.
 
         Raises:
             ModelError: As for `model`.

@@ -240,7 +240,10 @@ def _read_text(text: str, name: str, packages: Mapping[str, Path] | None) -> Urd
 def _read_urdf(
     path: Path, text: str, packages: Mapping[str, Path] | None, note: Diagnostic
 ) -> UrdfFile:
-    """Return the URDF of a text, without line numbers."""
+    """Read a URDF from a text without a file; the elements get no line numbers.
+
+    ``note`` is put in front of the notes of the URDF.
+    """
     root = parse_file_text(path, text)
     forget_lines(root)
     file = urdf_from(path, text, root, packages)

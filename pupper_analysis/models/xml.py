@@ -50,8 +50,8 @@ _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.
 """Start of a text with a DOCTYPE, which precedes the root element."""
 
 MAX_NUMBER: Final = 1e50
-"""Maximum absolute value of a mass, length or moment. Products of six such numbers do not overflow.
-"""
+"""Maximum absolute value of a mass, length or moment of inertia in a model file [SI units]; larger
+numbers are refused. Products of six such numbers do not overflow."""
 
 
 def parse_xml(path: Path) -> tuple[str, etree._Element]:

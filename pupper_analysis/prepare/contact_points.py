@@ -468,10 +468,11 @@ def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoin
 def _find_corner_balls(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Return coplanar balls at the corners of a sole with outward normal ``out`` (3,).
+    """Return contact spheres at the corners of a sole, which touch a common plane.
 
-    If a corner were a tenth of a millimetre off the plane, the foot would tilt by milliradians
-    to rest on three balls.
+    ``out`` is the outward normal of the sole in the body frame, shape (3,). If a corner were a
+    tenth of a millimetre off the plane, the foot would tilt by milliradians to rest on three
+    spheres.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

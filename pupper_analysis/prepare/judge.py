@@ -233,10 +233,11 @@ def _fail_if_upset(
     *,
     fragile: bool,
 ) -> Outcome:
-    """Return the simulation result ``fed``, marked as failed if the stand fails after a nudge.
+    """Return the result of a simulation, marked as failed if the stand fails after a nudge.
 
-    A nudge is a velocity disturbance. Without its result ``trial``, nudges are simulated if the
-    stand is near a limit or ``fragile``: the stand fails without feed-forward, and the contacts may
+    ``fed`` is the result of the simulation with feed-forward. A nudge is a small velocity of the
+    base. If ``trial``, the result of the nudges, is None, the nudges are simulated here, but only
+    if the stand is near a limit or ``fragile``: it fails without feed-forward, and its contacts may
     chatter after a nudge.
     """
     if trial is None:

@@ -532,7 +532,7 @@ def _use_hulls_as_feet(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("lets feet alone touch the ground"), _may_be_altered)
 def _disable_shapes_beside_feet(draft: Draft) -> PassOutput:
-    """Disable the contacts of other shapes on the foot bodies near the ground."""
+    """Disable the contacts of shapes on a foot's body near the ground; keep the foot's own."""
     robot, messages = touching.disable_shapes_beside_feet(draft.robot)
     return replace(draft, built=robot), messages
 

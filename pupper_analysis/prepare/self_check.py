@@ -112,11 +112,11 @@ def compare_as_published(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Published | None:
-    """Compare the published file with the prediction for a stand.
+    """Compare a simulation of the unmodified model file with the prediction for a stand.
 
     If the robot was changed after loading, has welds, or stands on ground that is not level, the
     nominal stand of the robot as loaded is compared instead of ``stand``. If the caller passed
-    gains, the published model gets the same gains.
+    gains, the model of the file gets the same gains.
 
     Args:
         robot: Prepared robot.
@@ -554,7 +554,10 @@ def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
 
 
 def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Find elements that make the run of the unmodified file fail, by changes of model copies."""
+    """Find the elements because of which a simulation of the unmodified file fails.
+
+    The elements are changed in copies of the model, which are simulated again (`_test_causes`).
+    """
     model = published.model
     candidates, physical = (
         list_difference_causes(published, robot),

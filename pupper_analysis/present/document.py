@@ -93,7 +93,7 @@ def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
 
 
 def _fill_short(template: str, values: Mapping[str, object]) -> str:
-    """Fill the template of a short English text, with the short forms of the texts in it."""
+    """Fill the template of a short English text; insert texts in their short form, if any."""
     shortened = {
         name: value.short if isinstance(value, Text) and value.short else value
         for name, value in values.items()

@@ -94,7 +94,7 @@ def _write_document(document: Document, *, whole: bool) -> list[str]:
 
 
 def _write_block(block: object) -> list[str]:
-    """Return the parts of a block; a block marked as detail in a folded section."""
+    """Return the Markdown parts of a block; those of a detail as a single folded section."""
     parts = _make_parts(block)
     if parts and getattr(block, "detail", False):
         return [_fold_text(_escape_words(_get_title(block)), "\n\n".join(parts))]

@@ -456,7 +456,7 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
 
 
 def describe_cause(cause: Cause) -> Diagnostic:
-    """Create the message about a cause why the unmodified file, simulated, deviates from a stand.
+    """Create the message that explains why the simulated unmodified file deviates from a stand.
 
     Raises:
         KeyError: If the code of the cause is unknown.

@@ -144,9 +144,9 @@ _NEUTRAL_RATE = 1e-4
 decaying [1/s]: such a mode needs two hours or more to double. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
-"""Error of a well-conditioned eigenvalue of a step, measured for finite differences with
-``DIFFERENCE_STEP``. An eigenvalue with a smaller absolute value, or a smaller angle [rad], is
-therefore not counted as an oscillation."""
+"""Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step, measured for
+finite differences with ``DIFFERENCE_STEP``. A mode whose eigenvalue has a smaller absolute value,
+or a smaller angle in the complex plane [rad], is therefore not counted as an oscillation."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
 """Upper bound of the error of an ill-conditioned eigenvalue near 1. For example, a wheel that rolls
@@ -547,7 +547,10 @@ class _Modes:
         )
 
     def _mode_direction(self, mode: int) -> Array:
-        """Return a mode's real direction, shape (2 nv + na,), scaled to a largest position of 1."""
+        """Return the real part of a mode's eigenvector, shape (2 nv + na,).
+
+        The eigenvector is divided by its largest position component (one of the first nv).
+        """
         vector = self._vectors[:, mode]
         largest = vector[int(np.abs(vector[: self._model.nv]).argmax())] if self._model.nv else 1.0
         return np.asarray(np.real(vector / largest)) if largest else np.real(vector)

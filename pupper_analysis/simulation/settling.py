@@ -93,11 +93,10 @@ _MIN_SHAKING_SPEED = 1e-2
 ``_CHECK_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``."""
 
 _MIN_SHAKING_RATIO = 0.92
-"""Lower bound of the ratio of the largest speed in a second to that in an earlier second, within
-``_SHAKING_SECONDS``, with which shaking counts as sustained. Derived: an exponential decay with
-this ratio over 2 s has a time constant of 24 s; within the thirds of the longest nudged simulation
-(7 s) its ratio is 0.907, with which `measure_response` does not count the motion as decayed
-(limit 0.9)."""
+"""Smallest ratio (largest speed in a second) / (largest speed in an earlier second) within
+``_SHAKING_SECONDS`` with which shaking counts as sustained. Derived from `measure_response`, in
+which a motion has decayed if the ratio of the speeds in successive thirds is at most 0.9: a decay
+by 0.92 in 2 s gives the ratio 0.907 in the longest nudged simulation (7 s)."""
 
 _DISPLACEMENT_RATE_FACTOR = 2.0
 """Safety factor on the rate at which a displaced foot has returned toward its target in the last

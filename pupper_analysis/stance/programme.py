@@ -45,10 +45,10 @@ to a stand: without slacks, all of 1,500 took 12 or fewer; with slacks, 90 % of 
 fewer."""
 
 _FINE_UNIT = 200.0
-"""Stand height divided by the smallest unit of length of the second minimisation of foot distances.
-The unit is the distance that the first minimisation leaves, but not less than this smallest unit.
-Measured with flat minima: with larger units (stand heights) and with smaller units (a thousandth),
-SLSQP stops before the minimum."""
+"""Divisor of the stand height, which gives the smallest unit of length in the second run of
+`minimise_foot_distances` [1]. The unit is the foot distance that the first run leaves, but not less
+than this bound. Measured with flat minima: with a larger unit (the stand height) and with a smaller
+one (a thousandth of it), SLSQP stops before the minimum."""
 
 _MAX_ITERATIONS = 100
 """Upper bound of the SLSQP iterations in the second run of `minimise_foot_distances`, which uses a

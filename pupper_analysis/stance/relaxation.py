@@ -247,9 +247,10 @@ class _Search:
         return relaxation
 
     def _verify(self, relaxation: Relaxation | None) -> _StatedRelaxation | None:
-        """Return the rounded relaxation, increased if necessary, with its stand.
+        """Round the values of a relaxed task; return the relaxation with the stand of the task.
 
-        None without a relaxation above `_MIN_RELAXATION`, or if no rounded task has a stand.
+        If the rounded task has no stand, the relaxation is increased (`_EXTRA_RELAXATIONS`). None
+        if no requirement is relaxed by more than `_MIN_RELAXATION`, or no rounded task has a stand.
         """
         if relaxation is None:
             return None

@@ -238,6 +238,6 @@ def list_entries(file: str) -> Mapping[str, str]:
 
 @cache
 def _parse_entry(file: str, key: str) -> Mapping[str, str]:
-    """Return {language: text} of a one-line entry."""
+    """Return {language: text} of an entry of a catalogue file, from its single TOML line."""
     texts: dict[str, str] = tomllib.loads(f"entry = {list_entries(file)[key]}")["entry"]
     return MappingProxyType(texts)

@@ -213,7 +213,7 @@ class Difference(Stated, Result):
 
     @property
     def _max_ranked_effect(self) -> float:
-        """Largest relative effect on forces, accelerations and positions."""
+        """Largest relative effect of this difference on one of `_RANKED_QUANTITIES` [1]."""
         effects = (
             self.effects[name].relative for name in _RANKED_QUANTITIES if name in self.effects
         )

@@ -258,12 +258,13 @@ def find_limit_offset(first: TreeJoint, second: TreeJoint) -> float:
 def _candidate_steps(
     first: MultibodyTree, second: MultibodyTree, name: str, *, still: bool
 ) -> Iterator[Array]:
-    """Yield candidate displacements (3,) [m] of the origin of a joint, in the axes of the body.
+    """Yield candidate displacements (3,) [m] of a joint's origin in the tree ``second``.
 
-    The first candidate is zero. A hinge then has two candidates along its axis: the components of
-    the displacement to the origin in the first tree, and of the median displacement of the points
-    on the body (`_matching_points`). A slide has both displacements, and the part of the first one
-    that is perpendicular to the axis; if ``still``, a slide is not displaced.
+    They are expressed in the axes of the body that the joint moves. The first is zero. The others
+    derive from two vectors: d, from the origin to that in the tree ``first``, and m, the median
+    displacement of the points on the body (`_matching_points`). For a hinge they are the components
+    of d and m along the axis; for a slide d, m and the part of d perpendicular to the axis, or none
+    if ``still``.
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]

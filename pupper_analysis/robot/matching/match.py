@@ -472,7 +472,9 @@ def _unify_joints(
     only_urdf: Collection[str],
     only_mjcf: Collection[str],
 ) -> Mimics:
-    """Fix the joints that one file lacks, and rename the URDF's joints as in the MJCF, in place.
+    """Make the joints that one file lacks immovable; rename the URDF's joints as in the MJCF.
+
+    Both models are modified in place.
 
     Returns:
         The URDF's mimic couplings, in the new names; they are removed from the URDF.

@@ -153,7 +153,10 @@ class ContactKinematics:
 
     @cached_property
     def _depth_rates(self) -> Array:
-        """Derivative of the penetrations by the motion (nv,), shape (n, nv) [m/rad, m/m]."""
+        """Derivatives of the penetrations of n contact points, shape (n, nv) [m/rad, m/m].
+
+        The derivatives are with respect to displacements in the nv degrees of freedom of the robot.
+        """
         deeper: Array = -(self._normals[:, None] @ self._centre)[:, 0]
         return deeper
 
@@ -757,11 +760,12 @@ class SagEquilibrium:
         return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}
 
     def violation_of(self, foot: str, solution: Solution) -> float:
-        """Return the pull of a touching contact [N], or the penetration of another point [m].
+        """Return the violation of the assumed contact state of a point; positive if violated.
 
-        A positive value contradicts the solution. The penetration includes the contact margin, and
-        is reduced by `CONTACT_DEPTH_TOLERANCE`. The pull of a touching point of a sole is zero: its
-        equation between depth and force permits none.
+        For a point that is assumed in contact, the violation is the force [N] with which the ground
+        would pull the point; zero for a point of a sole, whose equation between depth and force
+        permits no pull. For another point it is the penetration [m] plus the contact margin, minus
+        `CONTACT_DEPTH_TOLERANCE` times the stand height.
         """
         if foot in self.anchors:
             # The depth equation of a sole point has no pull.

@@ -260,13 +260,14 @@ def _read_file(request: Request) -> list[Source]:
 
 
 def _select_configurations(request: Request, sources: Sequence[Source]) -> list[Source]:
-    """Select the configurations of a file.
+    """Select the configurations (named sets of values) of a file that are compared.
 
-    Configurations with the same content are merged. A trainer's configuration is dropped if all
-    statements are also in another configuration.
+    Of configurations with the same content, one is kept. In a file of a training program, a
+    configuration is also dropped if another one contains all of its values.
 
     Raises:
-        ModelError: If a trainer's file has several configurations left, or none is found.
+        ModelError: If a file of a training program has several configurations left, or if no
+            configuration is found.
     """
     kept = list({source.content: source for source in reversed(sources)}.values())[::-1]
     if kept and kept[0].role is Role.TRAINER:

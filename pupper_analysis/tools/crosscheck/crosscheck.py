@@ -371,7 +371,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
 
 
 def _collect_body_values(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
-    """Return masses, CoMs and inertias of bodies, as quantities of an evaluation."""
+    """Return {quantity: masses [kg], CoMs [m] or inertias [kg m^2]} of bodies, a value each."""
     return {
         "body masses": [body.mass for body in bodies],
         "body coms": [np.array(body.lever) for body in bodies],

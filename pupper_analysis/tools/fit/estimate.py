@@ -41,7 +41,7 @@ damping is raised. Chosen, not tuned."""
 _MAX_CORRECTIONS = 2
 """Maximum number of second-order corrections to an undamped step that decreases the cost too
 little. The cost has curved valleys: inertia is quadratic in large CoM displacements, and without a
-weight, masses and kp are determined only by their ratio. Chosen, not tuned."""
+known added mass only the ratios of masses and kp are determined. Chosen, not tuned."""
 
 _MAX_UNREALISED_DECREASE = 1.0
 """Largest predicted decrease of the cost (chi2 plus prior) with which a stalled fit still ends

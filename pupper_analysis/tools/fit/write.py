@@ -71,7 +71,11 @@ class FitFiles:
 
 
 def _round_parameters(vector: Array, posterior: Posterior) -> Array:
-    """Return the parameters rounded by the standard deviations; unchanged parameters as stated."""
+    """Return the fitted parameters, rounded according to their standard deviations.
+
+    A parameter within `_UNCHANGED_STDS` standard deviations of the value in the model files gets
+    that value.
+    """
     return np.array(
         [
             parameter.stated
@@ -204,9 +208,9 @@ rejects robots below `_MIN_FACTOR`. If the rounds are not enough, fewer samples 
 Chosen, not tuned."""
 
 _MIN_FACTOR = 0.1
-"""Lower bound of masses and kp, as a fraction. Written estimates below this fraction of the value
-stated in the files are raised to it; random robots with less than this fraction of a written value
-are rejected. Chosen, not tuned."""
+"""Lower bound of masses and kp, as a fraction. Estimates below this fraction of the value in the
+model files are raised to it before they are written; robots that are drawn at random from the
+fitted distribution are rejected below this fraction of a written value. Chosen, not tuned."""
 
 
 _SAMPLES_HEADER = """\

@@ -62,8 +62,9 @@ the spectrum is evaluated. Chosen, not tuned."""
 
 _MAX_SLOW_SPEED = 0.02
 """Largest velocity of any degree of freedom within the last ``_SLOW_DURATION`` [m/s, rad/s] with
-which the spectrum is evaluated. A robot that almost tips may be as slow for a while, but its
-spectrum then contains the mode of the fall. Chosen, not tuned."""
+which a pushed robot may count as at rest. A robot that almost tips may be as slow for a while;
+therefore the eigenvalues of the linearised motion (spectrum) are evaluated then, which contain the
+mode of the fall. Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.004
 """Time between the states whose ground contacts or motor torques are evaluated [s]. Chosen, not

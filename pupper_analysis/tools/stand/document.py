@@ -184,9 +184,11 @@ def _select_next_step(stance: Stance) -> NextStep:
 
 
 def _stiffen_servos(run: StandVerification) -> NextStep:
-    """Return `stand` with kp and kd times `STIFFNESS_FACTOR`, with which the file's robot stands.
+    """Return the next command after too soft servos, `stand` with larger kp and kd.
 
-    If the gains of the joints differ, the command computes the minimum stiffness instead.
+    The gains are `STIFFNESS_FACTOR` times the present gains; with this factor the unmodified file
+    stands in a simulation. If the gains of the joints differ, the command is instead
+    ``stand --minimum-stiffness``.
     """
     if np.ptp(run.kp) or np.ptp(run.kd):
         return NextStep("stand", ("--minimum-stiffness",))

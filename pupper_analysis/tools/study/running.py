@@ -596,7 +596,7 @@ class StudyRun:
         self._store_rows(({"design": name, **values, **columns},))
 
     def _store_rows(self, rows: Iterable[Row]) -> None:
-        """Add rows to the next shard and count failures."""
+        """Add the result rows of designs to the next table file (shard); count the failures."""
         for row in rows:
             self._rows.append(row)
             self.progress.done += 1

@@ -64,7 +64,11 @@ class _PrimCounter:
         return self._counts[key]
 
     def _count_spec(self, layer: Any, spec: Any) -> int:
-        """Return the number of prims of a prim spec: itself, its children, and composition arcs."""
+        """Return the number of prims that a prim specification in a layer can produce.
+
+        Counted are the prim, its children and variants, and the prims that it references, loads as
+        payload, inherits or specialises.
+        """
         from pxr import Sdf
 
         total = 1 + sum(self.count(layer, child.path) for child in spec.nameChildren)

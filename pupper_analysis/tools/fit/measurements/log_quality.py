@@ -178,12 +178,11 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
 def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
     """Yield a diagnostic that lists the joints whose command follows the position.
 
-    A servo supplies the energy that friction dissipates: over a motion the integral of (command -
-    position) d position is positive. With swapped columns this integral is negative, and so is the
-    integral of (command - position) d command, which is larger by [(command - position)^2] / 2
-    between start and end. A joint is listed if both integrals are clearly negative
-    (`_MAX_SWAPPED_CORRELATION`). A single negative integral is no evidence: the motion may end with
-    a loaded servo, or the load may have decreased.
+    Their columns are probably swapped. A servo supplies the energy that friction dissipates, so
+    over a motion the integral of (command - position) d position is positive. With swapped columns
+    it is negative, and so is the integral of (command - position) d command. A joint is listed if
+    both are clearly negative (`_MAX_SWAPPED_CORRELATION`); a single one may be negative because the
+    load of the servo differs between start and end.
     """
     backwards = []
     for index in moving:

@@ -442,10 +442,10 @@ class MotionResiduals:
         """Linearise the whitened residuals of all runs, for ``estimate_parameters``.
 
         The residuals are predicted minus measured joint positions, divided by the long-run standard
-        deviation of the noise. Noise and derivatives are those of earlier calls, unless ``moments``
-        is the same object as ``noise_point``. Then the noise is estimated from the new residuals;
-        the derivatives are also evaluated again if the parameters are farther than
-        `_MAX_DERIVATIVE_DISTANCE` from those of the last evaluation.
+        deviation of the noise. If ``moments`` is the same object as ``noise_point``, the noise is
+        estimated again from these residuals, and the derivatives are evaluated again if the
+        parameters are farther than `_MAX_DERIVATIVE_DISTANCE` from those of the last evaluation.
+        Otherwise noise and derivatives of earlier calls are used.
 
         Args:
             moments: Parameters in first-moment coordinates (`MomentCoordinates`), shape (n,).

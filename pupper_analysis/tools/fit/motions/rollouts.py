@@ -567,9 +567,10 @@ class MomentCoordinates:
         )
 
     def _compute_mass_ratio(self, vector: Array) -> Array:
-        """Return stated over estimated mass, m0 / m, for each CoM coordinate of a parameter vector.
+        """Return the mass ratio m0 / m of the body of each CoM coordinate of a parameter vector.
 
-        m is at least `MIN_MASS_FRACTION` times m0.
+        m0 is the mass in the model files, and m the mass in the vector, but at least
+        `MIN_MASS_FRACTION` times m0.
         """
         min_mass = MIN_MASS_FRACTION * self._stated_mass
         return np.asarray(self._stated_mass / np.maximum(vector[self._masses], min_mass))

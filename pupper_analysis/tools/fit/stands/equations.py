@@ -1002,7 +1002,11 @@ class StandEquations:
         return errors, stds
 
     def _apply_step(self, stand: int, step: Array) -> None:
-        """Add a step (3 + 3 p,) to a stand's base tilt [rad], height [m] and contact forces [N]."""
+        """Add a step to the unknowns of a stand.
+
+        The step, shape (3 + 3 p,), contains the base tilt about x and y [rad], the base height [m]
+        and the forces at p contact points [N].
+        """
         base, forces = self._unknowns[stand]
         half_x, half_y = step[:2] / 2
         rotation = pin.Quaternion(*base[:4]) * pin.Quaternion(1.0, half_x, half_y, 0.0)

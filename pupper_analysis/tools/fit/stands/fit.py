@@ -548,7 +548,10 @@ tested."""
 def _fit_without_contradictions(
     fit: Callable[[MeasuredStands], StandFit], stands: MeasuredStands
 ) -> StandFit:
-    """Fit stands; leave out one by one the stands in which a foot contradicts the data.
+    """Fit measured stands; leave out, one by one, stands with contradictory foot contacts.
+
+    In such a stand a foot that is listed as in the air would touch the ground, or the ground would
+    pull a foot.
 
     Raises:
         MeasurementError: If more than a quarter would be left out (the first contradiction is
