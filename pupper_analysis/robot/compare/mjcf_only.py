@@ -119,7 +119,7 @@ _DISABLING_FLAGS = {
     "dampingpoly": (DISABLE.mjDSBL_DAMPER,),
     "frictionloss": (DISABLE.mjDSBL_FRICTIONLOSS,),
 }
-"""{attribute of an MJCF element: flags of MuJoCo, each of which disables the attribute's effect}."""
+"""{attribute of an MJCF element: flags of MuJoCo, each of which disables the attribute}."""
 
 
 class NamedModel:
