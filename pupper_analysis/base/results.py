@@ -215,8 +215,8 @@ class Tabular(Result):
 def shorten(value: object, other: object = None) -> str:
     """Return a short text for a value: floats with 6 digits, long containers by size.
 
-    Floats, also those of a short vector, get more digits if they differ from the corresponding
-    number of ``other``, the value that is printed beside them, but would have the same text.
+    ``other`` is the value that is printed beside ``value``. If two different floats, or elements of
+    short vectors, would have the same text with 6 digits, more digits are used.
     """
     if isinstance(value, Enum):
         return repr(value.value)

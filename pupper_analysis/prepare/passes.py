@@ -307,7 +307,7 @@ def _find_requested_feet(
 def _must_fix_base(draft: Draft) -> bool:
     """Return True if the base may be fixed, and the robot cannot stand with a free base.
 
-    The base may be fixed if the file has none that moves freely (`Draft.may_fix_base`). The robot
+    The base may be fixed if the file has no free base (`Draft.may_fix_base`). The robot
     cannot stand if an earlier pass has failed, or if it has no nominal stand.
     """
     if not draft.may_fix_base or draft.refused:

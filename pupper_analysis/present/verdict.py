@@ -467,7 +467,7 @@ def describe_cause(cause: Cause) -> Diagnostic:
 
 
 _FILES_DIFFER_CODE = "files-differ"
-"""Code of the statement on the first difference between a URDF and an MJCF that are one robot."""
+"""Code of the statement that a robot's URDF and MJCF differ, with the first difference."""
 
 _CAUSES = (_FILES_DIFFER_CODE, "motors-overloaded")
 """Codes of statements that explain a bad verdict. They follow its first statement."""

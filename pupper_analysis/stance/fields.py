@@ -33,7 +33,7 @@ UNIT_BY_KIND = {
     "damping": "N m s/rad",
     "contact": "m",
 }
-"""{kind of a field: SI unit of the numbers}."""
+"""{kind of a field of the stand task: SI unit of its numbers}."""
 
 _AXES_BY_KIND = {"point": "xy", "point3": "xyz"}
 """{kind of a field: axes of the point}; other kinds have no axes."""

@@ -213,7 +213,7 @@ def _make_line_style(kind: str, width: float) -> dict[str, Any]:
 
 
 def _write_words(mark: Mark, axes: Axes, size: float) -> None:
-    """Write the text of a mark, and its unit in brackets, with font size ``size`` [pt]."""
+    """Write a text element of a drawing, and its unit in brackets, with font size ``size`` [pt]."""
     words = get_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
     turned = 90.0 if "transform" in mark else 0.0
     axes.text(mark["x"], mark["y"], words, ha=_TEXT_ALIGNMENTS[mark["anchor"]], rotation=turned,

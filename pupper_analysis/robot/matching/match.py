@@ -395,7 +395,11 @@ def _check_feet(feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf
 def _build_in_mjcf_convention(
     root: etree._Element, description: Description, tolerances: Tolerances
 ) -> tuple[Robot, Conventions, list[Diagnostic]]:
-    """Build the robot with the URDF in the conventions of the MJCF; report the differences."""
+    """Build the robot with the joint zeros and base frame of the MJCF, also for the URDF.
+
+    ``root`` is the root element of the URDF, which is changed if the conventions of the files
+    differ. Returns the robot, these differences, and notes about a fixed base.
+    """
     robot = build_robot(description)
     conventions, notes = _compare_conventions(robot, tolerances)
     if conventions.base is not None or conventions.zeros:

@@ -214,8 +214,8 @@ _SLIP_STIFFNESS_RATIO = 4e-6
 robot weight / height. The spring makes the horizontal position unique. Chosen, not tuned."""
 
 _FRICTION_PENALTY_RATIO = 4.0
-"""Penalty parameter of the slip law [weights per height]. The parameter does not change the
-solution. Chosen, not tuned."""
+"""Penalty parameter of the slip law, in units of robot weight / `EquilibriumScales.length`. The
+parameter does not change the solution. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)

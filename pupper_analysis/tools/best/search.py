@@ -347,9 +347,9 @@ class StanceSearch:
     def run(self) -> None:
         """Search for the best stance, and store it in ``best``.
 
-        First the feet move together, then independently. The last descents start at the best
-        stance found, and are repeated while its objective decreases. Nothing is done if no
-        coordinate can change.
+        First the feet move together, then independently. Each of the last optimisations (SLSQP)
+        starts at the best stance found, and is repeated while the objective decreases. Nothing is
+        done if no coordinate can change.
         """
         space = self.space
         if not (space.high > space.low).any():

@@ -189,7 +189,10 @@ FactPair = tuple[Fact, Fact]
 def _compare_quantity(
     quantity: str, kind: QuantityKind, placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> Iterator[Disagreement]:
-    """Yield differences of each source from the first source that states a number for the joint."""
+    """Yield the disagreements of the sources about a quantity of joints, such as gains.
+
+    For each joint, the reference is the first source that states a number.
+    """
     pairs: dict[tuple[Role, Role, str, str], dict[str, FactPair]] = {}
     for joint in joints:
         stated = (

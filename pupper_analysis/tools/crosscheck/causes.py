@@ -637,9 +637,9 @@ class _TensorPair:
 
 
 def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
-    """Yield the inertia tensors of bodies that differ, although mass and CoM agree.
+    """Yield both inertia tensors of each body whose tensors differ, but whose mass and CoM agree.
 
-    Left out are explained differences, and bodies that consist of several links in a file.
+    Differences with a known cause are left out, and bodies that consist of several links in a file.
     """
     links = UrdfTree.of(case.robot.description.urdf).links
     differing = {element for kind, element in case.keys if kind in ("mass", "com")}

@@ -343,7 +343,7 @@ class FileLayout:
         }
 
     def get_main_copy_path(self) -> Path:
-        """Return the path of the main file's copy in the output folder."""
+        """Return the path of the model's main file in the output folder."""
         return self.copy_paths[self.main]
 
 

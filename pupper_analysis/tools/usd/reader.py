@@ -191,7 +191,7 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
         return None if found.element is None else found
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
-        """Yield nothing: a USD has no scene options of an MJCF."""
+        """Yield nothing, because a USD contains no MJCF elements such as ``<option>``."""
         del tag
         yield from ()
 

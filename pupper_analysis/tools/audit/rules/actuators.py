@@ -66,7 +66,10 @@ def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
 
 
 def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
-    """Yield (model, drive) as `list_drives`; nothing if the model does not compile."""
+    """Yield the compiled model with each of its actuators that `list_drives` yields.
+
+    Nothing if the model does not compile.
+    """
     if robot.mj_model is not None:
         for drive in list_drives(robot.mj_model):
             yield robot.mj_model, drive

@@ -212,7 +212,10 @@ def _list_robot_statements(robot: Node) -> Iterator[Statement]:
 
 
 def _list_action_statements(action: Node, angles: list[Statement]) -> Iterator[Statement]:
-    """Yield scales and offsets of an action; default offsets are the default angles."""
+    """Yield the scales and offsets of a policy's action.
+
+    Offsets are the default joint angles ``angles``, unless ``use_default_offset`` is false.
+    """
     patterns = action.find_first("patterns").texts
     yield from action.get("scale").make_statements("action scale", patterns)
     if action.get("use_default_offset").value in (None, True):

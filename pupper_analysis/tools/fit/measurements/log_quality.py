@@ -289,9 +289,8 @@ difference is within `_MULTIPLE_TOLERANCE` of a multiple of a candidate step wit
 The smallest difference is a multiple by construction; the six others are with probability 1e-6."""
 
 _MAX_PARTS = 400
-"""Upper bound of the ratio between the smallest difference of readings and the encoder step that
-`find_column_step` searches. Chosen larger than 260, the number of steps of a 14-bit encoder within
-0.1 rad."""
+"""Largest number of encoder steps that `find_column_step` tries to fit into the smallest difference
+between readings. Chosen larger than 260, the number of steps of a 14-bit encoder within 0.1 rad."""
 
 _MULTIPLE_TOLERANCE = 0.05
 """Deviation of the ratio ``difference of two readings / encoder step`` from a whole number, up to
