@@ -383,11 +383,11 @@ def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
 
 
 def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
-    """Return the robot with the nominal stand from the pose that suits most base heights.
+    """Return the robot with a nominal stand, searched from candidate start poses.
 
-    The pose has the largest number of consecutive base heights at which a stand exists; the nominal
-    stand is the one at the middle height, or the next that is valid. Required margins to the joint
-    limits are reduced (`_JOINT_MARGINS`) until a stand is found; None without a stand.
+    The pose is used from which a stand exists at the largest number of consecutive base heights.
+    The nominal stand is that at the middle height, or the nearest that is valid. Required margins
+    to the joint limits are reduced (`_JOINT_MARGINS`) until a stand is found; None without a stand.
     """
     for margin in _JOINT_MARGINS:
         best: tuple[list[Stand], Robot] = [], robot

@@ -40,9 +40,9 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 _DEAD_POINT_RATIO = 1e-2
-"""Upper bound of the ratio between the foot mobilities (singular values of the foot Jacobian) with
-and without closed loops, below which a dead point of the loops is reported. 1 mrad from a dead
-point the ratio is about 1e-3. Chosen, not tuned."""
+"""Ratio of a foot's mobility (singular value of the foot Jacobian) with closed loops to that
+without the loops [1], below which a dead point of the loops is reported. 1 mrad from a dead point
+the ratio is about 1e-3. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
 """Foot error [m] below which a foot is not reported as out of reach, if the closed loops are at a

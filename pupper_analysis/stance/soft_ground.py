@@ -278,11 +278,11 @@ def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) 
 
 
 def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
-    """Return {contact point of a sole: penetration [m]} of rigid soles under the same load.
+    """Return {contact point: penetration [m]} of the contact points of rigid soles.
 
-    ``depths`` are the penetrations {contact point: depth [m]} of independent contact points. The
-    contact points of a rigid sole stay in one plane, with the same resultant force and moment of
-    the contact forces. A corner may lift: its depth is then negative.
+    ``depths`` are the penetrations {contact point: depth [m]} if each contact point moved on its
+    own. The contact points of a rigid sole instead stay in one plane; resultant force and moment
+    of their contact forces are the same. A corner may lift: its penetration is then negative.
     """
     sole_depths: dict[str, float] = {}
     for foot in robot.feet_with(depths):
@@ -300,9 +300,10 @@ def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[
 
 
 def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
-    """Return penetrations (n,) [m] of a rigid sole, with the resultant force of given penetrations.
+    """Return the penetrations of the contact points of a rigid sole, shape (n,) [m].
 
-    The potential of the forces is convex, so the solution is unique.
+    The contact forces have the same resultant force and moments as those of the penetrations
+    ``given``. The potential of the forces is convex, so the solution is unique.
 
     Args:
         table: Row per contact point: 1 and the position in the sole's plane, normalised, shape

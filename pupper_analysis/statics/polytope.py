@@ -214,11 +214,14 @@ def force_inequalities(config: Configuration, tool: Tool) -> tuple[Array, Array]
 def force_limits_along(
     rows: Array, slack: Array, directions: Array
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Compute the extent of a force polytope in given directions.
+    """Compute the largest force in given directions that the motors withstand.
+
+    The forces f that the motors withstand are a polytope, ``rows @ f <= slack``.
 
     Args:
-        rows: Left-hand sides, shape (2 n, 3) [m, 1]; see `force_inequalities`.
-        slack: Right-hand sides, shape (2 n,) [N m, N].
+        rows: Left-hand sides of the inequalities (`force_inequalities`) of n motors, shape
+            (2 n, 3) [m, or 1 for a slide].
+        slack: Right-hand sides, shape (2 n,) [N m, or N for a slide].
         directions: Unit vectors, shape (k, 3).
 
     Returns:

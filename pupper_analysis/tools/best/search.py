@@ -84,8 +84,8 @@ the penetration is not reduced. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
 """Weight of the sum of constraint violations in `StanceSearch.merit`, which adds it to the level
-(scaled objective). If a descent evaluates coordinates without a stand, each constraint value is
-that at the start of the descent minus this number. Chosen, not tuned."""
+(scaled objective). It is also a penalty for coordinates at which no stand exists: each constraint
+value is then that at the start of the descent minus this number. Chosen, not tuned."""
 
 
 class Objective(StrEnum):

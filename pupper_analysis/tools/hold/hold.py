@@ -119,9 +119,9 @@ _PAYLOAD_RTOL = 1e-4
 tuned."""
 
 _MIN_SOFTENING = 1e-6
-"""Fraction of the stiffness of a motion that a payload as heavy as the robot must remove (largest
-generalised eigenvalue), for the stiffness to limit the payload. Smaller fractions are rounding, and
-the limit is infinite. Chosen, not tuned."""
+"""Lower bound of the fraction of a motion's stiffness that a payload as heavy as the robot removes
+(largest generalised eigenvalue), with which the stiffness limits the payload. A smaller fraction is
+rounding; the payload by stiffness is then infinite. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

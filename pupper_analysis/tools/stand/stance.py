@@ -82,7 +82,7 @@ class Stance(Tabular):
     minimum_stiffness: float | None = field(metadata={"unit": "N m/rad"})
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {column: values} of a table of joint positions and torques, a row per joint."""
+        """Return {column: values} of the table of this stance with a row per joint, SI units."""
         return {
             "joint": self.statics.joint_names,
             "position": self.joint_positions,

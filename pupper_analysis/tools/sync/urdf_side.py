@@ -164,7 +164,10 @@ class UrdfSide(Side):
                 self.notes[key] = diagnose("limit-completed", attribute=word, value=value)
 
     def _list_members(self, mover: str) -> list[str]:
-        """Return the compared links that move with a joint or the base; the moved link first."""
+        """Return the compared links that move with ``mover``, a joint or the base.
+
+        The link that the joint itself moves, or the base's own link, is first if it is compared.
+        """
         top = self.sides.matched.urdf_link[mover]
         members, waiting = [], [top]
         while waiting:

@@ -1032,10 +1032,10 @@ def _make_scale_residual(
 
 
 _MAX_DEPTH_STDS = 1.0
-"""Largest depth below the ground, computed from the measured joint positions, of a foot that the
-measurements list as in the air, in standard deviations of its height. A larger depth is an error:
-the list contradicts the positions. The bound is not 0, since a foot of v3 in the air may sag to
-within a millimetre of the ground. Chosen, not tuned."""
+"""Upper bound of the depth below the ground of a foot that the measurements list as in the air, in
+standard deviations of the foot's height. The height is computed from the measured joint positions;
+a larger depth is an error, as list and positions contradict each other. The bound is not 0, since a
+foot of v3 in the air may sag to within a millimetre of the ground. Chosen, not tuned."""
 
 
 def _check_feet(
