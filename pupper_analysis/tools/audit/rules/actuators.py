@@ -45,7 +45,7 @@ class ActuatorDrive(ActuatorLaw):
 
     @property
     def is_servo(self) -> bool:
-        """Whether this actuator is a position servo: its force depends on the joint position."""
+        """Whether this actuator is a position servo, whose force depends on the joint position."""
         return self.stiffness != 0
 
 
