@@ -295,10 +295,11 @@ ELEMENT_ATTRIBUTES: Final = (
     *(ElementAttribute("key", word, f"key_{word}") for word in _KEY_WORDS),
     *(ElementAttribute(kind, *both) for kind, rows in _CONSTRAINT_WORDS.items() for both in rows),
 )
-"""Parameters of contacts, integration, solver, keyframes, limits, loops and actuator dynamics.
+"""Attributes of an MJCF for contacts, integration, solver, keyframes, limits, loops and actuator
+dynamics, in comparisons of two models.
 
-Gravity and medium are compared with the external forces; shapes and flags by
-`robot.compare.mjcf_only`.
+Not included are attributes that are compared elsewhere: gravity and medium (with the external
+forces), shapes and flags (`robot.compare.mjcf_only`).
 """
 
 # Names and values of additions to an MJCF, in memory or in a new file.

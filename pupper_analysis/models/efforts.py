@@ -117,7 +117,7 @@ class EffortStatement(Result):
 
     @property
     def max_torque(self) -> float:
-        """Larger torque of both directions at the joint [N m, N]."""
+        """Largest torque or force at the joint that the range permits in any direction [N m, N]."""
         return max(abs(self.lower), abs(self.upper))
 
     @property
@@ -338,7 +338,10 @@ _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPA
 
 
 def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
-    """Return the empty force range of an actuator; None without such a range."""
+    """Return the range of an actuator that permits no force; None without such a range.
+
+    The lower end of such a range is above the upper end, or both ends are stated as equal.
+    """
     name = actuator.name or actuator.target
     ranges = [("forcerange", actuator.forcerange, actuator.forcelimited)]
     if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE and actuator.gainprm[0] != 0:

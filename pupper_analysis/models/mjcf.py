@@ -147,7 +147,8 @@ _BOUNDED_FIELDS = {
     "geom": ("pos", "quat", "size", "friction"),
     "site": ("pos", "quat"),
 }
-"""{element: fields with absolute values of at most ``MAX_NUMBER``}."""
+"""{prefix of arrays of ``mjModel``: fields that `find_invalid_number` checks}. A model with an
+absolute value above ``MAX_NUMBER``, or NaN, in one of these arrays is refused."""
 
 _NAN_FREE_FIELDS = (
     "qpos0",

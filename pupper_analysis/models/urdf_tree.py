@@ -179,7 +179,7 @@ class UrdfJoint(UrdfElement):
 
     @property
     def mimic(self) -> etree._Element | None:
-        """``<mimic>`` element; None if missing."""
+        """The ``<mimic>`` element of this joint; None if missing."""
         return self.element.find("mimic")
 
     @property

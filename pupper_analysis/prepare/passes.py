@@ -250,17 +250,17 @@ def _applies_always(_draft: Draft) -> bool:
 
 
 def _has_free_base_request(draft: Draft) -> bool:
-    """Return True if no fixed base was requested, for steps before the files are matched."""
+    """Return True if no fixed base was requested; usable before URDF and MJCF are matched."""
     return not draft.request.fixed_base
 
 
 def _has_free_base(draft: Draft) -> bool:
-    """Return True if the base is free, for steps after the files are matched."""
+    """Return True if the robot's base is free; usable after URDF and MJCF are matched."""
     return not draft.request.fixed_base and draft.match.robot.floating
 
 
 def _has_fixed_base(draft: Draft) -> bool:
-    """Return True if the base is fixed, for steps after the files are matched."""
+    """Return True if the robot's base is fixed; usable after URDF and MJCF are matched."""
     return not _has_free_base(draft)
 
 

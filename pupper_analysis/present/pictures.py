@@ -254,7 +254,7 @@ def list_views(result: Any, robot: Robot | None = None) -> View:
 
 @list_views.register(Configuration)
 def _list_configuration(config: Configuration, robot: Robot | None = None) -> View:
-    """Return the view of a single configuration."""
+    """Return the 3-D view of a robot in a configuration."""
     return _make_view(robot or config.robot, config.qpos)
 
 

@@ -171,7 +171,7 @@ class Bar:
         return self.point[2]
 
     def with_parameter(self, number: float) -> Bar:
-        """Return a copy whose ``point`` on the axis has another z coordinate [m]."""
+        """Return this bar at another height: ``number`` [m] is the new z of ``point``."""
         return replace(self, point=(*self.point[:2], number))
 
     def point_above(self, x: float, y: float) -> Point:

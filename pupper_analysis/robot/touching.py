@@ -280,8 +280,8 @@ centre is not inside a collision shape of the link. Chosen, not tuned."""
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:
     """Return the radius [m] of a contact sphere: the largest that fits into a collision shape.
 
-    The centre is the tool. If the tool is not inside a shape of its moving link, the result is
-    ``_DEFAULT_BALL_RADIUS``.
+    The centre of the sphere is the position of the tool. If the tool is not inside a shape of its
+    moving link, the result is ``_DEFAULT_BALL_RADIUS``.
     """
     kinematics, probe = Kinematics(robot.structure), coal.Sphere(_PROBE_RADIUS)
     kinematics.update(robot.neutral())

@@ -75,16 +75,16 @@ which a deviation counts as growing exponentially. Chosen between 1, for exponen
 for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
-"""Smallest ratio of the last amplitude to the first maximum of the deviation D (module docstring,
-step 2) with which an oscillation counts as sustained, in a simulation of at least ``_HALF_TIME``
-(18 s). The amplitude is half the range of the difference between the two simulations, over one
-period of the slowest mode. Chosen, not tuned."""
+"""Ratio of final amplitude to first maximum of the deviation D (module docstring, step 2) from
+which an oscillation counts as sustained, in a simulation of at least ``_HALF_TIME`` (18 s). The
+amplitude is half the range of a joint's signed deviation in the last period of the slowest
+oscillating mode. Chosen, not tuned."""
 
 _MIN_OSCILLATION_RATIO = 0.5
-"""Smallest ratio of the amplitude (as of ``_SUSTAINED_RATIO``) to the maximum of the deviation D,
-when D has grown by ``2 ** DOUBLINGS``, with which D counts as an oscillation. Chosen between 1, for
-an oscillation about the undisturbed motion, and 0.25, for exponential growth that doubles in one
-period."""
+"""Ratio of amplitude to maximum of the deviation D from which a growing D counts as an oscillation,
+not as buckling. Both are taken when D has grown by ``2 ** DOUBLINGS``; amplitude as for
+``_SUSTAINED_RATIO``. Chosen between 1, for an oscillation about the undisturbed motion, and 0.25,
+for exponential growth that doubles in one period."""
 
 _MAX_WINDOW = 1.0
 """Upper bound of the time window over which the maximum of an oscillating deviation is taken [s].

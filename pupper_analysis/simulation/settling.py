@@ -89,8 +89,8 @@ _SHAKING_SECONDS = 3
 decay. Chosen, not tuned."""
 
 _MIN_SHAKING_SPEED = 1e-2
-"""Lower bound of the speed of a shaking robot [m/s, rad/s], without the linear trend within each
-``_CHECK_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``."""
+"""Speed [m/s, rad/s] above which a robot counts as shaking. Speeds are taken without their linear
+trend within each ``_CHECK_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``."""
 
 _MIN_SHAKING_RATIO = 0.92
 """Smallest ratio (largest speed in a second) / (largest speed in an earlier second) within
@@ -206,7 +206,7 @@ class _ShakingRecord:
 
     @property
     def is_shaking(self) -> bool:
-        """Whether the largest speed of the last second exceeds ``_MIN_SHAKING_SPEED``."""
+        """Whether the robot shook faster than ``_MIN_SHAKING_SPEED`` within the last second."""
         return max(self._speeds[-_INTERVALS_PER_SECOND:], default=0.0) > _MIN_SHAKING_SPEED
 
     @property

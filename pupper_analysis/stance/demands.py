@@ -382,7 +382,7 @@ def _describe_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
 
 
 def _describe_value(name: Term | str, value: Quantity | Vector) -> Diagnostic:
-    """Describe a value with the unit."""
+    """Return a text with the name of a requirement and its value, with unit."""
     if isinstance(value, Vector):
         return diagnose("demanded-place", field=name, place=value)
     return diagnose("demanded-value", field=name, value=value)

@@ -31,8 +31,9 @@ IntArray = NDArray[np.int64]
 
 _DIFFERENCE_STEP = 1e-7
 """Finite-difference step of the residuals' derivative by a relaxable value of the task, such as the
-base height [stand heights for lengths, rad for angles]. Truncation errors dominate with longer
-steps, rounding errors with shorter ones. Chosen, not tuned."""
+base height: for lengths relative to the base height of the nominal stand, for angles [rad].
+Truncation errors dominate with longer steps, rounding errors with shorter ones. Chosen, not
+tuned."""
 
 _SATISFIED_VIOLATION = 1e-6
 """Violation [m, rad] up to which the constraints of a program with slacks count as satisfied. The
@@ -351,7 +352,10 @@ class StanceProgram:
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _make_goal(self, values: Array, like: Goal) -> Goal:
-        """Create the goal with relaxed values [m, rad]; equal foot targets of ``like`` are kept."""
+        """Return the goal (numerical task) for values of the relaxable requirements [m, rad].
+
+        Foot targets and joint limits of the goal ``like`` are reused if they are equal.
+        """
         return make_goal(
             self._robot, self._numbers.make_task(values), self._goal.depths, like, checked=False
         )

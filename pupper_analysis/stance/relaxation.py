@@ -58,8 +58,8 @@ _NONZERO_DEMANDS = ("swing", "com_margin")
 carries load, and without a margin a CoM with an offset may be outside the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
-"""Value [stand heights] of a requirement in `_NONZERO_DEMANDS` below which the value counts as
-zero, and the relaxation is rejected. Chosen, not tuned."""
+"""Value of a requirement in `_NONZERO_DEMANDS`, relative to the base height of the nominal stand,
+below which it counts as zero, and the relaxed task is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
 """Fractions by which the relaxation of a task is reduced, in order, as long as a stand exists. From
@@ -228,7 +228,10 @@ class _Search:
         return relaxation
 
     def _reduce_demands(self, relaxation: Relaxation | None) -> Relaxation | None:
-        """Leave out demands one by one, smallest relaxation first, if the rest suffices."""
+        """Relax fewer requirements, as long as a solution is found.
+
+        Requirements are left out one by one, the least relaxed first. Returns None for None.
+        """
         if relaxation is None:
             return None
         given = {
@@ -271,11 +274,11 @@ class _Search:
     def _round_task(
         self, relaxation: Relaxation, demands: Sequence[str], share: float
     ) -> StandTask | None:
-        """Return the task of a relaxation with rounded values, relaxed further by ``share``.
+        """Return the relaxed task with rounded values; None if it becomes infeasible.
 
-        ``demands`` are the fields of the task that may be relaxed. They are rounded one after
-        another, the largest relaxation first; after each, the relaxation of the remaining demands
-        is computed again. None if it becomes infeasible.
+        The fields ``demands`` are rounded one after another, the largest relaxation first; after
+        each, the relaxation of the remaining fields is computed again. Before rounding, the
+        distance of a value from the requested value is increased by the fraction ``share``.
         """
         robot, left = self.context.robot, [*demands]
         requested = task = self.goal.task

@@ -160,8 +160,8 @@ def _update_relaxation(relaxation: float, before: Array, residual: Array) -> flo
 
     Args:
         relaxation: Factor w of the last step.
-        before: Change of the depths in the iteration before, shape (n,) [m].
-        residual: Change of the depths in this iteration, shape (n,) [m].
+        before: Change of the penetration depths in the iteration before, shape (n,) [m].
+        residual: Change of the penetration depths in this iteration, shape (n,) [m].
     """
     difference = residual - before
     squared = float(difference @ difference)

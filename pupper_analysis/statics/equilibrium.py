@@ -591,14 +591,14 @@ def _make_result(
 ) -> GravityCompensation:
     """Create the result from a load and the solved forces.
 
+    The friction utilisation is 0 for tangential forces below `BALANCE_TOLERANCE` times the force on
+    the base. Without contacts and welds, the base part of ``load`` is the external base wrench.
+
     Args:
         config: State of the robot.
         remainder: Shape (nv,) [N, N m]; ``load`` minus the generalised force of ``forces``. The
             joint part contains the motor torques, the base part is the residual.
-        load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce. The
-            friction utilisation is 0 for tangential forces below `BALANCE_TOLERANCE` times the
-            force on the base. Without contacts and welds, the base part is the external base
-            wrench.
+        load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce.
         carrying: Contacts that carry load.
         forces: Contact forces, weld wrenches and grip forces, as in `Balance`.
         point: Shape (3,) [m]; zero-moment point. Default: the centre of mass.

@@ -236,7 +236,11 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
 
 
 def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
-    """Move an invalid inertia to a body of the same fixed group; return a note if one fits."""
+    """Move the invalid inertia of a body to a body that is fixed to it, if the sum there is valid.
+
+    Returns:
+        Note on the move; None if there is no such body, and nothing is changed.
+    """
     moved, mass, moments = ("link", body), Quantity(inertia.mass, "kg"), _compute_moments(inertia)
     links, group = bodies.tree.links, list(bodies.fixed_group(body))
     for neighbour, placement in group[1:]:

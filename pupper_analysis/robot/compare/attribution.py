@@ -142,11 +142,11 @@ def explain_differences(
 def _compute_residual(
     relative_error: RelativeError, patched: Mapping[str, Array], reduced: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return {quantity: remaining deviation after all differences are removed, relative}.
+    """Return {quantity: relative deviation that the found differences do not explain}.
 
-    ``patched`` is evaluated with the URDF's tree in which all values are those of the MJCF,
-    ``reduced`` with the MJCF without elements that a URDF cannot specify. Deviations are relative
-    to the scale of the quantity (`RelativeError.scale`).
+    ``patched`` are the quantities of the URDF after all found differences are replaced by the
+    values of the MJCF. ``reduced`` are those of the MJCF without elements that a URDF cannot
+    specify. Deviations are relative to the scale of the quantity (`RelativeError.scale`).
 
     For accelerations, the rounding error grows with the condition number of the mass matrix (1e8
     for a link of 1e-6 kg at the end of an arm). If the deviation of the forces M (a1 - a2) is below

@@ -220,7 +220,10 @@ def _make_effect(
 
 
 def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield effects that a URDF lacks: springs, nonlinear damping, dry friction of a free joint."""
+    """Yield the effects of joints that a URDF cannot specify.
+
+    These are springs, nonlinear damping, and the dry friction of a free joint.
+    """
     model = scene.model
     for joint in scene.reference.joints():
         subject, is_free = (

@@ -294,7 +294,7 @@ def in_axes(values: MultibodyTree, name: str, rotation: Array) -> MultibodyTree:
 
 
 def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
-    """Express a body relative to a displaced origin of the frame; the robot does not change.
+    """Displace the origin of a body's frame in a tree; the robot itself does not move.
 
     Args:
         values: Tree of the robot.

@@ -429,7 +429,7 @@ def _compare_conventions(
 
 
 def _shift_mimics(mimics: Mimics, conventions: Conventions) -> Mimics:
-    """Return mimic couplings of the URDF's joint coordinates in the MJCF's joint coordinates."""
+    """Convert the URDF's mimic couplings to the zero positions of the MJCF's joints."""
     zeros = conventions.zeros
     return {
         name: (

@@ -281,7 +281,7 @@ def _quiet_attempt() -> Iterator[None]:
 
 
 def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Image]:
-    """Render all tiles with a single backend."""
+    """Render pictures of robots with a single backend of MuJoCo, such as ``egl``."""
     size = tiles[0].width, max(tile.height for tile in tiles)
     window: Any = import_module(f"mujoco.{backend}").GLContext(*size)
     try:
@@ -295,7 +295,7 @@ def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Image]:
 
 
 def _render_tile(tile: Tile) -> Image:
-    """Render a tile, with the background in `BACKGROUND_COLOUR`."""
+    """Render the picture of one robot, with the background in `BACKGROUND_COLOUR`."""
     model = _compile_model(tile)
     data = mujoco.MjData(model)
     tile.robot.mj_convention.set_state(data, tile.qpos)

@@ -122,7 +122,7 @@ def _make_search_line(best: BestStance) -> doc.Text:
 
 
 def _make_coordinate_table(best: BestStance) -> doc.Table:
-    """Make the table of coordinates [mm or deg]."""
+    """Create the table of the searched coordinates of the best stance [mm or deg]."""
     rows: list[tuple[doc.Cell, ...]] = []
     for name, value in best.coordinates.items():
         angle = name in ("roll", "pitch", "yaw")

@@ -56,8 +56,9 @@ v3-long-leg was 3e-4 worse. A continued descent is restarted while the restart g
 descent can stall at a kink."""
 
 _DESCENT_ITERATIONS = 25
-"""Upper bound of the SLSQP iterations of each continuation of one of the best first descents
-(`_FINALIST_COUNT`), and of each final descent with independent feet. Chosen."""
+"""Upper bound of the SLSQP iterations of a descent from one of the `_FINALIST_COUNT` best results
+of the first descents, and of a descent from the best stance in which each foot moves independently.
+Chosen."""
 
 _INDEPENDENT_FEET_ITERATIONS = 10
 """Upper bound of the SLSQP iterations of a descent in which each foot moves independently, from the

@@ -245,7 +245,10 @@ def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck
 
 
 def _list_changes(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
-    """Yield changes since a revision, except differences that the comparison reports."""
+    """Yield changes of the files since a git revision, as remarks.
+
+    A change is left out if ``found`` contains it as a difference between URDF and MJCF.
+    """
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}
     differences = {

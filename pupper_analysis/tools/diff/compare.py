@@ -442,7 +442,7 @@ class RandomStates:
 
     @cached_property
     def _mujoco_tree(self) -> MujocoTree:
-        """MuJoCo model of the tree that defines the limits, into which other trees are loaded."""
+        """MuJoCo model of the tree ``values``; other trees of its structure are copied into it."""
         return MujocoTree(self.values)
 
     def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:

@@ -161,7 +161,10 @@ def join_names(ends: Iterable[str]) -> str:
 
 
 def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
-    """Return the n-th place; the file without line if the numbers of elements differ."""
+    """Return the place of the element ``number`` in the file, from the places of all elements.
+
+    The place has no line if the file has not exactly ``count`` such elements, as the model has.
+    """
     return places[number] if len(places) == count else Place(file.path)
 
 
@@ -360,7 +363,7 @@ def match_elements(
 def _list_unnamed_shapes(
     old: Mapping[Key, Element], new: Mapping[Key, Element], bodies: Mapping[str, str]
 ) -> dict[Key, tuple[list[Key], list[Key]]]:
-    """Return {(tag, body): old and new shapes without a common name}."""
+    """Return {(tag, body): keys of old and of new shapes that cannot be matched by name}."""
     shapes_by_body: dict[Key, tuple[list[Key], list[Key]]] = {}
     for number, elements in enumerate((old, new)):
         for key, element in elements.items():

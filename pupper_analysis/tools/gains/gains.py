@@ -53,8 +53,9 @@ _FACTOR_TOLERANCE = 0.005
 gains). Chosen, not tuned."""
 
 _SIMULATED_TOLERANCE = 0.02
-"""Relative tolerance of a bound of the gains in simulation, which is slower than the linear model.
-Chosen, not tuned."""
+"""Relative tolerance of the bisection for the gains at which simulated stands begin to fail. Larger
+than `_FACTOR_TOLERANCE`, since a simulation takes longer than the linear model. Chosen, not
+tuned."""
 
 _SIMULATED_RANGE = 2.0
 """Ratio of the ends of the bisection in simulation to the bound of the linear model: the simulated

@@ -316,7 +316,7 @@ def _render_block(_: object, __: Translator) -> str:
 
 @_render_block.register
 def _render_lines(block: Lines, translator: Translator) -> str:
-    """Render lines, or boxes if the block has an emphasis."""
+    """Render lines of text as HTML, in boxes if the block has an emphasis."""
     title = "" if block.title is None else _render_heading(block.title, translator)
     messages = [translator.translate(words) for words in block.lines]
     if block.mark:
@@ -326,7 +326,7 @@ def _render_lines(block: Lines, translator: Translator) -> str:
 
 @_render_block.register
 def _render_table(block: Table, translator: Translator) -> str:
-    """Render a table; the header is shown if a column has a unit."""
+    """Render a table as HTML; the header is shown if a column has a unit."""
     rows = []
     if any(column.unit for column in block.columns):
         heads = [

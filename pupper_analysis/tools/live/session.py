@@ -92,7 +92,7 @@ class Panels:
         push.on_click(lambda _: session.push())
 
     def _download_stance(self) -> None:
-        """Download the stance as a file."""
+        """Send the stance that the sliders define to the browser, as the file ``stance.toml``."""
         content = write_stance_file(self.controls.state).encode()
         self._client.send_file_download("stance.toml", content, save_immediately=True)
 
@@ -242,7 +242,7 @@ class Session:
             return self._answer, self._sag
 
     def _run_solver(self) -> None:
-        """Loop of the first thread: solve the newest state."""
+        """Solve the state of the controls whenever it changes; runs in its own thread."""
         while not self._closed.is_set():
             self._state_changed.wait()
             self._state_changed.clear()
@@ -271,7 +271,7 @@ class Session:
                     self._panels.show_status(unexpected_document(error))
 
     def _show_answer(self, answer: Answer) -> None:
-        """Show an answer without the results that take longer."""
+        """Show a solved stance with a first verdict; sag and the close analysis follow later."""
         with self._lock, self._client.atomic():
             self._reset_results(answer, answers.predict_stance_verdict(answer, closely=False))
             self._scene.show(answer)
@@ -326,7 +326,11 @@ class Session:
             return True
 
     def _analyse_closely(self, answer: Answer) -> None:
-        """Compute and show the explanation of a refusal, or sag and verdict."""
+        """Analyse the shown stance in detail, and show the result.
+
+        For an unreachable stance this is the explanation with the nearest reachable stance,
+        otherwise the predicted sag and the verdict.
+        """
         if answer.unreachable:
             error = answers.explain_unreachable(answer)
             assert answer.robot is not None

@@ -423,15 +423,15 @@ FailureCause = tuple[Failure, tuple[str, ...]] | None
 
 
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
-    """Return the servo bound, or a larger bound if the command `stand` holds with more mass.
+    """Return the mass bound of the servos, raised if the command `stand` passes with more mass.
 
-    The bound is the mass with which a deviation doubles in ``HOLD_DURATION``, measured directly
-    after the start. `stand` measures the doubling time after 5 s, in which feet creep. Close to the
-    bound both may differ, so that `stand` decides.
+    With the mass of the given bound, a deviation doubles in ``HOLD_DURATION`` directly after the
+    start. `stand` measures the doubling time after 5 s, in which feet creep. Close to the bound
+    both may differ; then `stand` decides.
 
     Args:
         bounds: {name: bound} of stance, motors and servos; the servos set the smallest bound.
-        holds: Function that returns True if `stand` holds with a mass [kg].
+        holds: Function that returns True if the robot passes `stand` with a mass [kg].
     """
     bound = bounds["servos"]
     if not 0 < bound.mass < math.inf or bound.failure is Failure.COMMAND:

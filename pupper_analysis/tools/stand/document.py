@@ -307,7 +307,10 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
 
 
 def _list_details(stance: Stance) -> Iterable[doc.Words]:
-    """List the details: equilibrium without feed-forward, unless a finding, and the ground."""
+    """Yield the details of the report: the equilibrium without feed-forward, and the ground.
+
+    The equilibrium is left out if it is one of the findings, which are listed separately.
+    """
     settled = stance.settled
     if settled is not None and _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)

@@ -254,7 +254,7 @@ def _iterate_edits(element: Element) -> Iterator[Edit]:
 
 
 def _describe_element(element: Element) -> str:
-    """Return the tags from the nearest element with a name to an element, joined with ``>``."""
+    """Return the tags from the nearest named element to this one, such as ``link leg > mass``."""
     parts = []
     current: Element | None = element
     while current is not None:

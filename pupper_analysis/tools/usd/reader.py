@@ -103,7 +103,7 @@ def read_as_urdf(path: Path) -> UsdAsUrdf:
 
 
 def make_urdf_tree(model: UsdModel) -> UrdfTree:
-    """Write a model as a URDF tree: links, joints and inertials of the base's tree, without shapes.
+    """Convert a model to a URDF tree: links, joints, inertials of the base's tree, without shapes.
 
     Raises:
         ModelError: If a joint is a ball or free joint within the tree.
@@ -444,7 +444,10 @@ def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def joint_numbers_contradict(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield findings for joint numbers, except efforts, on which several USD schemas disagree."""
+    """Yield findings for joint values, such as damping, that USD schemas state differently.
+
+    Efforts are not compared: motor and joint may have separate limits.
+    """
     for name, edge in robot.edges.items():
         for kind, stated in edge.stated.items():
             values = np.array(list(stated.values()))

@@ -161,7 +161,8 @@ _FLOAT16 = 10
 with the same 16 bits (onnx.proto3, ``int32_data``)."""
 
 _FIELD_OF_TYPE = {1: 4, 6: 5, 7: 7, 11: 10}
-"""TensorProto field that contains numbers of each data type, if the numbers are not raw bytes."""
+"""{data type of an ONNX tensor: number of the TensorProto field that contains the tensor's values},
+for values that are not stored as raw bytes (onnx.proto3)."""
 
 
 def _read_tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
@@ -297,7 +298,10 @@ if not supported."""
 
 
 def _make_gemm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create x W + b; None if alpha or beta is not 1, or the input is transposed."""
+    """Create the operation x W + b of an ONNX node ``Gemm`` from its attributes.
+
+    None if alpha or beta is not 1, or the input is transposed.
+    """
     if (
         attributes.get("transA")
         or not attributes.get("alpha", 1.0) == attributes.get("beta", 1.0) == 1.0

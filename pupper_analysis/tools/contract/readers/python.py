@@ -33,11 +33,11 @@ _ACTUATOR_QUANTITIES = FORMAT_KEYS["actuator"]
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield the joint numbers of each training configuration in a Python file.
+    """Yield the joint values (such as gains) of each training configuration in a Python file.
 
     A configuration is an object with a robot, actions or settings of a trainer. If the file has
-    none, the tables ``{key: value}`` with joint numbers are yielded that the file defines or that
-    its functions return, alone or in a list. No code is executed.
+    none, tables ``{key: value}`` with joint values are read instead: those that the file defines,
+    or that its functions return, alone or in a list. No code is executed.
     """
     evaluator = py.Evaluator(request.folders)
     module = evaluator.load_module(request.path)
@@ -177,7 +177,7 @@ def _read_root(name: str, path: Path, root: Node) -> Iterator[Source]:
 
 
 def _list_actuators(node: Node) -> list[Node]:
-    """Return the actuators of an articulation or entity; empty for another value."""
+    """Return the actuators in a robot's configuration (Isaac Lab or mjlab); empty for others."""
     actuators = node.find_first("actuators")
     parts = list(actuators.value.values()) if isinstance(actuators.value, dict) else actuators.items
     return [

@@ -192,7 +192,7 @@ def _list_flat_statements(quantity: str, node: Node) -> Iterable[Statement]:
 
 
 def _list_position_tables(node: Node) -> list[Node]:
-    """Return the tables in a table, except tables of velocities and efforts."""
+    """Return the tables in the table of a policy's actions that are not velocities or efforts."""
     return [
         one
         for key, one in node.table.items()

@@ -293,10 +293,9 @@ _MAX_FLATNESS_RATIO = 5.0
 the fit fails, since noise of this size would hide an error of the model. Chosen, not tuned."""
 
 _MAX_FRICTION_RATIO = 4.0
-"""Ratio of estimated to expected dry friction above which a fit fails. The ratio is the sum of two:
-that of friction of random sign, estimated as noise, and that of friction of one sign, estimated as
-negative dead bands of the servos. Half of this bound applies if a default replaces the file's
-friction. Chosen, not tuned."""
+"""Ratio of estimated to expected dry friction above which a fit fails. The estimate has two parts:
+friction of random sign appears as noise, friction of one sign as negative dead bands of the servos.
+If a default replaces the friction of the file, half of this bound applies. Chosen, not tuned."""
 
 _MAX_PARAMETER_STDS = 4.5
 """Upper bound of the deviation of a parameter or a reading, in standard deviations. Among a hundred
