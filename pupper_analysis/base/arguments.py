@@ -31,7 +31,10 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ConfigurationError
 
 _P = ParamSpec("_P")
+"""Parameters of a function whose arguments `check_arguments` checks."""
+
 _T = TypeVar("_T")
+"""Type of the result of a function whose arguments `check_arguments` checks."""
 
 
 def check_finite(name: str, value: object) -> float:

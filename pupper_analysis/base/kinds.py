@@ -28,12 +28,12 @@ MiB, enough for thousands of stands. Chosen, not tuned."""
 
 
 def _match_none(_file: BinaryIO) -> bool:
-    """Return False: no file passes this test."""
+    """Return False for the content of any existing output file."""
     return False
 
 
 def _match_any(_file: BinaryIO) -> bool:
-    """Return True: every file passes this test."""
+    """Return True for the content of any existing output file."""
     return True
 
 

@@ -231,7 +231,12 @@ def equality_name(model: mujoco.MjModel, index: int) -> str:
 
 
 def format_equality_name(index: int, *ends: str) -> str:
-    """Return the name of an equality without a name, from the number and objects."""
+    """Return a name for an equality constraint without a name, for example ``#0 (knee = ankle)``.
+
+    Args:
+        index: Id of the equality constraint in the model.
+        *ends: Names of the joints, bodies or other objects that the constraint connects.
+    """
     return f"#{index} ({' = '.join(ends)})"
 
 

@@ -169,7 +169,8 @@ def compare_nominal_stand(robot: Robot) -> Published | None:
 def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | None:
     """Compare the published file with the prediction for the nominal stand.
 
-    None without a nominal stand, or as by `_compare_in`.
+    None if the nominal stand cannot be solved, if an error of this package ends the comparison, or
+    if `_compare_in` returns None.
     """
     with contextlib.suppress(PupperAnalysisError):
         return _compare_in(robot, solve_stand(robot, explain=False), gains)

@@ -242,13 +242,13 @@ def write_github(annotations: Iterable[Annotation]) -> str:
 
 def _escape_data(text: str) -> str:
     # Ends of lines have words of their own there; what else would act on a log is shown.
-    """Escape the message of a workflow command."""
+    """Escape the message of a GitHub workflow command, a line that GitHub shows beside a file."""
     message = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
     return escape_control(message)
 
 
 def _escape_property(text: str) -> str:
-    """Escape a property of a workflow command."""
+    """Escape a property, such as the file, of a GitHub workflow command."""
     return _escape_data(text).replace(":", "%3A").replace(",", "%2C")
 
 

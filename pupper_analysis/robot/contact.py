@@ -91,7 +91,8 @@ def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> Cont
 
 
 _COMBINED_FIELDS = ("priority", "condim", "friction", "solmix", "solref", "solimp", "margin")
-"""Arrays ``geom_...`` of ``mjModel`` from which MuJoCo forms the parameters of a contact."""
+"""Names, without the prefix ``geom_``, of the arrays of ``mjModel`` that contain the parameters of
+geoms from which MuJoCo computes the parameters of a contact."""
 
 _DEFAULT_PLANE_MODEL = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>"

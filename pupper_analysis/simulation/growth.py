@@ -39,9 +39,9 @@ from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
 Array = NDArray[np.float64]
 
 DOUBLINGS = 3
-"""Number of doublings of the deviation D (module docstring, step 2) that confirm a growing mode.
-Chosen, not tuned: growth that is exponential only within micrometres ends earlier, when a contact
-opens or takes load."""
+"""Number of doublings of the difference between two simulations, displaced along growing modes in
+opposite directions, that confirm the modes. Chosen, not tuned: growth that is exponential only
+within micrometres ends earlier, when a contact opens or takes load."""
 
 NUDGE_ANGLE, NUDGE_SPEED = 1e-4, 0.1
 """Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along a mode, in the

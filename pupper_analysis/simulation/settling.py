@@ -77,9 +77,8 @@ _MIN_NUDGE_TIME = 1.5
 of 1 mm/s leaves the stand within a second."""
 
 MIN_ABSENT_DOUBLINGS = 10
-"""Smallest simulated time after a nudge that decayed, in doubling times of a growing mode, with
-which the simulation refutes the mode: the mode would have grown by a factor of 1000. Chosen, not
-tuned."""
+"""Shortest simulated time after a nudge, in doubling times of a growing mode, with which the decay
+of the nudge can refute the mode, which would have grown by a factor of 1000. Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""

@@ -255,7 +255,7 @@ def _find_modes(
 
 @contextlib.contextmanager
 def _without_contacts(model: mujoco.MjModel, bodies: tuple[int, ...]) -> Iterator[None]:
-    """Disable the contacts of bodies, with explicit pairs, until the context ends."""
+    """Disable all contacts of bodies, also those of ``<pair>``, until the context ends."""
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
     pairs = np.isin(model.pair_geom1, geoms) | np.isin(model.pair_geom2, geoms)
     kept = model.geom_contype.copy(), model.geom_conaffinity.copy(), model.pair_margin.copy()

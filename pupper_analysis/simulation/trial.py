@@ -373,19 +373,20 @@ class _FailureConditions:
         )
 
     def predict_motion(self, states: Array, remaining: float) -> tuple[Array, Array] | None:
-        """Return the motion after the last of ``states`` that the linearised step predicts.
+        """Predict the motion in the remaining time with the linearised simulation step.
 
-        None if a mode grows, or if the linearised step does not reproduce ``states``, shape (n,
-        size), of successive steps. The step is linearised once per interval for all runs, at the
-        state of the first run that needs it.
+        The step is linearised once per interval for all runs, at the state of the first run that
+        needs it.
 
         Args:
-            states: States of the last interval.
+            states: Simulated states after successive steps of the last interval, shape (n, size).
             remaining: Remaining time [s].
 
         Returns:
-            Displacements, times ``_PREDICTION_FACTOR``, shape (n, nv) [m, rad]; and velocities,
-            shape (n, nv) [m/s, rad/s].
+            Displacements from the last of ``states``, times ``_PREDICTION_FACTOR``, at m later
+            times, shape (m, nv) [m, rad]; and velocities, shape (m, nv) [m/s, rad/s]. None if a
+            mode grows, if the linearised step does not reproduce ``states``, or if a predicted
+            value is not finite.
         """
         if self.growth_rate:
             return None

@@ -360,7 +360,7 @@ class ClearanceShapes:
     def _measure_above_steps(
         self, at: Kinematics, ground: Ground, targets: Mapping[str, Array]
     ) -> Iterator[SurfaceDistance]:
-        """Yield the smallest distance [m] of each of ``parts`` to the slope and all steps.
+        """Yield the smallest distance [m] of each shape of ``parts`` to the slope and all steps.
 
         The surface that a hand touches does not count for parts on the link of this hand.
         """

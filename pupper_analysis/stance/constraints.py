@@ -181,7 +181,7 @@ class Loops(Constraint):
         return left if goal.give is None else left - goal.give
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the openings of closed loops and couplings by qvel, (m, nv)."""
+        """Return the Jacobian (m, nv) by qvel of the violations of m loop or coupling equations."""
         rows = self._closure.jacobian(at.qpos)
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 

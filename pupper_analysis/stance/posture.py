@@ -122,9 +122,9 @@ def find_posture(
 
 
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
-    """Close loops and couplings near joint positions (nu,), with the joints ``placed`` at rest.
+    """Close loops and couplings near joint positions (nu,), without moving the joints ``placed``.
 
-    If this is impossible, the joints ``placed`` (indices) move, too, by up to
+    If this is impossible, the joints ``placed`` (their indices) move, too, by up to
     `_MAX_CLOSING_DISPLACEMENT`.
 
     Raises:

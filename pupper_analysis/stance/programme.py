@@ -61,10 +61,10 @@ _MIN_PROGRESS_RATIO = 0.9
 counts as progress. Iterations without progress end the solve (`_PATIENCE`). Chosen, not tuned."""
 
 _PATIENCE = (1, 15)
-"""Largest number of successive SLSQP iterations without progress, for a solve without and with
-slacks (of relaxable requirements); one more ends the solve. Measured without slacks: 1 of 138
-solves that led to a stand exceeded the bound, and two thirds of 206 solves that led to none. With
-slacks: 1 of 350, and one eighth of 633."""
+"""Upper bounds of the number of successive SLSQP iterations without progress, beyond which a solve
+ends: without and with relaxation of requirements. Measured without relaxation: 1 of 138 solves that
+led to a stand exceeded the bound, and two thirds of 206 solves that led to none; with relaxation: 1
+of 350, and one eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
 """Diagonal of the pivoted QR factor of the equalities' Jacobian, relative to the largest, below
@@ -420,7 +420,10 @@ class StanceProgram:
 
     @cached_property
     def _rows(self) -> tuple[IntArray, int]:
-        """Residual indices of independent equalities, then inequalities; number of equalities."""
+        """Indices of the residuals that the program uses, and the number of equalities among them.
+
+        The residuals of independent equalities come first, then those of all inequalities.
+        """
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._goal.lower, -np.pi), np.minimum(self._goal.upper, np.pi)

@@ -304,7 +304,14 @@ class _Search:
         return stand if stand.solved else None
 
     def _make_goal(self, task: StandTask, *, checked: bool = False) -> Goal:
-        """Convert a task to a goal with the penetrations and loop deflections of ``self.goal``."""
+        """Convert a task to a goal with the same deflections as the original goal ``self.goal``.
+
+        These are the penetrations of the feet into soft ground, and the openings of closed loops.
+
+        Args:
+            task: Task, with relaxed requirements.
+            checked: True to reject tasks that no stand can satisfy.
+        """
         goal = make_goal(self.context.robot, task, self.goal.depths, checked=checked)
         return replace(goal, give=self.goal.give)
 

@@ -38,8 +38,9 @@ stand is followed by a full search from all initial guesses. With shorter steps 
 used only before an end is accepted. Chosen, not tuned."""
 
 _RESTART_RATIO = 0.2
-"""Step with which the outward search continues beyond a gap, relative to the first step: a full
-search has found a stand there that IK from the last stand missed. Chosen, not tuned."""
+"""Step of the search for the end of a reachable interval after the search has crossed a gap,
+relative to the first step (`_FIRST_STEPS`). A gap is a part of the interval in which IK from the
+last stand fails, and beyond which a full search finds a stand. Chosen, not tuned."""
 
 _GAP_RATIO = 8e-3
 """Distance from the last reachable value of the coordinate, relative to the first step of the

@@ -387,7 +387,7 @@ def distribute_loads(
     forces, torques = [], []
 
     def distribute(problem: Balance) -> Array | None:
-        """Return the minimum-tangential forces; None if no forces are feasible."""
+        """Return contact forces with minimum tangential parts; None if no forces are feasible."""
         return _solve_minimum_tangential(config.robot, problem, carrying, carrying.friction)
 
     for load in map(config.transfer_to_motors, loads):

@@ -169,7 +169,7 @@ def _select_language(words: Mapping[str, str], language: str) -> str:
 
 @cache
 def _split_tables(path: Path) -> Mapping[str, str]:
-    """Return {header: text} of the tables of a file."""
+    """Split a TOML file at its table headers, and return {header: unparsed text of the table}."""
     _, *parts = _TABLE_HEADER.split(path.read_text(encoding="utf-8"))
     return MappingProxyType(dict(zip(parts[::2], parts[1::2], strict=True)))
 

@@ -326,11 +326,14 @@ class RelativeError:
     two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Return the largest absolute value of a quantity in the first model, in its unit.
+        """Return the largest absolute value of a quantity, in its unit, or a lower bound if larger.
 
-        If a value of the first model is not finite, the second model is used. The lower bound for
-        gravity and bias forces, which may be nearly zero, is 1e-3 g times the scale of the mass
-        matrix (g = 9.81 m/s^2), for other quantities 1e-300.
+        The values are those of the first model; of the second, if one of the first is not finite.
+        The lower bound is 1e-300; for gravity and bias forces, which may be nearly zero, it is
+        1e-3 g times the scale of the mass matrix (g = 9.81 m/s^2).
+
+        Args:
+            name: Name of the quantity, for example ``mass matrix``.
         """
         lower_bound = 1e-300
         if name in ("gravity", "bias forces"):
@@ -637,7 +640,7 @@ def body_changes(
     tolerances: Tolerances,
     sides: ModelNames = FORMAT_NAMES,
 ) -> Iterable[Change]:
-    """Yield the differences of two bodies."""
+    """Yield the differences of mass, CoM and inertia of two bodies beyond the tolerances."""
     body = ("link", one.link or two.link or name)
     mass = one.mass, two.mass
     if abs(two.mass - one.mass) > tolerances.mass * max(map(abs, mass)):

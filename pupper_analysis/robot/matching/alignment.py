@@ -200,7 +200,10 @@ def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolera
 
 
 def _placement_bits(first: TreeJoint, second: TreeJoint, tolerances: Tolerances) -> float:
-    """Return the deviation between two joint placements [bits]; see `measure_deviation_bits`."""
+    """Return the deviation between two joint frames: the sum for position and rotation [bits].
+
+    `measure_deviation_bits` converts each to log2(1 + deviation / tolerance), 0 within tolerance.
+    """
     distance = float(np.linalg.norm(second.position - first.position))
     angle = float(np.linalg.norm(pin.log3(first.rotation.T @ second.rotation)))
     return measure_deviation_bits(distance, tolerances.position) + measure_deviation_bits(

@@ -246,7 +246,7 @@ class EquilibriumScales:
 
     @property
     def stiffness(self) -> float:
-        """Scale of servo stiffness of this robot, weight times height [N m/rad]."""
+        """Reference stiffness of this robot's servos [N m/rad], ``weight`` times ``length``."""
         return self.weight * self.length
 
     @property

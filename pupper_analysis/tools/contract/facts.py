@@ -290,7 +290,7 @@ class Node:
 
     @property
     def is_present(self) -> bool:
-        """True if this value of a file is not None."""
+        """True if the value of this node of a YAML, JSON or Python file is not None."""
         return self.value is not None
 
     @property
@@ -323,7 +323,7 @@ class Node:
 
     @property
     def number(self) -> float | None:
-        """Value of the node as a float; None if not a number, or too large for a float."""
+        """Value of this node of a file as a float; None if no number, or too large for a float."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float):
             return None

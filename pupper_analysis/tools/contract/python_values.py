@@ -328,7 +328,7 @@ class Evaluator:
         raise _NextSignal
 
     def _run_if(self, statement: ast.If, scope: Scope) -> None:
-        """Run the branch that the condition selects."""
+        """Run the branch of an ``if`` statement that its condition selects."""
         self.run_statements(
             statement.body
             if self._is_true(self.evaluate(statement.test, scope))

@@ -112,7 +112,10 @@ def _make_file_place(
 
 
 def _describe_effects(change: ModelChange) -> doc.Text:
-    """Return a sentence with the effects of a change alone on the dynamics, the largest first."""
+    """Return a sentence on how much a change changes each quantity of the dynamics.
+
+    The effects are those of this change alone, without the other changes, the largest first.
+    """
     if not change.effects:
         return text("no-effect-on-the-dynamics").with_mark("quiet")
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)

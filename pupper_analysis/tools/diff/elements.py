@@ -543,7 +543,10 @@ that the comparison of elements does not."""
 
 
 def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
-    """Return the change of a shape: kinds and sizes if the pose is equal, or both descriptions."""
+    """Return a key of the change of a shape, which is equal for equal changes.
+
+    The key is kind and size of both shapes if their poses are equal, otherwise both descriptions.
+    """
     ends = [(shape.pose.position, shape.pose.rotation) for shape in (old_shape, new_shape)]
     if all(np.array_equal(here, there) for here, there in zip(*ends, strict=True)):
         return old_shape.kind, tuple(old_shape.size), new_shape.kind, tuple(new_shape.size)

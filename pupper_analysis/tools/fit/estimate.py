@@ -20,8 +20,8 @@ from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTabl
 Array = NDArray[np.float64]
 
 _MAX_STEPS = 60
-"""Upper bound of the iterations. From a model's own values 4 to 10 steps are taken. Chosen, not
-tuned."""
+"""Upper bound of the Gauss-Newton steps of a fit. A fit that starts at the values of the model file
+takes 4 to 10. Chosen, not tuned."""
 
 _MIN_PREDICTED_DECREASE = 1e-4
 """Predicted decrease of the cost chi2 + z^T P z below which the iteration has converged, with z the

@@ -72,8 +72,9 @@ _REST_SPEED = 0.01
 rest. Chosen: 5 % of ``_NUDGE_SPEED``."""
 
 _COMPARED_SHARE = 0.2
-"""Length, as a fraction of the simulation, of the two intervals (before the middle and before the
-end) whose largest joint velocities are compared. Chosen, not tuned."""
+"""Length of each of two intervals of a simulation, as a fraction of the simulated time. One
+interval ends at half the time, the other at the end; their largest joint velocities are compared to
+decide whether the motion decays. Chosen, not tuned."""
 
 _MAX_DECAY_RATIO = 0.9
 """Ratio of the largest joint velocities before the end and before the middle of a simulation, below

@@ -23,7 +23,7 @@ MAX_MESSAGE_BYTES = 1 << 20
 hundred bytes. Chosen, not tuned."""
 
 CHECKED_HEADERS = ("Host", "Origin", "Upgrade", "Cookie")
-"""Headers of a request that are evaluated."""
+"""Headers of a browser's request from which `Access.find_refusal` decides whether to refuse it."""
 
 TOKEN_COOKIE = "pupper_analysis_token"
 """Name of the cookie in which a browser stores the access token of the page."""

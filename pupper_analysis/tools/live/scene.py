@@ -412,7 +412,10 @@ class Scene:
         area.color = INSIDE_COLOUR if held else OUTSIDE_COLOUR
 
     def _draw_com(self, described: StandingScene) -> None:
-        """Draw the CoM, its projection and a line between; the colour shows if it is inside."""
+        """Draw the CoM, its projection on the support plane and a line between.
+
+        The colour shows whether the CoM is above the support polygon (CoM margin not negative).
+        """
         colour = INSIDE_COLOUR if described.com_inside else OUTSIDE_COLOUR
         for name, place, size in (
             ("com", described.com, 0.075),

@@ -558,7 +558,11 @@ class StudyRun:
         self._store_rows(outcome.rows)
 
     def _restart_workers(self, pool: WorkerPool, error: BaseException | None) -> None:
-        """Restart the workers. Designs in flight will be evaluated again, separately."""
+        """Restart the workers; unfinished designs will be evaluated again, one at a time.
+
+        Raises:
+            StudyError: If the workers belong to an executor of the caller.
+        """
         for chunk, _ in self._in_flight.values():
             self._suspects.extend(_split_singly(chunk))
         self._in_flight.clear()

@@ -222,7 +222,7 @@ def write_numbers(
 
 
 def _make_urdf(robot: Robot) -> UrdfFile:
-    """Return the URDF that was generated from an MJCF."""
+    """Return the URDF of a robot, which was generated from its MJCF."""
     text = robot.description.urdf
     return urdf_from(robot.description.mjcf_source, text, parse_text(text), None)
 

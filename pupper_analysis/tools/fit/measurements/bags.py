@@ -186,7 +186,7 @@ class _LimitedFile:
         self._file, self._size = file, 0
 
     def read(self, size: int) -> bytes:
-        """Return up to ``size`` further bytes."""
+        """Read up to ``size`` further bytes of the unpacked file, and check its size so far."""
         data: bytes = self._file.read(size)
         self._size += len(data)
         _check_unpacked_size(self._size, MAX_BAG_BYTES)

@@ -409,8 +409,8 @@ _MAX_TILT = 0.25
 """Largest absolute roll and pitch [rad] of the base in a proposed stand. Chosen, not tuned."""
 
 _MAX_STEP_RATIO = 0.15
-"""Upper bound of a foot's displacement along x and y, in both directions, as a fraction of the
-nominal height. Chosen, not tuned."""
+"""Upper bound of the absolute random displacement of a foot from its nominal position, along x and
+along y, as a fraction of the nominal base height. Chosen, not tuned."""
 
 _MIN_LIFT_RATIO = 0.15
 """Lower bound of a swing foot's height, as a fraction of the nominal height. Chosen, not tuned."""
