@@ -810,10 +810,11 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
 
 
 def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], XmlNode]) -> None:
-    """Switch off the unset torque ranges of a spec that differ from the default class, in place.
+    """Switch off, in place, the unset torque ranges of a spec that MuJoCo writes as "0 0".
 
-    MuJoCo writes such a range as "0 0", which a file states for a motor without torque. In a spec
-    both ends are 0 if the range is not set; with the switch "auto", MuJoCo then applies no range.
+    In a spec, an unset range has two zero ends and the switch "auto", with which MuJoCo applies no
+    range. If the default class has another range, MuJoCo writes the unset range as "0 0", which in
+    a file means a motor without torque.
     """
 
     def is_unset(tag: str, name: str, attribute: str, ends: ArrayLike, switch: int) -> bool:

@@ -188,7 +188,7 @@ def _measure_tick_run(text: str) -> int:
 
 
 def _escape_words(words: Words) -> str:
-    """Return the escaped English text of words."""
+    """Return the English text of words, escaped for Markdown."""
     return _escape_text(get_english(words))
 
 

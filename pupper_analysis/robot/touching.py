@@ -42,9 +42,9 @@ tuned."""
 
 
 _BASE_ARMATURE_FACTOR = 1e4
-"""Armature [kg, kg m^2] of the free joint that a base fixed by the file gets for a weld, relative
-to the mass of the robot [kg]. The armature represents the environment to which the base is fixed:
-MuJoCo's welds are soft, and a light base would oscillate. Chosen, not tuned."""
+"""Ratio of armature [kg, kg m^2] to robot mass [kg] for the base of a robot that its file fixes to
+the world. For a welded contact the fixed base gets a free joint, whose armature represents the
+environment: MuJoCo's welds are soft, and a light base would oscillate. Chosen, not tuned."""
 
 
 def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:

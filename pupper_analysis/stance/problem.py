@@ -184,12 +184,11 @@ class Goal:
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the contact points without penetration, to place the ground under the feet.
+        """Targets of the contact points as on rigid ground, to place steps and planes below feet.
 
-        {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. If feet
-        have separate planes, the ``targets`` are moved out of the ground by the penetration
-        (`remove_penetration`). Otherwise these are the ``targets``: the position of a level step
-        does not depend on the penetration.
+        {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. These are
+        the ``targets``, for feet with separate planes without the penetration
+        (`remove_penetration`).
         """
         return remove_penetration(self.task.ground, self.targets, self.depths, self.normals)
 

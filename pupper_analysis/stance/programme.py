@@ -367,7 +367,7 @@ class StanceProgram:
         return self._last
 
     def _configuration(self, x: Array) -> Configuration:
-        """Return the `Configuration` at the variables; the latest is cached."""
+        """Return the robot's `Configuration` at the variables ``x``; the last one is cached."""
         there = self._point(x)
         if self._at is None or self._at[0] is not there:
             self._at = there, Configuration(self._robot, there.qpos)
@@ -379,7 +379,7 @@ class StanceProgram:
         return joined
 
     def _jacobian(self, x: Array) -> Array:
-        """Return the Jacobian of the independent residuals; the latest is cached."""
+        """Return the Jacobian of ``_residuals`` by the variables ``x``; the last one is cached."""
         if self._jacobian_there is None or not (x == self._jacobian_there[0]).all():
             self._jacobian_there = x.copy(), self._derivative(x)[self._rows[0]]
         return self._jacobian_there[1]

@@ -146,10 +146,10 @@ tuned; samples of a path are much closer."""
 
 
 _EXTRAPOLATION_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}
-"""{number of previous stands of a sequence: weights of their configurations, latest first}, for the
-polynomial extrapolation to the initial guess of the next stand. Measured on a smooth sequence of a
-thousand stands: a parabola deviates by 3e-7 rad, and PlaCo takes two steps, since its
-regularisation leaves 1e-6 of a step; a cubic deviates by 4e-9 rad, and PlaCo takes one step."""
+"""{number of previous stands of a sequence: weights of their configurations, latest first}. The sum
+of the weighted configurations extrapolates a polynomial to the initial guess of the next stand.
+Measured on a thousand stands of a smooth sequence: a parabola (3 stands) deviates by 3e-7 rad, and
+PlaCo takes two steps; a cubic (4 stands) deviates by 4e-9 rad, and PlaCo takes one step."""
 
 
 @check_arguments

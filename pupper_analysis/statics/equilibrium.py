@@ -730,7 +730,7 @@ def _find_threshold(holds: Callable[[float], bool]) -> float:
     """Find the smallest number for which a condition holds, to a relative tolerance of 1e-6.
 
     The condition must be monotone, and hold at `_UNLIMITED_FRICTION`. Numbers below 1e-6 are not
-    resolved. Bisection, with geometric means above zero.
+    resolved. Intervals above zero are bisected at the geometric mean of their ends.
     """
     low, high = 0.0, _UNLIMITED_FRICTION
     while high - low > 1e-6 * high and high >= 1e-6:

@@ -61,7 +61,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 
 
 def _describe_first(contract: Contract) -> Iterable[doc.Words]:
-    """State the most severe disagreement, if there are any."""
+    """Yield the text of the most severe disagreement between the sources, if there is one."""
     if contract.findings:
         yield text("contract-first", finding=doc.diagnostic_text(contract.findings[0].diagnostic))
 

@@ -358,7 +358,7 @@ def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
 
 
 def _to_lists(value: Any) -> Any:
-    """Convert a value to lists, for comparison."""
+    """Convert arrays and tuples in a value to lists, so that values compare with ``==``."""
     if isinstance(value, Mapping):
         return {key: _to_lists(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
@@ -367,7 +367,7 @@ def _to_lists(value: Any) -> Any:
 
 
 def _describe_value(value: Any, other: Any) -> Diagnostic | Term | str:
-    """Describe a value; for a table, only entries that differ from the other table."""
+    """Return a text of one of two compared values; of a table, only entries that differ."""
     value, other = _to_lists(value), _to_lists(other)
     if value is None:
         return Term("none")

@@ -163,9 +163,9 @@ def draw_samples(
     determine, for example, the total mass, but hardly how the links share the mass.
 
     Robots with a mass or kp below 10 % of the written value are drawn again; other factors are
-    clipped at 0. (Log-normal masses would bias the total mass: 2.957 ± 0.094 kg instead of 2.787 ±
-    0.006 kg for v3.) The deviation of a CoM is scaled by m0 / m, written over drawn mass, because
-    gravity is linear in the first moment m c.
+    clipped at 0. Masses are normal: log-normal masses would bias the total mass (v3: 2.957 instead
+    of 2.787 kg). The deviation of a CoM is multiplied by the ratio of written to drawn mass,
+    because gravity depends on mass times CoM position.
 
     Args:
         posterior: Distribution of the parameters.

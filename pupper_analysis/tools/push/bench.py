@@ -158,7 +158,7 @@ class PushBench:
     def creep_speed(self) -> float:
         """Largest speed of the base at the end of a simulation without a push [m/s].
 
-        Feet creep on MuJoCo's regularised friction.
+        The speed is not zero, because feet creep with MuJoCo's regularised friction.
         """
         (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._measure_final_speed(states)

@@ -273,8 +273,12 @@ def _report_notes(
 ) -> Iterator[Diagnostic]:
     """Yield notes if the fit predicts worse than the stated parameters, or if motions repeat.
 
-    Motions repeat if held-out commands agree with fitted commands (`measure_replay`). Both errors
-    are RMS position errors [rad]: with the fitted and with the stated parameters.
+    Motions repeat if held-out commands agree with fitted commands (`measure_replay`).
+
+    Args:
+        runs: Recorded runs, with fitted and held-out positions.
+        rms_error: RMS position error with the fitted parameters [rad].
+        stated_error: RMS position error with the stated parameters [rad].
     """
     if rms_error > stated_error:
         yield diagnose(
