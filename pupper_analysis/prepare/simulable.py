@@ -94,7 +94,13 @@ def _list_bounded_values(
 
 
 def _name_element(model: mujoco.MjModel, kind: str, row: int) -> str:
-    """Return the name of the element ``kind`` number ``row``; of an unnamed actuator, its joint."""
+    """Return the name of an element of the model; for an unnamed actuator, that of its joint.
+
+    Args:
+        model: MuJoCo model.
+        kind: Kind of the element, for example ``actuator``.
+        row: Id of the element.
+    """
     name = str(getattr(model, kind)(row).name)
     if kind == "actuator" and not name and is_at_one_joint(model, row):
         return str(model.joint(int(model.actuator_trnid[row, 0])).name)
@@ -102,7 +108,14 @@ def _name_element(model: mujoco.MjModel, kind: str, row: int) -> str:
 
 
 def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
-    """Return file and line of the element ``kind`` number ``row``, or of the option ``field``."""
+    """Return the file and line of an element of the model, or of an option of MuJoCo.
+
+    Args:
+        mjcf: MJCF.
+        kind: Kind of the element, for example ``actuator``; or ``option``.
+        field: Name of the option.
+        row: Id of the element in the compiled model.
+    """
     if kind == "option":
         stated = (place for words, place in mjcf.elements("option") if field in words)
         return next(stated, Place(mjcf.path))

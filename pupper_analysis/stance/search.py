@@ -48,8 +48,8 @@ best configuration, and tries their combinations. A further round starts if the 
 has at least halved. Chosen, not tuned."""
 
 _CLOSE_MISS = 3e-3
-"""Foot error [m] below which configurations with a displaced base are tried as initial guesses.
-Chosen, not tuned."""
+"""Foot error [m] of the best stand so far below which a search also tries initial guesses with a
+displaced base, since a clearance may be the obstacle. Chosen, not tuned."""
 
 _MAX_DISPLACED_GUESSES = 32
 """Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""

@@ -499,7 +499,7 @@ class TangentialMetric:
         return self._scale_tangential(self._weights, forces)
 
     def apply_inverse(self, forces: Array) -> Array:
-        """Return W^-1 @ forces with the weighting matrix W; shape (size,) or (size, k)."""
+        """Return W^-1 @ forces with this weighting matrix W, for shape (size,) or (size, k)."""
         if len(forces) > self._normals.size:
             contacts, others = np.split(forces, [self._normals.size])
             return np.concatenate([self.apply_inverse(contacts), others])

@@ -654,7 +654,10 @@ def _add_places(
 
 
 def _explained_fraction(explanation: Explanation) -> float:
-    """Return the fraction of the largest deviation that the differences explain, 0 to 1."""
+    """Return the fraction of the largest dynamic deviation that the differences explain, 0 to 1.
+
+    The fraction is 1 - residual / deviation, with the residual after the differences are removed.
+    """
     worst, residual = (
         max(values.values()) for values in (explanation.deviations, explanation.residual)
     )

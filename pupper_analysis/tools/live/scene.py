@@ -204,7 +204,7 @@ class RobotFigure:
             )
 
     def set_configuration(self, qpos: Array) -> None:
-        """Draw the figure in a configuration, shape (nq,) [m, quaternion, rad]."""
+        """Draw this robot figure in a configuration, shape (nq,) [m, quaternion, rad]."""
         self.robot.mj_convention.set_state(self._data, qpos)
         mujoco.mj_kinematics(self.robot.mj_model, self._data)
         for body, frame in self._bodies.items():
@@ -313,7 +313,7 @@ class Scene:
         return self._figures[name]
 
     def _prepare_robot(self, robot: Robot) -> None:
-        """Replace all figures if the robot has changed."""
+        """If the robot has changed, remove the drawn robots, and add discs for the new joints."""
         if robot is self._robot:
             return
         for figure in self._figures.values():

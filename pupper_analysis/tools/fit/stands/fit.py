@@ -540,8 +540,8 @@ _UNRELATED_TO_WIRING = (
     "known-mass-contradicts-the-scale",
     "ground-slopes",
 )
-"""Failures that exchanged plugs do not cause. If there are no other failures, the wiring is not
-tested."""
+"""Codes of failures that a wrong assignment or sign of joints (exchanged plugs) does not cause. If
+there are no other failures and no excluded stands, the fit does not search for such a mistake."""
 
 
 def _fit_without_contradictions(
