@@ -200,7 +200,7 @@ class Tabular(Result):
         raise NotImplementedError
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return the table as a pandas ``DataFrame``, in the units of the fields.
+        """Return the table of this result as a pandas ``DataFrame``, in the units of the fields.
 
         Raises:
             MissingPackageError: If pandas is not installed.

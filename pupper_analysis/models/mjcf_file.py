@@ -818,7 +818,10 @@ def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], X
     """
 
     def is_unset(tag: str, name: str, attribute: str, ends: ArrayLike, switch: int) -> bool:
-        """Return True if MuJoCo writes the attribute although both ends are 0, with "auto"."""
+        """Return True if a range is not set, but written by MuJoCo, and so in ``index``.
+
+        A range is not set if both ends are 0 and its ``switch`` (mjtLimited) is "auto".
+        """
         node = index.get((tag, name))
         return (
             node is not None

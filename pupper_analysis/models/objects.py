@@ -88,7 +88,7 @@ class ObjectFiles:
             mjcf: MJCF that was converted from the URDF of the Pinocchio model.
 
         Returns:
-            Modified copy; ``mjcf`` itself if ``source`` is None.
+            Modified copy; ``mjcf`` itself if no object is a Pinocchio model.
 
         Raises:
             ModelError: If MuJoCo does not compile the result.

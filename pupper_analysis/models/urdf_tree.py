@@ -139,7 +139,7 @@ class UrdfLink(UrdfElement):
 
     @property
     def mass(self) -> float | None:
-        """Specified mass [kg]; None if missing."""
+        """Mass [kg] that the URDF states for this link; None if missing."""
         element = self.element.find("inertial/mass")
         return None if element is None else float(element.get("value"))
 

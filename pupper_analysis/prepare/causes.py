@@ -156,7 +156,7 @@ def _name_element(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> st
 def _name_elements(
     model: mujoco.MjModel, kind: mujoco.mjtObj, numbers: Iterable[int]
 ) -> tuple[str, ...]:
-    """Return the names of elements."""
+    """Return the names of MuJoCo elements of a kind, such as geoms, from their ids ``numbers``."""
     return tuple(_name_element(model, kind, int(number)) for number in numbers)
 
 

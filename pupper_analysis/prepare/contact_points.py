@@ -201,15 +201,17 @@ _TEST_PENETRATION = 1e-4
 """Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""
 
 _NUM_SOLE_JOINTS = 5
-"""Number of joints between foot and base with which a leg can lay the sole flat at any position, up
-to the yaw angle: a position and two angles. With fewer, `can_keep_sole_flat` tests the leg."""
+"""Number of joints between foot and base with which a leg can lay the sole flat at any position:
+three coordinates and two angles; the yaw angle is not prescribed. If a leg has fewer joints,
+`can_keep_sole_flat` tests the leg."""
 
 _MIN_SOLE_JOINTS = 4
 """Number of joints between foot and base below which a leg has a single contact point instead of a
 sole. With this number, a leg may lay the sole flat at any height, but not at any position."""
 
 _CIRCLE_ANGLES = np.linspace(0, 2 * math.pi, 24, endpoint=False)
-"""Angles at which circles are sampled [rad]. Chosen, not tuned."""
+"""Angles [rad] of the points at which the rims of cylinders, and circles on a sphere, are sampled.
+Chosen, not tuned."""
 
 _CIRCLE_POINTS = np.column_stack([np.cos(_CIRCLE_ANGLES), np.sin(_CIRCLE_ANGLES)])
 """Points of a unit circle, shape (24, 2), with which rims of cylinders are sampled."""

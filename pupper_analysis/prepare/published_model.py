@@ -546,7 +546,7 @@ _POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
 
 def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive) -> bool:
-    """Return True if a joint has a single servo, whose gain and stiffness are unequal."""
+    """Return True if the only actuator of a joint has a stiffness unequal to its gain on ctrl."""
     if not drive.has_other_law or len(actuators) != 1:
         return False
     fixed = model.actuator_gaintype[actuators[0]] == mujoco.mjtGain.mjGAIN_FIXED.value

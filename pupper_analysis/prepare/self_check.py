@@ -92,9 +92,9 @@ the nudge of a robot with six feet, elliptic cones and an ``impratio`` of 100: t
 relax with a time constant of 6.8 s, which is a ratio of 0.75."""
 
 TORQUE_RTOL = 0.01
-"""Largest deviation of the torques in a simulation of the published file from the prediction,
-relative to ``torque_scale``, with which both agree. Chosen as for a verified stand
-(``FORCE_TOLERANCE``)."""
+"""Largest deviation of the joint torques in a simulation of the published file from the predicted
+torques with which both agree. It is relative to ``torque_scale``, the largest predicted torque or,
+if that is small, a part of the weight. Chosen as for a verified stand (``FORCE_TOLERANCE``)."""
 
 MAX_REMAINING_SINKAGE = 1e-3
 """Largest height error of the CoM [m] with which a changed model counts as repaired, if its torques
@@ -523,7 +523,7 @@ def name_remaining_cause(
 
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
-    """Return the file's servos as a cause, if the file stands with stiffer servos."""
+    """Return the file's servos as the cause of a failure, if the file stands with stiffer ones."""
     loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
     if model is None or not loaded.floating:

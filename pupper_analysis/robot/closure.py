@@ -133,8 +133,9 @@ class Closure:
         return openings
 
     def jacobian(self, qpos: Array) -> Array:
-        """Return the Jacobian, shape (m, nu), of the constraint violations by the joint positions.
+        """Return the derivatives of ``residual`` by the joint positions, shape (m, nu).
 
+        ``residual`` contains the violations of the equality constraints that close loops.
         Columns are in actuator order. The pose of the base does not affect the violations.
 
         Args:

@@ -479,7 +479,7 @@ class Robot(EngineModels):
 
     @property
     def total_mass(self) -> float:
-        """Mass [kg] of the URDF's model."""
+        """Total mass [kg] of the robot in the URDF's model."""
         return self.structure.total_mass
 
     @property

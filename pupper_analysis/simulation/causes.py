@@ -54,8 +54,8 @@ def find_instability(
     Args:
         stability: Stability at the settled state. Modes are reported only if the state is at rest.
         nudge: Response to the nudge; None if the stand was not nudged.
-        bounces: Whether the motion that does not decay is that of a bouncing foot with almost no
-            load, and does not grow. It is not reported then.
+        bounces: Whether the nudge does not decay only because a foot with almost no load bounces,
+            with a motion that does not grow. This is not reported.
     """
     leaving = stability.modes_growing_within() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]

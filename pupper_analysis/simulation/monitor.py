@@ -136,7 +136,10 @@ class StandReference:
         return base_tilt(self.robot, self.rotation, state)
 
     def _locate_com_point(self, state: Array) -> Array:
-        """Return the world position (3,) [m] of a point fixed to the base: the CoM in the stand."""
+        """Return the world position (3,) [m] of the reference point, which moves with the base.
+
+        In the stand, this point is at the CoM of the robot.
+        """
         base = state[1 + self.robot.mj_convention.qpos_index[:7]]
         position: Array = base[:3] + rotation_from_quaternion(base[3:]) @ self.com_offset
         return position

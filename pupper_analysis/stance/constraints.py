@@ -398,7 +398,7 @@ def evaluate_constraints(
 
 
 def make_constraints(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
-    """Yield the constraints of a goal.
+    """Yield the constraints that a stand must satisfy for a goal, such as base height and limits.
 
     The constraints can also be evaluated for copies of the goal with relaxed values.
     """

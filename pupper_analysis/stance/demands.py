@@ -121,7 +121,7 @@ class DemandVector:
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Return the values that another task has for the n numbers of this vector, (n,) [m, rad].
+        """Return the values of another task for the requirements in ``keys``, shape (n,) [m, rad].
 
         Args:
             task: Task that specifies the same fields for the same feet, with other values.

@@ -153,9 +153,10 @@ def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
 
 
 def _place_lifted_feet(robot: Robot, stand: Stand, task: StandTask, at: Configuration) -> StandTask:
-    """Return a task that requires the positions and heights of the lifted feet at a configuration.
+    """Return a task in which lifted feet have the positions and heights of a configuration.
 
-    The place of a foot whose contact states a place is not changed.
+    The lifted feet are those of ``stand``; the configuration is ``at``. A foot keeps its place in
+    the task if its contact states a place.
 
     Raises:
         ConfigurationError: If a lifted foot is not above its ground.

@@ -52,10 +52,10 @@ class WholeBody(Protocol):
         """
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
-        """Return the derivatives of `self_clearances` by PlaCo's q, and q.
+        """Return the derivatives of `self_clearances` by the configuration, and the configuration.
 
-        The shapes are (n, nq) and (nq,), always with a free base. Derivatives by the pose of the
-        base are zero.
+        The configuration q is that of PlaCo's robot, shape (nq,), always with a free base. The
+        derivatives of n distances have the shape (n, nq); those by the pose of the base are zero.
         """
 
 

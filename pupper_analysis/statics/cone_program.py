@@ -272,7 +272,10 @@ class Balance:
         return None if coordinates is None else particular + free @ coordinates
 
     def _solve_linear(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
-        """Minimise |cost @ f - target| subject to balance, without cones; None without balance."""
+        """Return the forces f with the smallest |cost @ f - target| that balance the base load.
+
+        Friction cones are ignored. None if no forces balance the load.
+        """
         if isinstance(cost, np.ndarray):
             forces = self._solve_by_gglse(cost, target)
             if forces is not None and self._is_balanced(forces):

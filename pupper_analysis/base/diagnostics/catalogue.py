@@ -218,7 +218,7 @@ def _load_tables() -> Mapping[str, str]:
 
 @cache
 def list_entries(file: str) -> Mapping[str, str]:
-    """Return the texts in a catalogue file, and in the tools, whose entry is a single line.
+    """Return the entries of a catalogue file, and of the tools, that are single TOML lines.
 
     Args:
         file: Name of the catalogue file, an element of ``LINE_ENTRY_FILES``. Entries of the same

@@ -169,7 +169,7 @@ class Diagnostic:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields for JSON, with the English text as ``message``."""
+        """Return the fields of this diagnostic for JSON, with the English text as ``message``."""
         return {
             "code": self.code,
             "severity": self.severity.value,

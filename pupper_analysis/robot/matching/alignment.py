@@ -344,5 +344,5 @@ def in_body_frame(values: MultibodyTree, name: str, rotation: Array, shift: Arra
 
 
 def with_base(values: MultibodyTree, pose: pin.SE3) -> MultibodyTree:
-    """Return a tree with another frame of the base: coordinates x in the base become pose x."""
+    """Return a tree with another frame of the base, in which the old base frame has this pose."""
     return in_body_frame(values, values.base, np.array(pose.rotation), np.array(pose.translation))

@@ -187,9 +187,10 @@ def _find_base_pose(
 
     None if no joint is on the base, if a joint has the same placement in both trees (the frames are
     equal), if the joints on the base do not correspond, or if no pose decreases the deviation
-    enough. Also None if limbs have exchanged names, and the base body is equal without the pose
-    only: a half turn about x exchanges left and right, too. For a ``fixed`` base, exchanged axes
-    that remove the whole deviation are also accepted.
+    enough. Also None if exchanged names of limbs explain the deviation instead (a half turn about x
+    exchanges left and right, too): the joints on the base coincide under other names, and the base
+    bodies are equal only without the pose. For a ``fixed`` base, exchanged axes that remove the
+    whole deviation are also accepted.
     """
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):

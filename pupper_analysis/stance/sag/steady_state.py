@@ -364,9 +364,9 @@ class HomotopyPath:
         return self.system.solve(self.solution)
 
     def _go_to_event(self, wanted: float, there: Solution) -> bool:
-        """Remove feed-forward up to the first change of a contact, and apply this change.
+        """Reduce the feed-forward until the first contact opens or closes, and switch this contact.
 
-        The removed fraction at which a contact opens or closes is found by bisection.
+        The removed fraction of the feed-forward at which this occurs is found by bisection.
 
         Args:
             wanted: Removed fraction of the feed-forward at which contacts contradict the solution.
@@ -405,7 +405,8 @@ class HomotopyPath:
     def _solve_contacts(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
         """Solve the equilibrium, and switch contacts until none contradicts the solution.
 
-        ``when`` describes the moment for the error message, for example a creep time.
+        ``when`` describes the moment for the error message, for example a creep time; ``exact`` is
+        an argument of `SagEquilibrium.solve`.
         """
         self.solution = guess
         while True:

@@ -45,8 +45,8 @@ MIN_SHOWN_LOSS = 0.1
 of a picture."""
 
 _LOSS_WINDOW = 1.0
-"""Length [s] of the window at the end of a curve, over which the legend states the mean height.
-Chosen, not tuned."""
+"""Length [s] of the interval at the end of a simulation over which base heights are averaged; the
+legend states this mean, less the height of the task. Chosen, not tuned."""
 
 
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:

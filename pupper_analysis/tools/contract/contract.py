@@ -214,7 +214,7 @@ def _check_source(placed_source: PlacedSource, model: Source) -> list[Diagnostic
 
 
 def _make_names_distinct(read: Sequence[Source]) -> list[Source]:
-    """Prefix names that occur more than once with as many parent folders as are needed."""
+    """Return the sources with distinct names: equal names get parent folders as a prefix."""
     renamed = []
     for source in read:
         own_parts = source.path.absolute().parts

@@ -290,8 +290,8 @@ _NEAR_LIMIT_RTOL = 0.02
 NOTE, since data sheets round these numbers. Chosen, not tuned."""
 
 _ANGLE_QUANTITIES = ("default angle", "action offset")
-"""Quantities that are joint angles. Differences of two joints that are equal up to the
-sign are reported as one disagreement."""
+"""Quantities that are joint angles. If two joints, such as left and right, have the same pair of
+different values with opposite signs, one disagreement is reported for both."""
 
 
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:

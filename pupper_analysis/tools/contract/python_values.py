@@ -285,7 +285,7 @@ class Evaluator:
         raise NotConstantError
 
     def _run_assign(self, statement: ast.Assign | ast.AnnAssign, scope: Scope) -> None:
-        """Assign the value of the right-hand side to all targets; nothing without a value."""
+        """Assign the right-hand side to all targets; an annotation without value has no effect."""
         if statement.value is not None:
             value = self.evaluate(statement.value, scope)
             for target in (

@@ -944,7 +944,10 @@ def _compare_quantity(
 
 
 def _find_min_scale(name: str, evaluation: Evaluation) -> float:
-    """Return the smallest scale of a quantity, in its unit. Smaller values are rounding errors."""
+    """Return the lower bound of the scale by which deviations of a quantity are divided.
+
+    The bound is in the unit of the quantity; smaller values are rounding errors.
+    """
     if name in ("gravity", "bias forces"):  # a millionth of the weight
         return 1e-6 * EARTH_GRAVITY * float(np.abs(evaluation["mass matrix"]).max())
     return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)

@@ -128,7 +128,7 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
 
 
 def _list_tree_elements(file: MjcfFile) -> dict[Key, Element]:
-    """List joints, actuators, tendons and equalities, with the values that trees do not contain."""
+    """List joints, actuators, tendons, equalities with values that a `MultibodyTree` lacks."""
     model, found = file.model, dict[Key, Element]()
     counts = {
         "joint": model.njnt,

@@ -208,6 +208,7 @@ def _to_numbers(values: Any, *, trim: bool = True) -> list[float]:
 # Files in git: `REVISION:PATH`.
 
 _T = TypeVar("_T")
+"""Type of the result of a function that reads a file."""
 
 _MODEL_SUFFIXES = (
     ".urdf",

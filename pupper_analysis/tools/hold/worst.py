@@ -294,9 +294,9 @@ _NUM_RANDOM_STARTS = 12
 not tuned."""
 
 _NUM_POOL_POSTURES = 500
-"""Number of random postures of a robot with loops of joints that do not move in proportion.
-Searches start from the worst random postures, too: such loops have many local maxima. Chosen, not
-tuned."""
+"""Number of random postures that are evaluated before the searches, if a robot has closed loops
+whose joints do not move in proportion. The searches also start from the worst of these postures,
+because the torques of such loops have many local maxima. Chosen, not tuned."""
 
 _NUM_POOL_STARTS = 3
 """Number of postures of the random sample, those with the largest torques of a motor, from which

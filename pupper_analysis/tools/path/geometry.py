@@ -282,7 +282,7 @@ class PathPlace:
         return self.stand.qpos
 
     def compute_motion(self, rate: float, acceleration: float) -> tuple[Array, Array]:
-        """Compute velocity and acceleration at a sample, shape (nv,), from those of s.
+        """Compute the robot's velocity and acceleration at a sample, shape (nv,) each.
 
         Args:
             rate: ds/dt of the path parameter s [1/s].
@@ -394,7 +394,10 @@ def path_geometry(
 
 
 def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnostic:
-    """Return a text with the time and segment of a sample; ``duration`` of a segment [s]."""
+    """Return a text with the time and segment of a sample of a path.
+
+    A segment has ``per_segment`` samples and takes ``duration`` [s].
+    """
     number = max(0, (index - 1) // per_segment)
     moment = duration * index / per_segment
     return diagnose("at-the-time", time=moment, one=number + 1, two=number + 2)

@@ -175,8 +175,8 @@ def study_outcome(
 def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return the assumptions on which the simulated stands of a robot depend.
 
-    The assumptions are the behaviour of the published file from its keyframe, and servos that were
-    added.
+    The messages state how the published file behaves in a simulation from its keyframe, and
+    describe the servos, if this package has added them.
     """
     messages = [clause.message for clause in make_keyframe_run_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # a robot without servos, whose gains are variables

@@ -259,10 +259,10 @@ def _render_mjcf(description: Description, choose_path: Any) -> str:
         return existing_file(source_folder / folder / name)
 
     def register_file(name: str, folder: str) -> str:
-        """Select the output path of a file that the MJCF references; return its absolute path.
+        """Choose the output path of a referenced file, and return the file's present absolute path.
 
-        The output path later replaces the absolute path in the rendered XML. The name of a missing
-        file is returned unchanged.
+        The output path later replaces the absolute path in the rendered XML. The reference is
+        ``name`` in the MJCF, relative to ``folder``; that of a missing file is returned unchanged.
         """
         file = find_file(name, folder)
         if file is None:

@@ -868,7 +868,7 @@ def make_rotation(quaternion: Any) -> Array:
 
 
 def compute_world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
-    """Return the transform of a prim to the world of the stage, in the convention of USD.
+    """Return the transform of a prim to the world of the stage, a USD matrix for row vectors.
 
     Raises:
         ModelError: If an operation of the transform has no value.

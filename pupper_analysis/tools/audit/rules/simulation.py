@@ -237,10 +237,15 @@ _SHANK_ANGLES = np.linspace(-MAX_SHANK_ANGLE, MAX_SHANK_ANGLE, 25)
 
 
 def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Array:
-    """Return the downward direction for each inclination of a shank, shape (n, 3).
+    """Return the unit vectors that point down if a shank is inclined by `_SHANK_ANGLES`, (n, 3).
 
-    The directions are normal to the axis of the knee, and expressed in the world frame in which the
-    robot has zero angles. Without inclination, the direction is that from the knee to the foot.
+    The vectors are normal to the axis of the knee, and expressed in the world frame in which the
+    robot has zero angles. Without inclination, down is the direction from the knee to the foot.
+
+    Args:
+        data: MuJoCo data with the kinematics at zero angles.
+        knee: Id of the knee joint.
+        foot: Id of the geom of the foot.
     """
     axis = data.xaxis[knee]
     down = data.geom_xpos[foot] - data.xanchor[knee]

@@ -677,9 +677,9 @@ def differentiate_motion(
     replaced by c0 + (m / m0) (c - c0), with stated values c0, m0 (`MomentCoordinates`).
 
     Finite-difference steps are along the principal directions of the information, scaled by the
-    uncertainties. Steps along single parameters would make intervals a quarter too narrow: a common
-    factor on kp, friction and masses has no effect, but errors of the large derivatives by each add
-    up to a false effect. Groups of joints without mutual effect are changed in one simulation.
+    uncertainties. Steps along single parameters would make intervals a quarter too narrow: their
+    errors add up to a false effect of a common factor on kp, friction and masses, which has none.
+    Groups of joints without mutual effect are changed in one simulation.
 
     Args:
         simulator: Simulator.

@@ -519,7 +519,7 @@ def _compute_link_frames(
 
 
 def _compute_base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) -> pin.SE3:
-    """Return the pose of Pinocchio's world in MuJoCo's, in which the MJCF fixes the base."""
+    """Return the pose of Pinocchio's world in MuJoCo's world, with which the bases coincide."""
     model = robot.pin_model
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     base_pose = by_pin.oMi[frame.parentJoint] * frame.placement

@@ -448,9 +448,9 @@ _DEFAULT_FRICTION_RATIO = 5e-3
 height. Files that state plausible values have 0.24 % (Pupper v3) to 0.66 % (Go1, B1)."""
 
 _MIN_FRICTION_RATIO = 2e-3
-"""Smallest mean dry friction, divided by weight times height, that is taken from a file. The 0.2 N
-m of Go1 were copied to files of Spot and HyQReal2, and to Pegasus before Pegasus was identified;
-there the ratio is 0.03 to 0.09 %."""
+"""Mean stated dry friction of the joints, divided by weight times height, up to which the stated
+values count as implausible and are scaled up to `_DEFAULT_FRICTION_RATIO`. Chosen above the ratios
+of 0.03 to 0.09 % in files of Spot, HyQReal2 and Pegasus that contain the 0.2 N m of Go1."""
 
 _MAX_PULL_RATIO = 0.02
 """Largest computed pull of a foot on the ground, as a fraction of the weight, that is accepted for
