@@ -226,7 +226,7 @@ class RobotOptions:
 
     @property
     def _load_options(self) -> dict[str, Any]:
-        """Options for files, as arguments of ``load_robot``."""
+        """Robot options of the command line, as keyword arguments of ``load_robot``."""
         named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet or ()]
         frames: dict[str, str | tuple[str, str]] = {}
         for foot, frame in (shared.parse_assignment("foot", text) for text in named):

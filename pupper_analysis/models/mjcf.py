@@ -217,7 +217,7 @@ _EQUALITY_OBJECTS = {
     mujoco.mjtEq.mjEQ_FLEXVERT.value: mujoco.mjtObj.mjOBJ_FLEX,
     mujoco.mjtEq.mjEQ_FLEXSTRAIN.value: mujoco.mjtObj.mjOBJ_FLEX,
 }
-"""{type of an equality: type of its objects}, where the former determines the latter."""
+"""{type of an equality: type of its objects}, for equality types with a single type of object."""
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:

@@ -495,7 +495,7 @@ def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
 
 
 def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
-    """Delete the sensors that refer to an element with a name; none for ""."""
+    """Delete the sensors that refer to an element by its name; an empty name deletes none."""
     for sensor in list(spec.sensors):
         if name and name in (sensor.objname, sensor.refname):
             spec.delete(sensor)

@@ -312,8 +312,8 @@ def _commands_to_hold(
 ) -> HoldCommands:
     """Return the commands with which a published model holds joint positions.
 
-    The servos that loading added are used only if most joints of the file have no servo. Otherwise
-    a joint with a torque motor is not held.
+    The servos that `load_robot` added are used only if most joints of the file have no servo.
+    Otherwise a joint with a torque motor is not held.
 
     Args:
         published: Published model.

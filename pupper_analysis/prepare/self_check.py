@@ -573,7 +573,7 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
         )
 
     def test_model(changed: mujoco.MjModel) -> float | None:
-        """Return 0.0 (no remaining deviation) if a changed model stands, None if it fails."""
+        """Simulate a changed model from the keyframe; return 0.0 if it stands, None if it fails."""
         # A single other time step may let an unstable robot stand by chance.
         finer = changed.opt.timestep < model.opt.timestep
         for parts in (1, 2, 4) if finer else (1,):
@@ -654,9 +654,9 @@ def _test_causes(
 
     @cache
     def deviation_without(removed: frozenset[CauseCandidate]) -> float | None:
-        """Return the remaining deviation of the model with some candidates switched off.
+        """Return the result of ``test_model`` for the model with candidate causes switched off.
 
-        It is the result of ``test_model``; None if that model is unsound.
+        None if this model is unsound.
         """
         model = copy.copy(published.model)
         for candidate in removed:

@@ -41,9 +41,9 @@ time step h and the inertia I at the joint; limits the stiffness kp. Chosen belo
 MuJoCo's integration, explicit in the position, diverges."""
 
 _MAX_FIXED_BASE_FREQUENCY = 0.5
-"""Upper bound of h sqrt(kp / I) for each joint of a robot with a fixed base [rad per time step], as
-`_MAX_STANDING_FREQUENCY`. Chosen as a quarter of the stability limit 2, because the poses in which
-the robot will be used are unknown."""
+"""Upper bound of h sqrt(kp / I) for each joint of a robot with a fixed base [rad per time step],
+with the time step h and the inertia I at the joint; limits the stiffness kp. Chosen as a quarter of
+the stability limit 2, because the poses in which the robot will be used are unknown."""
 
 _MIN_LEVER_FRACTION = 0.02
 """Lower bound of the design torque of added servos [N m]: weight * base height * this fraction. The

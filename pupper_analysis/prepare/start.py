@@ -366,7 +366,13 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
 
 
 def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
-    """Return a robot whose nominal stand starts from joint positions (nu,) at a height [m]."""
+    """Return a robot with another start pose, from which its default stand is solved.
+
+    Args:
+        robot: Robot.
+        joints: Joint positions, shape (nu,) [rad, m].
+        height: Height of the base above the ground in the default stand [m].
+    """
     return replace(robot, home=np.concatenate([robot.home[:7], joints]), stand_height=height)
 
 

@@ -226,7 +226,7 @@ class Stand(Pictured, Tabular):
         return tuple(violations)
 
     def _clearances(self) -> Iterator[tuple[Clearance, float]]:
-        """Yield each clearance with the required minimum [m]."""
+        """Yield (clearance, required minimum [m]) to the ground and between links."""
         if self.ground_clearance is not None:
             yield self.ground_clearance, self.task.ground_clearance
         if self.self_clearance is not None:

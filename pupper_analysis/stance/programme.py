@@ -336,7 +336,7 @@ class StanceProgram:
         return start
 
     def _demand_values(self, x: Array) -> Array:
-        """Return the relaxed values of the task at the variables, shape (n,) [m, rad]."""
+        """Return the relaxed task values that the program's variables x encode, (n,) [m, rad]."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
         numbers = self._numbers
         return numbers.clip(numbers.values + numbers.units * (more - less))

@@ -307,7 +307,8 @@ _COMPARED_NAMES = (
     *(("one", "two"), ("old", "new"), ("urdf", "mjcf"), ("own", "its"), ("mass", "its")),
     *(("effort", "its"), ("value", "its"), ("mass", "stated")),
 )
-"""Names of placeholders whose values a message compares."""
+"""Pairs of placeholders whose values a message compares. Such numbers are printed with more digits
+if they differ but have the same text."""
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,7 @@ class RobotModel:
         return (attribute.mjcf or (attribute.kind,))[0], None
 
     def children(self, name: str) -> list[Link]:
-        """Return the children of a body."""
+        """Return the links whose parent is the link ``name``."""
         return self._children_by_name[name]
 
     def descendants(self, name: str) -> Iterator[Link]:

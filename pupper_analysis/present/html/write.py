@@ -537,7 +537,7 @@ def _read_part(name: str) -> object:
 
 
 def _mark_safe(script: str) -> object:
-    """Mark a text of the package or of the library as not to be escaped."""
+    """Mark a text as safe for the HTML template, which then inserts it without escaping."""
     import markupsafe
 
     return markupsafe.Markup(script)

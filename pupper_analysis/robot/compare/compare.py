@@ -623,7 +623,7 @@ bodies are not compared."""
 
 
 def _has_mechanical_difference(differences: Iterable[Difference]) -> bool:
-    """Return True if a difference concerns more than coordinates."""
+    """Return True if a difference is not only one of coordinates (base frame or joint zero)."""
     return any(difference.kind not in CONVENTION_KINDS for difference in differences)
 
 
@@ -703,7 +703,7 @@ def _compare_servo_gains(
 
 
 def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
-    """Yield reasons against agreement other than differences.
+    """Yield reasons, other than differences, for which URDF and MJCF do not agree.
 
     Reasons: an unexplained residual, or a total deviation above the largest tolerance although all
     differences are within the tolerances.

@@ -412,7 +412,7 @@ def _build_in_mjcf_convention(
 def _compare_conventions(
     robot: Robot, tolerances: Tolerances
 ) -> tuple[Conventions, list[Diagnostic]]:
-    """Find the differences between the conventions of both files; report a fixed base's pose."""
+    """Find differences of base frame and joint zeros in both files; report a fixed base's pose."""
     urdf, mjcf = kinematic_trees(robot)
     if robot.floating:
         return find_conventions(urdf, mjcf, tolerances, fixed=False), []

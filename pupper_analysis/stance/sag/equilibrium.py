@@ -467,8 +467,8 @@ class SagEquilibrium:
     def slips(self, qpos: Array, forces: Array) -> Array:
         """Return slips (along two ground tangents) and penetration of each touching contact.
 
-        A slip is the displacement along the ground since the first contact. With ``feet="pinned"``
-        it starts at the current step of simulated creep, if there is one, and the product of
+        A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
+        the slip before the current step of simulated creep is subtracted, and the product of
         compliance and tangential force is added: the sum is zero for a contact that sticks.
 
         Args:

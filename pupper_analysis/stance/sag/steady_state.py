@@ -183,9 +183,9 @@ _SHARE_TOLERANCE = 1e-7
 contact opens or closes. Chosen: it corresponds to nanometres of motion."""
 
 _MAX_EVENTS = 24
-"""Upper bound of the number of contact changes along a path, after which the solve fails: contacts
-that open and close in turn. For robots with more than six contact points, four per point. Chosen,
-not tuned."""
+"""Upper bound of the number of contacts that open or close along a path of equilibria; with more,
+the solve fails, since contacts would open and close in turn. Robots with more than six contact
+points have the bound of four per point. Chosen, not tuned."""
 
 _FRICTION_SHARE_OF_SLIDING = 0.95
 """Fraction of the friction limit above which a foot is reported as about to slide if the path of

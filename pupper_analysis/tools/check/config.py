@@ -459,7 +459,7 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def _format_entry(entry: dict[str, str]) -> str:
-    """Return the [[pair]] table of an entry {key: text} in TOML."""
+    """Return a pair of model files, {key: text}, as a [[pair]] table in TOML."""
     # JSON strings are TOML strings, except for DEL.
     texts = {k: json.dumps(v, ensure_ascii=False) for k, v in entry.items()}
     keys = [f"{key} = {text}\n".replace("\x7f", "\\u007f") for key, text in texts.items()]

@@ -413,10 +413,10 @@ def read_baseline(path: Path) -> Baseline:
 
 
 def _split_top(lines: list[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Return the user's lines at the top of a file, and the comment of its first entry.
+    """Split the lines above a baseline's first entry: user's text at the top, entry's comment.
 
     Args:
-        lines: All lines above the first entry; the last blank line ends the top.
+        lines: Lines above the first entry; the last blank line separates the two parts.
     """
     own = [*lines]
     for line in _HEADER_LINES:

@@ -106,7 +106,7 @@ def name_variants(result: ModelDiff, words: Mapping[str, str]) -> ModelDiff:
     """
 
     def name(place: str) -> str:
-        """Return a place ``file:line`` with the argument in place of the file."""
+        """Replace the file in ``file:line`` by the command-line argument that specified it."""
         file, separator, line = place.rpartition(":")
         return f"{words[file]}{separator}{line}" if file in words else words.get(place, place)
 

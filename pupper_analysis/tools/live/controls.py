@@ -205,7 +205,7 @@ class Controls:
         return state.with_values(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 
     def _show_contacts(self, *, typed: bool) -> None:
-        """Show contacts in the list of feet and, unless the user ``typed`` them, as text."""
+        """Update the list of feet by the contacts of the stance, and the text unless ``typed``."""
         contacts = self._state.contacts
         if not typed:
             self.contacts.value = "\n".join(

@@ -285,7 +285,10 @@ def write_stance_file(state: State) -> str:
 
 
 def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
-    """Yield option, foot or joint, and value as typed: stance, payload and gains."""
+    """Yield the command-line options of a page's stance, payload and gains.
+
+    Each is (option, foot, joint or link, value as typed); the name is "" for a single value.
+    """
     for field, value in state.requested_values():
         for element, item in value.items() if field.per else [("", value)]:
             yield field.option, element, _format_value(field, item)

@@ -150,8 +150,8 @@ _MASS_GROWTH = 1.5
 narrower interval of masses may be missed. Chosen, not tuned."""
 
 _FAST_MASS_GROWTH = 3.0
-"""Factor between successive tested payloads after a first kind of failure (stance, motors, servos)
-has occurred, until the others occur. Chosen, not tuned."""
+"""Factor between successive masses after the first failure of stance, motors or servos. Chosen, not
+tuned."""
 
 _MAX_FRICTION_NEEDED = 10.0
 """Largest friction coefficient that balances a stance whose failure is called sliding. If balance

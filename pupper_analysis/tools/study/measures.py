@@ -65,9 +65,9 @@ class Design:
 
     @cached_property
     def gains(self) -> dict[str, Any]:
-        """Servo gains of a design as arguments ``kp`` and ``kd``; empty with the gains of the file.
+        """Servo gains of this design, as keyword arguments ``kp`` and ``kd``.
 
-        Each has the shape (nu,) [N m/rad and N m s/rad].
+        Each has the shape (nu,) [N m/rad and N m s/rad]. Empty if the gains are those of the file.
         """
         if self.own_servos:
             return {}

@@ -39,8 +39,8 @@ JOINT_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per =
 """Kinds of variables ``KIND:PATTERN`` that are fields of the stand task with a value per joint."""
 
 LINK_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "link")
-"""Kinds of variables ``KIND:PATTERN`` that are fields of the stand task with a value per link, for
-contacts that the stance of the study defines."""
+"""Kinds of variables ``KIND:PATTERN`` that are fields of the stand task with a value per link. The
+pattern is the name of a link whose contact in the study's stance has a plane."""
 
 PATTERN_KINDS = {
     "mass": "mass and inertia of bodies",

@@ -200,7 +200,7 @@ class Study:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of robot, stand task, payload position, metrics and package versions."""
+        """Hash of the study's robot, stand task, payload position, metrics and package versions."""
         parts = {
             "robot": hash_description(self.base.description),
             "source": repr(self.source.to_dict()) if self.source.scales else "",

@@ -44,8 +44,9 @@ from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 Array = NDArray[np.float64]
 
 _NEW_INERTIAL_COST = 100
-"""Cost of adding an <inertial> to a body, in changed attributes, when the body to be changed is
-selected. Chosen larger than the cost of any change of existing attributes."""
+"""Number of changed attributes to which adding an <inertial> to a body is equivalent: of several
+possible changes, that with the fewest is made. Chosen larger than any change of existing attributes
+has."""
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
 """Orientation attributes of an <inertial> that cannot be rewritten: a body whose <inertial> has one

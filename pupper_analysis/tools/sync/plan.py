@@ -42,7 +42,7 @@ _SHARED_JOINT_KINDS = tuple(one.kind for one in JOINT_ATTRIBUTES if one.is_in_bo
 """Kinds of joint numbers that both formats contain."""
 
 _WRITTEN_KINDS = (*INERTIAL_KINDS, "position", *_SHARED_JOINT_KINDS)
-"""Kinds of differences that are written: numbers of both formats."""
+"""Kinds of differences that `sync` writes to the other file: numbers that both formats contain."""
 
 _UNWRITTEN_REASONS = {
     "type": diagnose("joint-type-unwritten"),

@@ -283,8 +283,8 @@ MIN_SHAPE_FRACTION = 0.5
 density is not checked: the shapes may show a part of the link only. Chosen, not tuned."""
 
 MIN_EXTENT = 0.01
-"""Extent [m] of a link's shapes below which the density is not checked, and of all joints below
-which the size of shapes is not checked. Chosen, not tuned."""
+"""Smallest extent [m] of a link's shapes with which the link's density is checked, and smallest
+extent of all joint positions with which the size of shapes is checked. Chosen, not tuned."""
 
 MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
 """Extent of all joint positions of a robot [m] above and below which the size is reported as

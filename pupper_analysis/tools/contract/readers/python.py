@@ -124,7 +124,7 @@ def _find_annotated_class(
 
 
 def _iterate_instances(node: Node, seen: set[int]) -> Iterator[Node]:
-    """Yield all instances in a value, each once."""
+    """Yield all class instances in a configuration value, nested ones too, each once."""
     value = node.value
     if id(value) in seen or not isinstance(value, py.InstanceValue | dict | list):
         return

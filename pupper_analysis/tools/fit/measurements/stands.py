@@ -289,9 +289,10 @@ def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
 
 
 def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
-    """Yield each link with known masses, and the mass and its position in each of m stands.
+    """Yield (link, loads) of each link to which known masses were attached.
 
-    Shape (m, 4): mass [kg], position in the link frame [m]; zeros without mass.
+    ``loads`` has a row for each of m stands, shape (m, 4): mass [kg], and position in the link
+    frame [m]; zeros in a stand without mass.
     """
     axes = ("added_x", "added_y", "added_z")
     for kind in axes:

@@ -31,11 +31,11 @@ _TILT_HEIGHT_INDICES = [3, 4, 2]
 The measurements do not depend on the other base coordinates (horizontal position, yaw)."""
 
 _LAST_MOTION_FRACTION = 0.75
-"""Standard deviation of the part of the dry friction that all joints and feet have in common when
-the base comes to rest, as a fraction of the dry friction: one random term for each of the six
-motions of the base. The rest of the variance, about half, is independent for each joint and foot.
-Measured on v3 set down in MuJoCo: with this value the whitened residuals of robots with exact
-parameters have unit variance."""
+"""Standard deviation of six random friction terms, as a fraction of the dry friction: one for each
+motion in which the base may come to rest. These terms are common to all joints and feet; about half
+of the variance of the friction is independent for each joint and foot. Measured on v3 set down in
+MuJoCo: with this value the whitened residuals of robots with exact parameters have unit
+variance."""
 
 _RANK_RTOL = 1e-6
 """Singular value of the contact Jacobian by the joints, relative to the largest, below which it
@@ -413,11 +413,11 @@ class StandRows:
         self.residual[:nv] = residual
 
     def _compute_last_motions(self) -> tuple[Array, Array]:
-        """Return rotation rates of n joints (n, 6) and p feet (p, 3, 6) in six base motions.
+        """Return joint rates (n, 6) and rotation rates (p, 3, 6) of p feet in six base motions.
 
-        The contact points do not move. Each base motion is scaled such that its fastest joint (for
-        the feet: its fastest foot) has the value 1. The dry friction of a robot at rest acts
-        against the motion in which it came to rest, a combination of these six.
+        Each motion is a translation or rotation of the base, with the contact points fixed. The
+        rates are relative to those of the fastest joint, or the fastest foot. The dry friction of a
+        robot at rest acts against the last motion, a combination of these six.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)

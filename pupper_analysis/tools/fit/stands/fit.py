@@ -999,7 +999,8 @@ def _drop_uninformative_commands(
 
 
 _COMMAND_NOTES = {True: "stands-at-stops", False: "stands-with-full-torque"}
-"""{whether a joint is at a stop (otherwise the motor is at the torque limit): code of the note}."""
+"""{reason for which commands are not used: code of the note}. True: the joint is at a stop; False:
+the motor is at the torque limit."""
 
 _FULL_TORQUE_RATIO = 0.98
 """Ratio of torque to torque limit above which a motor counts as saturated, so that its command is

@@ -393,7 +393,7 @@ _TRIES_PER_STAND = 8
 _MAX_FAILED_TRIES = 24
 """Number of random stand tasks after which the search ends if none of them could be solved. The
 range of the random values shrinks after each failure (`_SHRINK_FACTOR`), by then to 2 %: nearly the
-nominal stand. Chosen, not tuned."""
+default stand. Chosen, not tuned."""
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
 """Factors on the range of random stands after a refused and after an accepted stand. The factors
@@ -403,34 +403,36 @@ _MAX_UTILISATION = 0.6
 """Upper bound of motor torque over torque limit, since stands last minutes. Chosen, not tuned."""
 
 _MIN_HEIGHT_RATIO, _MAX_HEIGHT_RATIO = 0.75, 1.1
-"""Bounds of the base height, as fractions of the nominal height. Chosen, not tuned."""
+"""Bounds of the base height, as fractions of the base height in the default stand. Chosen, not
+tuned."""
 
 _MAX_TILT = 0.25
 """Largest absolute roll and pitch [rad] of the base in a proposed stand. Chosen, not tuned."""
 
 _MAX_STEP_RATIO = 0.15
-"""Upper bound of the absolute random displacement of a foot from its nominal position, along x and
-along y, as a fraction of the nominal base height. Chosen, not tuned."""
+"""Upper bound of the absolute random displacement of a foot from its default position, along x and
+along y, as a fraction of the base height in the default stand. Chosen, not tuned."""
 
 _MIN_LIFT_RATIO = 0.15
-"""Lower bound of a swing foot's height, as a fraction of the nominal height. Chosen, not tuned."""
+"""Lower bound of a swing foot's height, as a fraction of the base height in the default stand.
+Chosen, not tuned."""
 
 _LIFTED_PROBABILITY = 0.4
 """Probability of a candidate with a foot in the air, for robots with at least four feet. Chosen,
 not tuned."""
 
 _MIN_CLEARANCE = 0.005
-"""Clearance [m] between links that planned stands require, unless the nominal stand has too little
+"""Clearance [m] between links that planned stands require, unless the default stand has too little
 (`_CLEARANCE_FRACTION`). An encoder offset of 3 deg displaces the knees of v3 by this distance."""
 
 _CLEARANCE_FRACTION = 0.5
 """Clearance between links that planned stands require, as a fraction of the clearance in the
-nominal stand, if that is less than `_MIN_CLEARANCE`: thighs may be close to the body. Chosen, not
+default stand, if that is less than `_MIN_CLEARANCE`: thighs may be close to the body. Chosen, not
 tuned."""
 
 _COM_MARGIN_RATIO = 0.05
 """Lower bound of the CoM margin that planned stands require, as a fraction of the base height in
-the nominal stand. Chosen, not tuned."""
+the default stand. Chosen, not tuned."""
 
 
 class RandomStands:
@@ -555,7 +557,7 @@ class RandomStands:
 
 
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Return the lowering [m] of the base in the nominal stand without feed-forward.
+    """Return the lowering [m] of the base in the default stand without feed-forward.
 
     ``kp`` is the servo stiffness [N m/rad]. 0 if the stand cannot be solved or is not held.
     """
@@ -569,8 +571,8 @@ def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
 def _compute_clearance(robot: Robot) -> float | None:
     """Return the clearance [m] between links that planned stands must keep.
 
-    It is `_CLEARANCE_FRACTION` of that in the nominal stand, and at most `_MIN_CLEARANCE`. None if
-    the nominal stand cannot be solved, for example since links touch, or has no link pairs.
+    It is `_CLEARANCE_FRACTION` of that in the default stand, and at most `_MIN_CLEARANCE`. None if
+    the default stand cannot be solved, for example since links touch, or has no link pairs.
     """
     try:
         clearance = solve_stand(robot, StandTask(self_clearance=0.0), explain=False).self_clearance
