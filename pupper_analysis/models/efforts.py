@@ -525,6 +525,6 @@ def placeholder_efforts(
 
 
 def _is_round(value: float) -> bool:
-    """Return True if a number is 1, 2 or 5 times a power of ten, and at least 100."""
+    """Return True for 1, 2 or 5 times a power of ten from 100 on: a probable placeholder."""
     digits, _, exponent = f"{value:.6e}".partition("e")
     return float(digits) in (1.0, 2.0, 5.0) and int(exponent) >= 2

@@ -155,8 +155,8 @@ class Draft:
     def may_fix_base(self) -> bool:
         """Whether the base may be fixed although the user did not request a fixed base.
 
-        True if the MJCF has no free joint, and no child body of the world that moves like a free
-        base, by `_MIN_PARTIAL_FREE_JOINTS` joints or more.
+        True if the MJCF has no free joint, and no child body of the world has so many joints
+        (`_MIN_PARTIAL_FREE_JOINTS`) that it moves like a free base.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False

@@ -775,7 +775,7 @@ def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
 
 
 def _copy_start_pose(whole: Robot, posed: Robot) -> Robot:
-    """Return a robot with the start pose of another robot, also in its description."""
+    """Return the robot ``whole`` with the start pose of ``posed``, also in its description."""
     spec = whole.description.mjcf.copy()
     data = mujoco.MjData(whole.mj_model)
     home = posed.home.copy()

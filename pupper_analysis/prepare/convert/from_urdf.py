@@ -242,7 +242,7 @@ class UrdfBodies:
             self._fill_body(inner, self.tree.links[joint.child])
 
     def _add_joint(self, body: etree._Element, urdf_joint: UrdfJoint) -> None:
-        """Add the joint of a body, and record the effort limit and coupling."""
+        """Add a joint of the URDF to a body of the MJCF; record its effort limit and coupling."""
         if urdf_joint.is_fixed:
             return
         joint, kind, name = urdf_joint.element, urdf_joint.kind, urdf_joint.name

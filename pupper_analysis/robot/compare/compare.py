@@ -591,9 +591,9 @@ def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:
 
 
 def _legs_without_base(matched: Match) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if the MJCF lacks the mass of a base with legs.
+    """Yield a diagnostic if the MJCF lacks the mass of a base that carries legs.
 
-    The missing mass of the base of an arm has no effect.
+    Without legs, the base is that of an arm, which does not move, so that its mass has no effect.
     """
     notes = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
     legs = [name for name in matched.robot.joint_names if LEG_JOINT_NAME.search(name)]

@@ -176,8 +176,8 @@ _TOP_KEYS: Final = {
 }
 """{key: required kind of its value} at the top of a configuration."""
 _ENTRY_KEYS: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT_VALUE), "feet": _NAMES_VALUE}
-"""{key: required kind of its value} of keys that are valid in a [[pair]] only. The key ``map`` is
-not included."""
+"""{key: required kind of its value} of the keys that only a ``[[pair]]`` entry may contain, without
+``map``."""
 _PAIR_KEYS: Final = {**_ENTRY_KEYS, "map": _TABLE_VALUE, **_COMMON_KEYS}
 """{key: required kind of its value} in a ``[[pair]]`` entry (URDF and MJCF of one robot), without
 the keys that tools add by a module ``guard``."""

@@ -87,7 +87,10 @@ def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
 
 
 def _compare_lines(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
-    """Create the block of a disagreement, with the quoted lines of both sources."""
+    """Create the block of a disagreement, with the quoted lines of both sources.
+
+    The short view in the terminal omits the block if ``detail`` is True.
+    """
     numbers = {place: number for number, place in enumerate(finding.places)}
     columns = tuple(
         doc.FilePlace(

@@ -49,8 +49,8 @@ MAX_FACTOR = 2.0**_MAX_POWER
 the range of the kp that the tools add to robots, 5 to 2000 N m/rad."""
 
 _FACTOR_TOLERANCE = 0.005
-"""Relative tolerance of a bound of the gains in the linear model (bisection of the factor on the
-gains). Chosen, not tuned."""
+"""Relative tolerance of the factor on the gains beyond which a mode of the linear model grows; the
+factor is found by bisection. Chosen, not tuned."""
 
 _SIMULATED_TOLERANCE = 0.02
 """Relative tolerance of the bisection for the gains at which simulated stands begin to fail. Larger

@@ -171,7 +171,7 @@ _time_limit_lock = threading.Lock()
 
 @contextmanager
 def _time_limit(limit: float | None) -> Iterator[None]:
-    """End the process if the block exceeds the limit [s], even in native code.
+    """End the process if the ``with`` block takes longer than a limit [s], even in native code.
 
     Applies only in processes that another process started, and to a single thread at a time.
     """

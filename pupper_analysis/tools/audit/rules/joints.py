@@ -484,8 +484,8 @@ def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find legs whose joint limits mostly keep the foot from a position below the hip.
 
     A finding requires that the foot reaches this position in less than `MIN_REACHED_FRACTION` of
-    the knee range. If the limits of the knee, or of the hip, had the opposite sign, the foot must
-    reach it in more than 95 % of the range.
+    the knee range, but would reach it in more than 95 % if the limits of the knee, or those of the
+    hip, had the opposite sign.
     """
     for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))

@@ -1237,8 +1237,8 @@ def estimate_noise(
 ) -> StandNoise:
     """Estimate the noise of measured stands: contact moments, uneven ground and dry friction.
 
-    Maximises the evidence of the measurements, with the parameters integrated out, times a
-    log-normal prior of the levels about the expected values (Nelder-Mead simplex).
+    The estimated noise levels maximise the probability of the measurements, with the parameters
+    integrated out, times a log-normal prior about the expected levels (Nelder-Mead simplex).
 
     Args:
         equations: Equations of the stands, with the expected noise.
