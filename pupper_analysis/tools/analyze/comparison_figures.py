@@ -41,8 +41,8 @@ MIN_SHOWN_DEVIATION = 1e-4
 micrometre is far below what a robot can measure, so smaller values need no separate colours."""
 
 MIN_SHOWN_LOSS = 0.1
-"""Smallest height loss [mm] to which the vertical axis extends. Chosen, not tuned: less is rounding
-of a picture."""
+"""Height loss [mm] to which the vertical axis extends at least. Chosen, not tuned: smaller losses
+are rounding errors in a picture."""
 
 _LOSS_WINDOW = 1.0
 """Length [s] of the interval at the end of a simulation over which base heights are averaged; the

@@ -428,7 +428,7 @@ def _split_top(lines: list[str]) -> tuple[tuple[str, ...], list[str]]:
 
 
 def _parse_entry(line: str) -> BaselineEntry | None:
-    """Return the entry of a line; None if the line is not one."""
+    """Return the entry that a line of the baseline file contains; None for other lines."""
     try:
         found = json.loads(line, parse_int=float)  # integers of any number of digits
     except (ValueError, RecursionError):

@@ -25,8 +25,8 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place, make_file_error, one_line
 
 ENTRY_POINT_GROUP: Final = "pupper_analysis.contract"
-"""Group of entry points with which other Python packages register readers: ``name = "its.module"``.
-"""
+"""Group of Python entry points with which other packages register modules that read the sources of
+a contract (observation and action of a policy), as ``name = "its.module"``."""
 
 MAX_VALUES: Final = 200_000
 """Largest number of values that are read from a source, to bound time and memory. The largest

@@ -423,7 +423,10 @@ class Evaluator:
         get_module(scope).imported.update(names)
 
     def _find_module(self, scope: Scope, dotted: str, level: int) -> ModuleNames | None:
-        """Return an imported module; None if no file in the search folders contains it."""
+        """Load an imported module; None if no search folder contains its file.
+
+        ``dotted`` is the name without leading dots, ``level`` the number of leading dots.
+        """
         path = get_module(scope).path
         parts = [part for part in dotted.split(".") if part]
         tops = (

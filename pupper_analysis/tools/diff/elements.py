@@ -149,7 +149,11 @@ def _list_tree_elements(file: MjcfFile) -> dict[Key, Element]:
 
 
 def _find_element_place(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Place:
-    """Return the place of an attribute (``word``) of an element, or of the element."""
+    """Return the place of an attribute (``word``) of an element; without it, of the element.
+
+    An element without a name (``name`` begins with "#") is found by its number ``row`` among the
+    elements of its kind.
+    """
     if name.startswith("#"):
         return file.place_by_number(kind, row)
     return file.find_attribute(kind, name, (word,)) or file.place(kind, name)

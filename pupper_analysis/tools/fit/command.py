@@ -42,7 +42,7 @@ _SHARED_OPTIONS = {one.name for one in fields(RobotOptions)} | {
     *("words", "output", "priors", "kp", "everything"),
     *("style", "json_path", "report_path", "force"),
 }
-"""Options that every mode accepts."""
+"""Options of ``fit`` that all modes accept, except ``priors`` and ``kp`` with ``--record``."""
 _MODE_OPTIONS = {
     "--record": {*_SHARED_OPTIONS, "record", "bridge"} - {"priors", "kp"},
     "--stands": {*_SHARED_OPTIONS, "stands", "weight", "anyway"},

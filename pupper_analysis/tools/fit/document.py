@@ -150,7 +150,10 @@ def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
-    """Yield the error of held-out samples (of fitted ones if none are), and the repeatability."""
+    """Yield the texts of the prediction error and of the repeatability of the measurements.
+
+    The error is that of held-out samples, or of the fitted samples if none were held out.
+    """
     if math.isfinite(fit.held_out):
         yield text(
             "held-out-error",

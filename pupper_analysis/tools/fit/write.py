@@ -51,8 +51,8 @@ _EXTRA_DIGITS = 2
 rounding changes a value by at most 0.5 % of the standard deviation."""
 
 _FACTOR_KINDS = ("mass", "kp", "friction", "damping", "armature")
-"""Kinds of fitted parameters that are written as variables of `study` which are factors on the
-stated value; parameters without a variable are omitted."""
+"""Kinds of fitted parameters for which `study` has a variable, a factor on the stated value. Of
+other kinds only the CoM has a variable; the rest is not written for `study`."""
 
 
 @dataclass(frozen=True, eq=False)

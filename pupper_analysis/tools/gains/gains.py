@@ -494,7 +494,7 @@ class _Gains:
         duration = HOLD_DURATION if below else _SHAKE_DURATION
 
         def survives_simulation(factor: float) -> bool:
-            """Return True if the robot stays in the stand in a simulation with these gains."""
+            """Return True if the robot keeps the stand in a simulation with ``gains(factor)``."""
             return self.loop.survives_simulation(*gains(factor), duration=duration, mode=mode)
 
         ratio = 1 / _SIMULATED_RANGE if below else _SIMULATED_RANGE

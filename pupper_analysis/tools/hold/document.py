@@ -71,7 +71,10 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_verdict_word(hold: Hold) -> doc.Text | None:
-    """Return the word for a posture that holds while another posture exceeds a motor limit."""
+    """Return the verdict word if this posture holds but another one does not; else None.
+
+    The other posture does not hold if motors exceed their limits in it.
+    """
     if hold.passed and _find_overloaded_motors(hold):
         return qualify_verdict_word("holds-in-one-posture", hold.verdict.converted)
     return None
@@ -431,7 +434,7 @@ def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
 
 
 def _describe_unknown_limits(hold: Hold) -> doc.Text:
-    """State that effort limits of bearing motors are unknown, and the torques that are required."""
+    """State which motors have unknown effort limits, and the torques that they must exert."""
     worst = np.abs(hold.worst.joint_torques)
     joints = [hold.worst.joint_names.index(name) for name in hold.payload.unknown]
     most_loaded = max(joints, key=lambda joint: float(worst[joint]))

@@ -121,7 +121,7 @@ class Controls:
                 self._add_folder_sliders(folder)
 
     def _add_folder_sliders(self, folder: str, *excluded: str) -> None:
-        """Add the sliders of a folder, without the excluded names."""
+        """Add the sliders of a folder of the web page, without those ``excluded``."""
         for name, control in CONTROL_BY_NAME.items():
             if name not in excluded and _find_folder(control.field) == folder:
                 self._add_slider(control)

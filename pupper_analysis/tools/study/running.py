@@ -507,7 +507,7 @@ class StudyRun:
         return int(np.clip(CHUNK_SECONDS / max(seconds_per_design, 1e-6), 1, MAX_CHUNK_DESIGNS))
 
     def _run_chunks(self, pool: WorkerPool, first: Chunk, source: Iterator[Chunk]) -> None:
-        """Submit chunks and collect results until all designs are done."""
+        """Evaluate chunks (groups of designs) in worker processes until no chunk is left."""
         waiting: Chunk | None = first
         while waiting is not None or self._in_flight or self._suspects:
             if self._suspects:  # one at a time, to find the design that ends a worker

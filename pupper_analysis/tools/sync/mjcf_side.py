@@ -288,7 +288,7 @@ class MjcfSide(Side):
         self._plan_number(key, "damping", [target, *higher])
 
     def _plan_armature(self, key: Key) -> None:
-        """Plan the armature of a joint, less the armature of the actuators of the joint."""
+        """Plan to set the armature of a joint to the target less that of the joint's actuators."""
         index = self.model.joint(key[1]).id
         dof = int(self.model.jnt_dofadr[index])
         of_joint = float(self.model.dof_armature[dof])
@@ -380,7 +380,10 @@ def _plan_position_servo(
 
 
 def _keep_trailing_parameters(element: Element, attribute: str, values: list[float]) -> list[float]:
-    """Return the parameters, followed by further parameters that the file states."""
+    """Return ``values``, and the further numbers of the attribute in the file.
+
+    If the file states more numbers than there are ``values``, those behind them are kept.
+    """
     old_values = [float(word) for word in (element.get(attribute) or "").split()]
     return [*values, *old_values[len(values) :]]
 

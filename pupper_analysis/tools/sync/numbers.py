@@ -345,8 +345,9 @@ SERVO_KINDS = ("kp", "kd")
 """Kinds of numbers of a position servo that `write_numbers` accepts."""
 
 _SAME_ROBOT_RTOL = 1e-6
-"""Largest deviation of a body from the files with which the robot counts as unchanged after
-loading: relative for the mass, in m for the CoM, and 1e3 times as large (relative) for the inertia.
+"""Largest deviation of a body of the loaded robot from the same body in the files, with which the
+robot counts as unchanged since loading. It applies to the relative difference of the mass, to the
+difference of the CoM [m], and, multiplied by 1e3, to the relative difference of the inertia.
 Conversion and alignment are accurate to about 1e-9; later changes are larger than the last written
 digit. Chosen, not tuned."""
 

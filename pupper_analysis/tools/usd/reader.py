@@ -364,7 +364,9 @@ def _is_accepted(inertial: Inertial) -> bool:
 
 
 def _add_loop_constraint(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:
-    """Add the equality constraint of a joint that closes a loop: a weld, or a point if it moves.
+    """Add the equality constraint of a joint that closes a loop.
+
+    A fixed joint becomes a weld; a joint that moves becomes a connection at a point.
 
     Raises:
         ModelError: If the joint is not between two bodies, or is a slide or free joint.

@@ -251,7 +251,7 @@ def _describe_outcome(gait: Gait) -> doc.Words:
 
 
 def _make_run_table(walk: Walk) -> doc.Table:
-    """Create the table of runs."""
+    """Create the table of the walking simulations, with a row per seed."""
     rows = tuple(
         (
             doc.Name(str(gait.seed)),

@@ -319,8 +319,9 @@ def _evaluate_interpretation(
 ) -> Candidate:
     """Simulate an interpretation of a policy with all commands, and return its result.
 
-    Each of ``commands`` (n, 3) is simulated for ``seconds`` [s]. ``change`` is the difference of
-    the interpretation from the stated contract.
+    Each of ``commands``, shape (n, 3) [m/s, m/s, rad/s], is simulated for ``seconds`` [s].
+    ``change`` is the difference of the interpretation from the stated contract (definition of
+    observation and action).
     """
     stage = prepare_stage(robot, policy)
     cases = [stage.make_case(command) for command in commands]

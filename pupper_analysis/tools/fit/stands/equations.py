@@ -346,10 +346,10 @@ class StandRows:
             rows[..., index] += derivative
 
     def _fill_balance(self) -> None:
-        """Fill in the static balance S tau - g + passive + sum J_p^T f_p = 0, and derivatives.
+        """Fill in the residual of S tau - g + passive + sum J_p^T f_p = 0, and its derivatives.
 
-        tau are the servo torques, which S maps to the generalised forces; g is gravity, f_p is the
-        force on contact point p.
+        This is the static balance. tau are the servo torques, which S maps to generalised forces;
+        g is gravity, f_p the force on contact point p.
         """
         values, nv = self._values, self._robot.nv
         moments = np.array([values.moment[foot] for foot in self._feet])
