@@ -78,7 +78,7 @@ def import_without_opengl() -> None:
 
 @contextmanager
 def _disabled_opengl() -> Iterator[None]:
-    """Disable OpenGL in MUJOCO_GL, and restore the old value."""
+    """Disable MuJoCo's OpenGL in a ``with`` block, by the environment variable MUJOCO_GL."""
     previous = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"
     try:

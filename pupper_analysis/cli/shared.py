@@ -366,8 +366,8 @@ def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
 
 
 _UNTYPED_UNITS = ("N", "Nm", "N*m", "N/m", "Nm/rad", "N*m/rad", "Nms/rad", "Hz", "bit", "%")
-"""Units of options whose values are numbers without unit: gains, torques, rates. With these units a
-number is refused, since no option accepts them."""
+"""Units of the options whose values are typed without a unit (gains, torques, rates). A value with
+one of these units is refused; the error states the number to type instead."""
 
 
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:

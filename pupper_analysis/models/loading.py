@@ -56,7 +56,7 @@ class ModelFile(Protocol):
 
     @property
     def path(self) -> Path:
-        """Path of the file."""
+        """Path of this model file."""
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
         """Return the location (file and line) of an element of this model.

@@ -53,7 +53,7 @@ class Pose:
 
     @property
     def placement(self) -> pin.SE3:
-        """The same transformation, from the frame with this pose to its parent, for Pinocchio."""
+        """This pose (from its frame to the parent frame) as a Pinocchio ``SE3``."""
         return pin.SE3(self.rotation, self.position)
 
     def inverse(self) -> Pose:

@@ -283,7 +283,7 @@ def _may_get_servos(draft: Draft) -> bool:
 
 
 def _rebuild_robot(draft: Draft, description: Description | None) -> Draft:
-    """Return the draft with the robot of a new description; the draft itself if there is none."""
+    """Return a draft whose robot is built from ``description``; the same draft if it is None."""
     return draft if description is None else replace(draft, built=build_robot(description))
 
 
@@ -341,7 +341,7 @@ def _free_base(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("lifts the base's frame off the ground"), _has_free_base_request)
 def _place_base_frame(draft: Draft) -> PassOutput:
-    """Raise the frame of the base; see `place_base_frame`."""
+    """Move the MJCF's base frame up to the height of its CoM, if needed (`place_base_frame`)."""
     file = draft.mjcf
     messages = place_base_frame(
         draft.spec, file.model, file.path, insert_visuals=file.deferred_visuals

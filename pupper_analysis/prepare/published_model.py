@@ -65,8 +65,9 @@ _TRIAL_COMMAND = 1e-6
 against commands that change a torque noticeably."""
 
 _MIN_COMMAND_GAIN = 1e-9
-"""Joint torque per unit of ctrl [N m or N] below which a command counts as without effect. The
-external servo then applies its torque to the joint, instead of a ctrl. Chosen, not tuned."""
+"""Joint torque per unit of ctrl [N m or N] up to which a command counts as without effect. The
+joint is then held by a torque that the simulation computes in each step (external servo), not by
+ctrl. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Time constant of an actuator filter [s] up to which the filter state starts at its settled value.

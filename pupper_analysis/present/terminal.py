@@ -35,8 +35,8 @@ from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 104
-"""Width [characters] to which statements are joined into the second line of a short answer. Chosen,
-not tuned."""
+"""Maximum width [characters] of the line into which the messages of a short answer are joined.
+The first message is always printed; those that do not fit are only counted. Chosen, not tuned."""
 
 MAX_SHORT_FINDINGS = 8
 """Largest number of findings in files in the short view. Chosen, not tuned."""
@@ -324,7 +324,7 @@ def _make_finding_lines(block: FileFinding, view: _ViewOptions) -> list[_Printed
 
 @_make_lines.register
 def _make_remark_lines(block: Lines, _: _ViewOptions) -> list[_PrintedLine]:
-    """Return remarks, below their title if there is one."""
+    """Return the printed lines of a block of remarks, after its title if it has one."""
     lines = [_PrintedLine(_style_words(line)) for line in block.lines]
     if block.title is None:
         return lines

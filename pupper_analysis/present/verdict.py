@@ -146,7 +146,7 @@ def _disagrees(verdict: Verdict) -> bool:
 
 
 def clause_text(clause: Clause) -> Text:
-    """Convert a statement to a text in both languages, marked good or bad."""
+    """Convert a statement of a verdict to a text in English and Chinese, marked good or bad."""
     message = clause.message
     return diagnostic_text(message, "good" if clause.good else "bad")
 

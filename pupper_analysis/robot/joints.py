@@ -153,7 +153,7 @@ def free_joints(robot: Robot) -> tuple[str, ...]:
 
 
 def _foot_joints(robot: Robot) -> set[str]:
-    """Return the names of Pinocchio's joints from the world to the feet, without other joints."""
+    """Return the names, in Pinocchio's model, of all joints between the world and a foot."""
     model = robot.structure.model
     return {
         model.names[joint]

@@ -161,7 +161,7 @@ state, which is then evaluated as well."""
 _MIN_THROWING_DOUBLINGS = 6
 """Number of doublings of a mode within the settling time from which the mode explains why a robot
 has left its initial state: 6 doublings turn 1 mm into 64 mm. A robot that has left it without such
-a mode was not in equilibrium there, so that the modes of that state have no meaning (Pupper v3
+a mode was not in equilibrium there, and the modes of the initial state have no meaning (Pupper v3
 while it sinks on soft servos: doubling times from 1.5 to 25 s for the same rest position)."""
 
 _MIN_NAMED_SHARE = 0.5

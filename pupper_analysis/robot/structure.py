@@ -186,7 +186,7 @@ class Structure:
         return matrix.take(self._public_to_model, axis=0).take(self._public_to_model, axis=1)
 
     def to_model_order(self, qvel: Array) -> Array:
-        """Sort a vector, shape (nv,), from the order of qvel into the order of ``model``.
+        """Sort a vector, shape (nv,), from the order of qvel into that of Pinocchio's ``model``.
 
         For velocities, accelerations and generalised forces.
         """

@@ -66,7 +66,10 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
 
 def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
-    """Add inactive welds of parts to the world, and exclude the contacts with the world."""
+    """Add an inactive weld to the world for each welded part (for a grip, a connection).
+
+    Contacts of the part with the world and with bodies fixed to it are excluded.
+    """
     model, tree = robot.mj_model, SpecTree(spec)
     for name, point in robot.welds.items():
         body = model.body(robot.mj_base if point is None else robot.contact_places[point][0]).name

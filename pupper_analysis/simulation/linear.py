@@ -87,7 +87,10 @@ class LinearStep:
         return displacements
 
     def subtract(self, before: Array, state: Array) -> Array:
-        """Return the change between two states in the tangent space, shape (2 nv + na,)."""
+        """Return the change from the state ``before`` to ``state``, shape (2 nv + na,).
+
+        The change is in the tangent space of (qpos, qvel, act); time is left out.
+        """
         model = self._model
         ends = 1 + model.nq, 1 + model.nq + model.nv + model.na
         positions = np.empty(model.nv)

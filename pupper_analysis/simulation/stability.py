@@ -410,8 +410,8 @@ def measure_response(
 
 BOUNCING_TIME = 28.0
 """Additional simulated time [s] in which the remaining motion after a nudge must not grow, for
-example that of a foot that bounces with almost no load. Chosen: 40 s together with the 12 s of a
-verified stand."""
+example that of a foot that bounces with almost no load. Chosen, so that the sum with the 12 s of a
+verified stand is 40 s."""
 
 
 _MAX_BOUNCE_RATIO = 1.5

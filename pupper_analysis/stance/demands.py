@@ -180,7 +180,11 @@ def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]
 
 
 def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
-    """Yield (foot, value) of the values of a field other than words; "" for a single value."""
+    """Yield (name of a foot, joint or link; value) for each value of a task's field.
+
+    The name is "" if the field has a single value. A single value that is a text or None is left
+    out.
+    """
     value = getattr(task if field.part == "task" else task.ground, field.name)
     if field.per:
         yield from value.items()

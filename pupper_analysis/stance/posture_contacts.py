@@ -44,7 +44,7 @@ class KeptContact(NamedTuple):
 
 
 def keep_points(robot: Robot, positions: dict[str, Array]) -> tuple[KeptContact, ...]:
-    """Return the tasks that keep contact points in place.
+    """Create the IK tasks that keep contact points at given positions.
 
     Args:
         robot: Robot.

@@ -256,7 +256,7 @@ class _Defaults(NamedTuple):
 
 
 def _make_defaults(robot: Robot) -> _Defaults:
-    """Determine the defaults of the tasks of a robot."""
+    """Compute a robot's default CoM requirement, goal of the nominal stand, and joint limits."""
     com = "centre" if not robot.floating or can_move_com(robot) else "inside"
     limits = _list_limits(robot)
     try:

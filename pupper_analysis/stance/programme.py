@@ -438,7 +438,10 @@ class StanceProgram:
 
 
 def _stack(blocks: Sequence[Array], columns: int) -> Array:
-    """Stack residuals (n,), or rows (n, columns) if ``columns`` > 0; there may be no block."""
+    """Concatenate vectors (n,), or matrices (n, columns) if ``columns`` > 0, along the rows.
+
+    Without blocks the result has no rows.
+    """
     return np.concatenate([np.zeros((0, columns) if columns else 0), *blocks])
 
 

@@ -372,7 +372,7 @@ class _Search:
         return self.closest or self._evaluate(self._nearest())
 
     def _evaluate(self, point: SolverResult, goal: Goal | None = None) -> Stand:
-        """Evaluate the stand of an IK result."""
+        """Create the stand of an IK result; ``goal`` is by default that of this search."""
         return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
 
 

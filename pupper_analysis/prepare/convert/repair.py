@@ -330,10 +330,10 @@ def _to_triple(values: Array) -> tuple[float, float, float]:
 def move_massless_shapes(bodies: LinkBodies) -> list[str]:
     """Move the collision shapes of fixed bodies without inertial to the body that carries them.
 
-    This is the nearest body with inertial, or that moves, to which they are fixed. The compliance
-    of MuJoCo's ground depends on the inertia of a shape's body: the sphere of a massless toe body
-    sinks 25 times as far as the same sphere in the body of the foot. MuJoCo's own importer also
-    merges both bodies.
+    The carrying body is the nearest ancestor that has an inertial, moves, or is the base. The
+    compliance of MuJoCo's ground depends on the inertia of a shape's body: the sphere of a massless
+    toe body sinks 25 times as far as the same sphere in the body of the foot. MuJoCo's own importer
+    also merges both bodies.
 
     Returns:
         Names of the bodies whose shapes were moved.

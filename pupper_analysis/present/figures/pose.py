@@ -293,7 +293,10 @@ def _draw_stand(
 
 
 def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
-    """Draw contact forces as arrows that end at the feet, in a projection of shape (2, 3)."""
+    """Draw contact forces as arrows that end at the feet.
+
+    ``projection`` is the matrix, shape (2, 3), from the world to the image.
+    """
     scale = _MAX_ARROW_RATIO * _measure_support(seen) / _find_largest_force(seen)
     arrow = {
         "arrowstyle": "-|>",

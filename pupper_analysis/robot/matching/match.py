@@ -153,7 +153,7 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 
 
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
-    """Return the subtree of a link as removable part; None if the other file has a joint of it.
+    """Return the subtree of a link as a part to remove; None if both files have a joint of it.
 
     ``extra`` are the joints that only this file has.
     """

@@ -188,9 +188,10 @@ the solve fails, since contacts would open and close in turn. Robots with more t
 points have the bound of four per point. Chosen, not tuned."""
 
 _FRICTION_SHARE_OF_SLIDING = 0.95
-"""Fraction of the friction limit above which a foot is reported as about to slide if the path of
-equilibria ends. Chosen below 1, since the last equilibrium is up to `_MIN_SHARE_STEP` of the
-feed-forward before the end."""
+"""Fraction of the friction limit above which a foot is reported as about to slide, if no
+equilibrium continues the gradual removal of the feed-forward. Chosen below 1, since the last
+equilibrium may lie before the actual end by up to the fraction `_MIN_SHARE_STEP` of the
+feed-forward."""
 
 CREEP_STEPS = 20
 """Number of backward Euler steps into which a creep duration is divided. Measured: with 20, a robot
