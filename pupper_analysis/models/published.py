@@ -88,7 +88,7 @@ DESCRIPTION_PREFIX: Final = "robot_descriptions:"
 """Prefix of the name of a description, as in ``robot_descriptions:go2_mj_description``."""
 
 _DESCRIPTION_NAME: Final = re.compile(r"[a-z0-9_]+")
-"""Pattern of the name of a description, without `DESCRIPTION_PREFIX`."""
+"""Pattern of a robot's name in the package ``robot_descriptions``, without `DESCRIPTION_PREFIX`."""
 
 XACRO_SUFFIX: Final = ".xacro"
 """Suffix of xacro files."""

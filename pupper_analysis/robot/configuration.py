@@ -753,7 +753,7 @@ class AtRest:
         return np.array(columns).T
 
     def _passive_forces(self) -> Array:
-        """Return the passive forces (nv,) at the state of the data."""
+        """Compute MuJoCo's passive joint forces at the present state, shape (nv,) [N, N m]."""
         mujoco.mj_fwdPosition(self._model, self._data)
         mujoco.mj_fwdVelocity(self._model, self._data)
         forces: Array = self._data.qfrc_passive[self._convention.qvel_index]

@@ -35,7 +35,7 @@ _TABLE_KEYS = {
     **FORMAT_KEYS["table"],
     **{f"{name}_scale": f"observation {name}" for name in KEY_ALIASES["scales"]},
 }
-"""{key in a table: quantity}, including scales of observations."""
+"""{key in a YAML or JSON table: quantity of the contract}, including scales of observations."""
 
 
 def read(request: Request) -> Iterator[Source]:

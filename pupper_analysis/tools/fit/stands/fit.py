@@ -1201,8 +1201,9 @@ Measured on MEVIUS without the bound: the ratio was a fifth, and only 88 % of th
 contained the truth."""
 
 _UNKNOWN_STEPS = 4
-"""Number of iterations of each stand's own unknowns (`StandEquations`) before the noise is
-estimated. More iterations do not change the evidence."""
+"""Number of iterations by which the own unknowns of each stand (base tilt, base height, contact
+forces) are solved before the noise is estimated. More iterations do not change the log evidence of
+the noise levels."""
 
 _MAX_EVALUATIONS = 40
 """Upper bound of the evaluations of the log evidence in the search for the three noise levels (foot
