@@ -53,9 +53,10 @@ sphere, for the sphere to be the foot. Chosen, not tuned."""
 
 
 _FOOT_PLACE_ATOL = 2e-3
-"""Distance [m] up to which a link of the URDF counts as placed at a contact point of the MJCF. The
-contact point then keeps its position in the URDF; otherwise it is shifted by the distance between
-the axes of the last hinge in both files. Chosen, not tuned."""
+"""Distance [m] up to which a link of the URDF counts as placed at a contact point of the MJCF: at
+the point itself, or at the point shifted by the offset of the last joint between both files.
+Without such a link, the point is shifted by the part of the offset perpendicular to the axis.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

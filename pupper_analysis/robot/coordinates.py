@@ -124,7 +124,7 @@ class PinocchioConvention:
 
     @cached_property
     def _qpos_address_of_q(self) -> IntArray | None:
-        """Address in qpos of each element of q; None if the robot has continuous joints."""
+        """Index in qpos of each element of Pinocchio's q; None if a joint is continuous."""
         if self.unbounded.any():
             return None
         base = [0, 1, 2, 4, 5, 6, 3] if self.floating else []

@@ -98,9 +98,9 @@ which a motion has decayed if the ratio of the speeds in successive thirds is at
 by 0.92 in 2 s gives the ratio 0.907 in the longest nudged simulation (7 s)."""
 
 _DISPLACEMENT_RATE_FACTOR = 2.0
-"""Safety factor on the rate at which a displaced foot has returned toward its target in the last
-second, in the bound of its displacement at the end of the settling simulation. Chosen, not
-tuned."""
+"""Safety factor on the speed at which a displaced foot returned towards its target in the last
+second: the foot is assumed to return at most this much faster until the end of the settling
+simulation. Chosen, not tuned."""
 
 
 def comes_to_rest(

@@ -88,10 +88,10 @@ _CHECK_INTERVAL = 0.5
 Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
-"""Largest motion of a coordinate that is predicted for the remaining time [m, rad] with which the
-simulation ends early, because the robot counts as at rest. Also the largest predicted distance
-beyond the values that the coordinate has had since the nudge (`_NudgedRun._bound_motion`). Chosen
-as a hundredth of ``MAX_JOINT_DEVIATION``."""
+"""Largest predicted motion of a coordinate in the remaining time [m, rad] with which the robot
+counts as at rest and the simulation ends early. Also the largest predicted distance beyond the
+values that the coordinate has had since the nudge (`_NudgedRun._bound_motion`). Chosen as a
+hundredth of ``MAX_JOINT_DEVIATION``."""
 
 _SPEED_FACTOR = 1.5
 """Safety factor on the largest measured speed, from which an upper bound of the motion in the

@@ -77,7 +77,7 @@ class SurfaceDistance(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """Distance of the shape from the surface [m]; minus the penetration depth in it."""
+        """Distance of the shape from the surface [m]; negative if the shape penetrates it."""
         return float(self.near.min_distance)
 
 

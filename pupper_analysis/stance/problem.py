@@ -54,9 +54,9 @@ _MIN_COM_RATE = 1e-6
 which the robot can move the CoM in a direction. Chosen, not tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
-"""Smallest horizontal CoM displacement per joint displacement, relative to that in the direction in
-which it is largest, above which the robot can move the CoM in a direction. Feet, base height and
-base orientation are fixed. Soles that are a microradian off level cause smaller values. Chosen, not
+"""CoM displacement per joint displacement in a horizontal direction, relative to the largest one in
+any direction, above which the robot can move the CoM in this direction. Feet, base height and base
+orientation are fixed. Soles that are a microradian off level cause smaller values. Chosen, not
 tuned."""
 
 

@@ -321,7 +321,7 @@ class Balance:
         return parts
 
     def _contact_part(self, forces: Array) -> Array:
-        """Return the contact forces, shape (n, 3) [N], of forces of shape (size,)."""
+        """Return the contact part (n, 3) [N] of forces (size,) of contacts, welds and grips."""
         return forces[: self.normals.size].reshape(-1, 3)
 
     def _is_balanced(self, forces: Array) -> bool:

@@ -64,7 +64,7 @@ class MeshFiles:
 
     @property
     def notes(self) -> list[Diagnostic]:
-        """Notes on the meshes that were left out of the MJCF, one note per reason."""
+        """Notes on all meshes that were left out of the MJCF, one note per reason."""
         return [
             diagnose("meshes-left", files=files, why=why, package=self._package_of(why, files))
             for why, files in self._left.items()

@@ -227,10 +227,10 @@ class Difference(Stated, Result):
 
     @property
     def _relative_limit_difference(self) -> float:
-        """Difference between the limits in URDF and MJCF, from 0 to 1; 0 for other kinds.
+        """Difference between a joint's limits in URDF and MJCF, from 0 to 1; a key of the sorting.
 
-        In full turns for a hinge and in m for a slide; relative to the larger value for an effort.
-        1 if a file has no limit.
+        A position limit is compared in full turns (hinge) or in m (slide), an effort limit relative
+        to the larger value. 1 if a file has no limit; 0 if the difference does not concern limits.
         """
         if self.kind not in LIMIT_KINDS:
             return 0.0

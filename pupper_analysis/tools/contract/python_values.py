@@ -399,7 +399,7 @@ class Evaluator:
             )
 
     def _run_importfrom(self, statement: ast.ImportFrom, scope: Scope) -> None:
-        """Add names or modules imported from a module; others are unknown values."""
+        """Evaluate ``from module import name``; a name that is not found gets an unknown value."""
         home: Mapping[str, Node] = (
             self._find_module(scope, statement.module or "", statement.level) or {}
         )

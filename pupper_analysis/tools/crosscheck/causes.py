@@ -1016,7 +1016,7 @@ def _describe_lacking_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
 
 
 def _describe_scaled_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
-    """Describe the links whose mass in the MJCF differs by a factor."""
+    """Describe the links whose mass in the MJCF is that of the URDF times a common factor."""
     factor = float(f"{mistakes[0].factor:.6g}")
     links = [
         diagnose(

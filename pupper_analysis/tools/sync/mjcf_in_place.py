@@ -94,7 +94,7 @@ class EditableMjcf:
             element.set(attribute, text)
 
     def is_in_frame_element(self, element: Element) -> bool:
-        """Return True if an element is within a <frame>, so that the position is relative."""
+        """Return True if an element is inside a <frame>, to which its pose is then relative."""
         parent = element.parent
         while parent is not None and parent.tag not in ("body", "worldbody"):
             if parent.tag == "frame":

@@ -470,7 +470,7 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
 
 
 def _describe_change(candidate: Candidate) -> doc.Words:
-    """Return the text of the difference of an interpretation from the stated contract."""
+    """Describe how an interpretation of the policy differs from the stated contract."""
     if candidate.change == "stated":
         return text("walk-change-stated")
     if candidate.change == "sign":

@@ -388,7 +388,7 @@ def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> Non
 # Random stands that the servos hold in spite of uncertain parameters.
 
 _TRIES_PER_STAND = 8
-"""Upper bound of the tries per requested stand. A stand results from every second to fourth try."""
+"""Upper bound of random stand tasks per requested stand. One of two to four tasks has a stand."""
 
 _MAX_FAILED_TRIES = 24
 """Number of random stand tasks after which the search ends if none of them could be solved. The
