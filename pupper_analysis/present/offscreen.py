@@ -1,6 +1,6 @@
 """Program that draws a MuJoCo model without a window: ``python -P offscreen.py FOLDER``.
 
-`pictures` starts this program in a process of its own, because MuJoCo selects OpenGL during its
+`pictures` starts this program in a process of its own, because MuJoCo selects OpenGL during the
 import, and an OpenGL driver may end the process. The folder contains ``model.mjb`` and
 ``views.npz``; the program writes ``frames.npy``. Only MuJoCo and NumPy are imported.
 """

@@ -1,6 +1,6 @@
 """Plots of results in figures of ``pyplot``, for notebooks: ``Result.plot`` calls `plot_result`.
 
-A result type with a plot of its own registers it (``@draw_result.register``) in the module that
+A result type with a plot registers a function (``@draw_result.register``) in the module that
 contains the builder of its document; stands and their verification register theirs in
 ``present.stand_plots``. Other results are drawn by the plots of their documents. Matplotlib is
 imported at the first plot.

@@ -470,7 +470,7 @@ _FILES_DIFFER_CODE = "files-differ"
 """Code of the statement that a robot's URDF and MJCF differ, with the first difference."""
 
 _CAUSES = (_FILES_DIFFER_CODE, "motors-overloaded")
-"""Codes of statements that explain a bad verdict. They follow its first statement."""
+"""Codes of statements that explain a bad verdict. These follow the first statement."""
 
 _CAUSE_MESSAGES = {
     "exclude": "excluded-from-touching",

@@ -51,7 +51,7 @@ def value_cell(value: object) -> Cell:
     """Create a table cell with the value of a result's field, numbers with six digits.
 
     A list, mapping or array is written out up to `MAX_SHOWN_ENTRIES` and `MAX_CELL_LENGTH`; a
-    longer one is replaced by its size or shape.
+    longer array is replaced by the size or shape.
     """
     if hasattr(value, "phrase"):  # as a stand's task says what it asks for
         return diagnostic_text(value.phrase())

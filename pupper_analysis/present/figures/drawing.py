@@ -300,7 +300,7 @@ def make_page_figure(
 
 
 def title_panel(axes: Axes, title: str) -> None:
-    """Set the title of a panel, the font size of its ticks, and hide its top and right border."""
+    """Set title and tick font size of a panel, and hide the top and right border."""
     axes.set_title(title, size=FONT_SIZE, weight="bold", loc="left", pad=4, parse_math=False)
     axes.tick_params(labelsize=FONT_SIZE)
     for spine in ("top", "right"):

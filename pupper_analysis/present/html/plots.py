@@ -146,8 +146,8 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
 
 
 _ROUNDING_RATIO = 1e-9
-"""Magnitude of a negative value, relative to the largest one, below which it is rounding and the
-bar plot stays one-sided."""
+"""Magnitude of a negative value, relative to the largest magnitude, below which the value is
+rounding and the bar plot stays one-sided."""
 
 
 @draw_svg.register
@@ -221,7 +221,7 @@ def _shorten_name(words: Words) -> Words:
 
 
 def _thin_points(points: Array) -> Array:
-    """Select at most `MAX_LINE_POINTS` points, among them the first and the last one."""
+    """Select at most `MAX_LINE_POINTS` points, including the first and the last point."""
     if len(points) <= MAX_LINE_POINTS:
         return points
     kept: Array = points[

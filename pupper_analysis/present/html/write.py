@@ -273,8 +273,8 @@ def serialise_geoms(
     """Convert a robot's visible geoms and meshes to JSON data.
 
     Returns:
-        List of geoms, and {name of a mesh: packed mesh}. A geom has its shape, the index of its
-        body without the world, size [m], position [m] and quaternion (w, x, y, z) in the body
+        List of geoms, and {name of a mesh: packed mesh}. A geom has a shape, the index of the
+        body (without the world), size [m], position [m] and quaternion (w, x, y, z) in the body
         frame, and colour. The name of a mesh is a hash, so robots with equal meshes share an entry.
     """
     shapes, found = collect_visible_shapes(model, MAX_FACES)

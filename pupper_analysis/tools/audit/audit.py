@@ -2,7 +2,7 @@
 
 Input is a URDF, an MJCF, a file of a registered format, or a robot in memory. The values that the
 file states are read into a ``RobotModel``, without the preparation that other commands apply.
-Output is an ``Audit`` with a finding for each violation, its line and its possible repairs.
+Output is an ``Audit`` with a finding for each violation, with the line and possible repairs.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Repairs of findings: the values of a file that would pass, and the reason.
 
 A repair replaces attributes of a single element. A finding has one repair if the right value is
-known, several candidates if it is one of a few, and none otherwise. The new value is derived from
-the mirrored element or from the joint of an actuator, or it is the old value with another unit or
+known, several candidates if a few values are possible, and none otherwise. The new value is
+derived from the mirrored element or from the joint of an actuator, or it is the old value with another unit or
 decimal point.
 """
 
@@ -273,7 +273,7 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 
 
 def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
-    """Yield a repair that replaces a link's inertia tensor by the mirrored one of its twin link.
+    """Yield a repair that replaces a link's inertia tensor by the mirrored tensor of the twin link.
 
     Nothing if there is no twin on the other side, if the twin's tensor is physically impossible, or
     if the masses differ by more than 1 %.

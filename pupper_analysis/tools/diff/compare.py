@@ -143,7 +143,7 @@ def diff_models(
     Args:
         old: Old file, ``REVISION:PATH`` for a file in git, or a robot in memory, as for
             ``load_robot``. Changes of a robot in memory have no lines.
-        new: New version, in one of these forms.
+        new: New version, in the same forms as ``old``.
         packages: {ROS package: folder}, for ``package://`` paths.
         tolerances: Largest ignored changes; by default rounding errors.
 
@@ -537,7 +537,7 @@ def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyT
 
 
 def fix_joint(values: MultibodyTree, name: str) -> MultibodyTree:
-    """Return a tree with a joint fixed at position zero, so that its body is part of the parent."""
+    """Return a tree with a joint fixed at position zero, so that the body is part of the parent."""
     joint = values.joints[name]
     pose, joints = joint.placement, {}
     for other_name, child in values.joints.items():

@@ -65,7 +65,7 @@ def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
 
 
 def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yield the changes with their lines, the combined effects and the table of torques."""
+    """Yield the changes with lines of the files, the combined effects and the table of torques."""
     for change in diff.changes:
         yield doc.FileFinding(
             doc.diagnostic_text(change.diagnostic),

@@ -241,7 +241,7 @@ def get_flag_name(bit: Any) -> str:
 
 
 def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
-    """Return True if a feature is enabled in a model, given its MuJoCo disable or enable bit."""
+    """Return True if a feature is enabled in a model, given the MuJoCo disable or enable bit."""
     if isinstance(bit, mujoco.mjtDisableBit):
         return not model.opt.disableflags & bit.value
     return bool(model.opt.enableflags & bit.value)
@@ -333,7 +333,7 @@ def match_elements(
 
     Geoms with equal names correspond. Other geoms of a body are matched if they agree in all
     values, then in shape, then in order, so that a different order in the file is no change. Geoms
-    without a match get an unused number if their name is taken.
+    without a match get an unused number if the name is taken.
 
     Args:
         old: Elements of the old file.
@@ -759,7 +759,7 @@ class SimulatedPair:
     def compute_effects(
         self, *, explained: bool
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Simulate both models, and return the effects and their messages.
+        """Simulate both models, and return the effects and the messages.
 
         Args:
             explained: True if the comparison of the files has found a change. If False, effects
@@ -805,7 +805,7 @@ class SimulatedPair:
     def _compare_pair(
         self, before: _SimulatedRun, after: _SimulatedRun
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Return the differences between two simulations as effects, and messages about them.
+        """Return the differences between two simulations as effects and messages.
 
         The messages state the duration, the initial keyframe and whether a ground was added.
         """

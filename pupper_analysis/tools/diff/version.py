@@ -91,7 +91,7 @@ def read_version(file: UrdfFile | MjcfFile) -> Version:
 
 
 def _read_urdf_version(file: UrdfFile) -> Version:
-    """Return the content of a URDF; mimic joints are independent in its tree."""
+    """Return the content of a URDF; mimic joints are independent in the tree."""
     root = without_shapes(file.root)
     mimics = urdf_mimics(root)
     tree = UrdfTree(root)
@@ -401,7 +401,7 @@ def _is_outside(path: str) -> bool:
 
 
 def _resolve_lfs_pointer(content: bytes, kept: Path) -> bytes:
-    """Return the content of a file; for a pointer of Git LFS, the object that it points to.
+    """Return the content of a file; for a pointer of Git LFS, the object named by the pointer.
 
     ``kept`` is the folder that contains ``lfs/objects``. Without the object, ``content`` is
     returned.

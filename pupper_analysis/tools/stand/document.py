@@ -205,9 +205,9 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 
 
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
-    """State the motor with the largest utilisation, and its torque.
+    """State the motor with the largest utilisation, and the torque.
 
-    If loaded motors have a limit of zero, the one with the largest torque is stated. Without any
+    If loaded motors have a limit of zero, the motor with the largest torque is stated. Without any
     known utilisation, the motor with the largest torque is stated.
     """
     statics = stance.statics
@@ -273,8 +273,8 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
     """Return True if the predicted equilibrium is listed as a detail, not as a warning.
 
-    It is a detail if it has no failures and enough margin to the release of a foot, or if the
-    verdict already states the failure.
+    The simulation is a detail if it has no failures and enough margin to the release of a foot, or if
+    the verdict already states the failure.
     """
     lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
     return lasting or _is_failure_without_feedforward_stated(stance)

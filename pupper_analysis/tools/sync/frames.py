@@ -36,7 +36,7 @@ tuned."""
 def list_single_part_changes(
     parts: Mapping[Part, pin.Inertia], target: pin.Inertia, empty: Part
 ) -> list[tuple[Part, pin.Inertia]]:
-    """List the ways to give a body a target inertia by changing a single one of its parts.
+    """List the ways to give a body a target inertia by changing a single part of the body.
 
     Args:
         parts: Inertias of the parts with mass that form the body, in a common frame.
@@ -45,7 +45,7 @@ def list_single_part_changes(
 
     Returns:
         (part, new inertia) of each change that is physical, the heaviest part first; may be empty.
-        If at most one part has mass, its new inertia is the target, without a check.
+        If at most one part has mass, the new inertia is the target, without a check.
     """
     changes = []
     for part in sorted(parts, key=lambda name: -parts[name].mass) or [empty]:

@@ -62,7 +62,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     Args:
         side: MJCF with the target values.
         mover: Joint that moves the group, or the base.
-        keys: Differences (kind, element) of the group; they are recorded if nothing can be changed.
+        keys: Differences (kind, element) of the group, recorded if nothing can be changed.
     """
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
@@ -150,7 +150,7 @@ def _make_principal_numbers(element: Element, target: Array) -> dict[str, Array]
 
 COPIED_BODY = diagnose("body-is-a-copy")
 """Reason why a change of a body is not written to the MJCF: the body is a copy of another element,
-so the file contains no element with its name."""
+so the file contains no element with this name."""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -206,7 +206,7 @@ class MjcfSide(Side):
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
 
     def _plan_position(self, key: Key) -> None:
-        """Plan to move the body of a joint, with its child bodies, to the URDF's joint position.
+        """Plan to move the body of a joint, with the child bodies, to the URDF's joint position.
 
         ``key`` is the difference (kind, joint). The position is not written if the joint is not the
         first of its body or not at the body's origin, or the body is a copy or within a <frame>.

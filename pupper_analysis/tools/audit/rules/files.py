@@ -37,8 +37,8 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     """Report missing mesh files, grouped by package and folder.
 
     The severity is ERROR for a mesh that a link of a URDF uses for collisions, and for a mesh of an
-    MJCF, which MuJoCo then refuses. It is WARNING for visual meshes of a URDF, and for pointers of
-    Git LFS, URLs and ``package://`` paths, because these files may exist elsewhere.
+    MJCF, which MuJoCo then refuses. The severity is WARNING for visual meshes of a URDF, and for
+    pointers of Git LFS, URLs and ``package://`` paths, because these files may exist elsewhere.
     """
     refused = isinstance(robot, MjcfModel)
     kind = "mesh" if refused else "link"
