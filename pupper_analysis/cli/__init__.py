@@ -257,7 +257,7 @@ def group() -> None:
 
 
 def find_command(name: str) -> click.Command:
-    """Return the command of pupper-analysis with a name that is known to exist."""
+    """Return the command of pupper-analysis with an existing name."""
     command = group.get_command(None, name)
     assert command is not None
     return command

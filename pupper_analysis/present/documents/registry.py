@@ -43,8 +43,8 @@ MAX_SHOWN_ENTRIES = 24
 joints of a humanoid without hands."""
 
 MAX_CELL_LENGTH = 600
-"""Largest number of characters of a cell; a longer value is replaced by its size. Chosen, not
-tuned."""
+"""Largest number of characters of a value in a table cell; a longer list or array is replaced by
+its size or shape. Chosen, not tuned."""
 
 
 def value_cell(value: object) -> Cell:

@@ -289,7 +289,7 @@ def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
     """Match unmatched joints of two trees at zero angles, from the base outwards.
 
     Two joints match if their parents match, their axes are parallel, and each is by far the nearest
-    of the other (less than half the distance of the next joint).
+    joint to the other: closer than half the distance of any other joint.
     """
     unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
     urdf_places, mjcf_places = list_joint_axes_at_zero(urdf), list_joint_axes_at_zero(mjcf)

@@ -91,7 +91,7 @@ def _round_parameters(vector: Array, posterior: Posterior) -> Array:
 def _collect_numbers(
     robot: Robot, posterior: Posterior, vector: Array
 ) -> tuple[dict[Key, float | Array], list[Diagnostic]]:
-    """Return the values that change in the files, and notes on estimates that no file can state."""
+    """Return the fitted values to write to the files, and notes on those that no file can state."""
     numbers: dict[Key, float | Array] = {}
     notes: list[Diagnostic] = []
     servos, added_servos = (

@@ -455,7 +455,7 @@ class _Gains:
     def _find_end(
         self, gains: Callable[[float], _Pair], inside: float, ratio: float
     ) -> float | None:
-        """Return the last stable factor on the gains, beginning at the stable factor ``inside``.
+        """Search for the last stable factor on the gains, from the stable factor ``inside``.
 
         The factor is multiplied by ``ratio`` until a mode grows with the gains ``gains(factor)``,
         then the interval is bisected. None if all factors up to ``MAX_FACTOR`` (or down to its

@@ -80,7 +80,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 
 
 def _find_shown_unit(column: str) -> tuple[float, str]:
-    """Return the factor and the unit in which a column is printed, as other commands print it.
+    """Return the factor and the unit with which reports of a study print a column.
 
     Lengths of metrics are in mm, angles in degrees, and utilisations in %. Variables keep the unit
     of the study file.
