@@ -2,8 +2,8 @@
 
 A repair replaces attributes of a single element. A finding has one repair if the right value is
 known, several candidates if a few values are possible, and none otherwise. The new value is
-derived from the mirrored element or from the joint of an actuator, or it is the old value with another unit or
-decimal point.
+derived from the mirrored element or from the joint of an actuator, or it is the old value with
+another unit or decimal point.
 """
 
 from __future__ import annotations

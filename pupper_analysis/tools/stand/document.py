@@ -273,8 +273,8 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
     """Return True if the predicted equilibrium is listed as a detail, not as a warning.
 
-    The simulation is a detail if it has no failures and enough margin to the release of a foot, or if
-    the verdict already states the failure.
+    The equilibrium is a detail if it has no failures and enough margin to the release of a foot,
+    or if the verdict already states the failure.
     """
     lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
     return lasting or _is_failure_without_feedforward_stated(stance)
