@@ -129,7 +129,7 @@ def _read_measured_cells(file: BinaryIO) -> list[str] | None:
 
 
 def _is_empty_plan(file: BinaryIO) -> bool:
-    """Return True for a plan of stands without measurements."""
+    """Return True if a file is a CSV plan of stands to be measured, without any measurement."""
     return _read_measured_cells(file) == []
 
 

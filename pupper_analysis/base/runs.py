@@ -49,7 +49,7 @@ class Run:
         Reading this file later in the run raises an error, unless the run has written the file.
 
         Raises:
-            OutputError: If the run has already read the file.
+            OutputError: If the run has read the file, and has not written it.
         """
         identity = identify_file(path)
         if identity is not None:

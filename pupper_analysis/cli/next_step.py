@@ -22,7 +22,8 @@ _ROBOT_ARGUMENTS = ("words", "file", "urdf", "mjcf", "source")
 """Names of the arguments of commands that specify a robot or its model files."""
 
 _OUTPUT_PARAMETERS = ("everything", "style", "force")
-"""Names of the options that select the form of the output. The next command does not get them."""
+"""Names of the options for the form of the output, and of ``--force``, which permits overwriting.
+The next command does not get them."""
 
 
 def complete_command(step: NextStep | None) -> str:

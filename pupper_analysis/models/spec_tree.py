@@ -43,9 +43,9 @@ _OPTION_VALUES: Final[dict[tuple[str, Number], Any]] = {
 """{(option, text in the XML): value in MuJoCo's editable model}."""
 
 MIN_RANGE = 1e-9
-"""Smallest effort [N m, N] of a written force range (-effort, effort), and smallest width of a
-written joint range [rad, m]. MuJoCo rejects a force range from 0 to 0, which converters write for a
-URDF without a limit."""
+"""Smallest effort [N m, N] of a written force range (-effort, effort), and width [rad, m] of a
+written joint range whose limits are equal. MuJoCo rejects a force range from 0 to 0, which
+converters write for a URDF without a limit."""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
@@ -65,7 +65,7 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
 
 
 def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
-    """Set a joint parameter of an MJCF spec, for example damping or effort.
+    """Write the value of a joint parameter, for example damping or effort, into an MJCF spec.
 
     An effort becomes a symmetric force range of the joint, of at least ``MIN_RANGE``. If MuJoCo
     stores a polynomial, the value is the first coefficient, and all other coefficients are zero.

@@ -107,19 +107,21 @@ def place_base_frame(
     *,
     insert_visuals: Callable[[mujoco.MjSpec], object] | None = None,
 ) -> list[Diagnostic]:
-    """Raise the frame of a free base to the height of its CoM if no limb ends below the frame.
+    """Raise the frame of a free base to the base's CoM height, if the frame is at ground level.
 
-    Roll, pitch and height of a stand refer to the base frame with z up. The frame is kept if
+    The frame is at ground level if no geom of a limb's last body reaches below it. Roll, pitch
+    and height of a stand refer to the base frame with z up. The frame is not raised if it is
     tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM.
-    If the frame is tilted by more than 45 deg in the keyframe `home` (or the first keyframe, or
-    without keyframes in the initial state), a note is returned.
+    The CoM is that of the base and the bodies fixed to it. If the frame is tilted by more than 45
+    deg in the keyframe `home` (or the first keyframe, or without keyframes in the initial state), a
+    note is returned.
 
     Args:
         spec: Spec of the MJCF, in which all bodies have names; modified in place.
         file: Compiled model of the published file, before the base was freed.
         source: File name for errors.
-        insert_visuals: Function that puts deferred visual meshes into a spec; None if no mesh is
-            deferred. Called if no collision geom of a limb's end is below the frame.
+        insert_visuals: Function that adds the visual meshes, which are not loaded yet, to a spec;
+            None if all meshes are loaded. Called if no collision geom reaches below the frame.
 
     Returns:
         Notes about the change, or about the tilt; mostly empty.

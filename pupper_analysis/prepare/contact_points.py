@@ -459,7 +459,10 @@ def _find_sole_contacts(
 
 
 def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoint]) -> bool:
-    """Return True if two lists have the same number of contact points, at the same positions."""
+    """Return True if two lists have the same number of contact points, at the same positions.
+
+    Each point of ``first`` must be within `_SOLE_ATOL` of any point of ``second``.
+    """
     return len(first) == len(second) and all(
         min(float(np.linalg.norm(point.center - candidate.center)) for candidate in second)
         < _SOLE_ATOL

@@ -46,8 +46,8 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 
 _LEVEL_COSINE_ATOL = 1e-6
-"""Upper bound of 1 - cos(tilt) with which a base counts as level in `compute_resting_depths`: a
-tilt of 1.4 mrad. Chosen, not tuned."""
+"""Upper bound of 1 - cos(a) with which a base counts as level in `compute_resting_depths`: a is the
+angle between the vertical and the nearest axis of the base, at most 1.4 mrad. Chosen, not tuned."""
 
 _WEIGHT_RTOL = 0.01
 """Upper bound of the difference between ground force and weight, relative to the weight, with which

@@ -343,7 +343,7 @@ class Robot(EngineModels):
         )
 
     def _repr_html_(self) -> str:
-        """Return a table of mass, base, joints and feet, for notebooks."""
+        """Return an HTML table for notebooks: mass, base, joints, effort limits, feet and notes."""
         from pupper_analysis.base.notebook import format_value, render_table
 
         rows = [
@@ -390,10 +390,11 @@ class Robot(EngineModels):
 
     @cached_property
     def welds(self) -> Mapping[str, str | None]:
-        """First contact point of each part that a task welds to the world or lets grip.
+        """First contact point of each part that is welded to the world or grips it.
 
-        The keys are the names of the parts, first the welded, then the gripping parts (``grips``).
-        The value is None for a part without contact point, such as the base.
+        A stand task can weld a part (a foot, a link or the base), or let the part grip. The keys
+        are the names of the welded parts, then of the gripping parts (``grips``). The value is None
+        for a part without contact point, such as the base.
         """
         welded = (
             name
@@ -589,7 +590,8 @@ class Robot(EngineModels):
     def effort_limits(self) -> Array:
         """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
-        The value is the smallest limit that the URDF and the MJCF state for the joint.
+        The value is min(-lower, upper) of the joint's effort range from both files (`efforts`), or
+        0 if the range does not contain both signs.
         """
         limits = np.array([limit.symmetric_torque for limit in self.efforts], dtype=float)
         limits.flags.writeable = False

@@ -183,9 +183,9 @@ def model_with_servos(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Servos:
-    """Return a copy of the robot's MuJoCo model with position servos.
+    """Return position servos for the robot: a copy of its MuJoCo model, and the gains.
 
-    The force ranges are narrowed to the effort limits of the robot.
+    The model contains the servos. Their force ranges are narrowed to the robot's effort limits.
 
     Args:
         robot: Robot.

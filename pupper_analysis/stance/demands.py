@@ -264,14 +264,15 @@ def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) 
 
 
 def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Return a copy of a task with the nominal stand's values for some relaxable requirements.
+    """Return a copy of a task in which some requirements have their values in the nominal stand.
 
-    The values are clipped to the bounds of the relaxation.
+    The nominal stand is the stand of the default `StandTask`. Each value is clipped to the bounds
+    within which the requirement may change if the stance is out of reach (`DemandVector`).
 
     Args:
         robot: Robot.
         task: Task.
-        demands: Names of relaxable requirements, from `DEMANDS`.
+        demands: Names of the requirements, from `DEMANDS`, for example the base height.
     """
     numbers = DemandVector(robot, task, demands)
     return numbers.make_task(numbers.clip(numbers.nominal))

@@ -541,7 +541,8 @@ def _compute_nominal_points(robot: Robot) -> tuple[tuple[str, Array], ...]:
 def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
     """Return {foot: default horizontal position, shape (2,) [m]} in the world frame.
 
-    The position is the mean of the foot's sphere centres at the nominal joint positions.
+    The position is the mean of the foot's sphere centres at the nominal joint positions, with the
+    base upright at the origin.
     """
     places = nominal_point_positions(robot)
     return {

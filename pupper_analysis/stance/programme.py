@@ -90,7 +90,7 @@ class Relaxation:
 
     @property
     def is_met(self) -> bool:
-        """Whether the configuration satisfies the task with changed numbers to 1e-6 [m, rad]."""
+        """Whether ``qpos`` satisfies the relaxed task, up to a violation of 1e-6 [m, rad]."""
         return self.violation <= _SATISFIED_VIOLATION
 
     @property

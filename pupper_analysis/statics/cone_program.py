@@ -352,10 +352,11 @@ class Balance:
     def _cone_rows(self, friction: Array) -> Array:
         """Return the rows of the second-order cones of n contacts and g grips, (4 n + 4 g, size).
 
-        The product of four rows with the forces (size,) is, for a contact with the normal force
-        f_n and the friction coefficient mu, (mu f_n, tangential force), with mu reduced by
-        `_CONE_MARGIN`, and both divided by the coefficient if that is above `_LARGE_FRICTION`;
-        for a grip, (0, grip force).
+        A contact and a grip have four rows each. The product of these rows with the forces (size,)
+        is, for a contact, (mu f_n, t_x, t_y, t_z): mu is the friction coefficient, reduced by
+        `_CONE_MARGIN`, f_n the normal force, and t the tangential force, in the world frame.
+        If mu exceeds `_LARGE_FRICTION`, all four numbers are divided by mu. For a grip, the product
+        is 0 and the three components of the grip force.
         """
         normals, count = self.normals, len(self.normals)
         rows, index = np.zeros((count, 4, count, 3)), np.arange(count)

@@ -85,7 +85,7 @@ def entry(code: str) -> Entry:
     """Return the catalogue entry of a code.
 
     Raises:
-        KeyError: If the catalogue does not contain the code.
+        KeyError: If neither this package's catalogue nor that of a plug-in contains the code.
     """
     tables = _load_tables() if code in _load_tables() else _load_plugin_tables()
     fields = tomllib.loads(tables[code])

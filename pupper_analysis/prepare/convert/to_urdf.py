@@ -419,7 +419,8 @@ class UrdfShapes:
     def _convert_mesh(self, geom: int, placed: pin.SE3) -> list[ShapeGeometry]:
         """Return the mesh of a geom as URDF shape; ``placed`` is the geom's pose in the body frame.
 
-        Empty, with a note, if the mesh has no file or is moved by the MJCF.
+        Empty, with a note, if the mesh file is unknown, or if the MJCF moves the mesh with
+        ``refpos`` or ``refquat``, for which a URDF has no equivalent.
         """
         model = self.model
         mesh = int(model.geom_dataid[geom])

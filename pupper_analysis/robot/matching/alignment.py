@@ -236,7 +236,10 @@ def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str)
 def _matching_points(
     first: MultibodyTree, second: MultibodyTree, name: str
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield pairs of points (3,) on a body in both trees: CoM, origins of children, frames."""
+    """Yield pairs of points on a body that both trees contain: CoM, child joints, frames.
+
+    Points have shape (3,) [m], each expressed in the body frame of its tree.
+    """
     yield first.bodies[name].com, second.bodies[name].com
     for child in first.children(name):
         if second.joints[child].parent == name:

@@ -163,6 +163,8 @@ class ContactKinematics:
     def generalized_force(self, forces: Array) -> Array:
         """Compute the generalised force of contact forces on the robot, shape (nv,) [N, N m].
 
+        The generalised force is dual to MuJoCo's qvel.
+
         Args:
             forces: Forces on the n touching contacts in their contact frames (two tangents, then
                 the normal), shape (n, 3) [N].

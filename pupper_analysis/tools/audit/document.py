@@ -100,7 +100,13 @@ def _group_findings(audit: Audit) -> Iterable[doc.FileFinding]:
 def _describe_group(
     audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
 ) -> doc.FileFinding:
-    """Describe findings that differ only in the element, with the line of the first."""
+    """Describe findings of a rule with equal messages, with file and line of the first finding.
+
+    Args:
+        audit: Audit with the findings.
+        group: Findings, at least one, for different elements of the file, for example links.
+        advice: Texts about the rule and its general repair, which follow the concrete repairs.
+    """
     first, *others = group
     message = doc.diagnostic_text(first.diagnostic)
     said = text("element-message", element=format_element(first.diagnostic), message=message)

@@ -200,9 +200,14 @@ class Source:
     notes: tuple[Diagnostic, ...] = ()
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:
-        """Convert a statement (a number) of this source to a fact about a joint of the robot.
+        """Create a `Fact` from a `Statement`: a number of this file, for a joint of the robot.
 
-        With ``joint`` empty, the fact is a setting of the whole source.
+        A `Statement` has the joint's name or index in the file; a `Fact` has its name in the robot.
+
+        Args:
+            statement: Number in this file, in SI units, with quantity and line.
+            joint: Joint of the robot; empty if the number applies to no single joint, for example
+                a control period.
         """
         return Fact(
             self.name,

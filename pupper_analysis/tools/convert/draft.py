@@ -460,8 +460,9 @@ _DEFAULT_ATTRIBUTES = {
 def put_defaults(root: etree._Element) -> None:
     """Move common attribute values of an MJCF into its main default class; ``root`` is changed.
 
-    A value is moved if there are at least two elements with the tag, all of these elements have the
-    attribute, and more than half of them have this value.
+    `_DEFAULT_ATTRIBUTES` lists the tags and attributes. A value is moved if there are at least two
+    elements with the tag, all of these elements have the attribute, and more than half of them have
+    this value.
     """
     top = root.find("default")
     assert top is not None

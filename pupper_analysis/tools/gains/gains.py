@@ -287,11 +287,11 @@ def study_gains(
     stiffness, damping = gains.find_stable_pair()
 
     def with_stiffness(factor: float) -> _Pair:
-        """Return kp and kd, shape (nu,), with a factor on the present stiffness of all joints."""
+        """Return the present kp times ``factor``, and the stable pair's kd, shape (nu,) each."""
         return gains.scale_gains(factor, damping)
 
     def with_damping(factor: float) -> _Pair:
-        """Return kp and kd, shape (nu,), with a factor on the present damping of all joints."""
+        """Return the stable pair's kp, and the present kd times ``factor``, shape (nu,) each."""
         return gains.scale_gains(stiffness, factor)
 
     report_progress(_STAGE, 0, num_parts)

@@ -146,8 +146,9 @@ _FIRST_MASS_RATIO = 0.25
 """First evaluated mass above 0, relative to the robot's mass. Chosen, not tuned."""
 
 _MASS_GROWTH = 1.5
-"""Factor between successive masses before the first failure. A failure that occurs only in a
-narrower interval of masses may be missed. Chosen, not tuned."""
+"""Factor between successive masses before the first failure, and in searches for a failing mass
+above a known bound. A failure that occurs only in a narrower interval of masses may be missed.
+Chosen, not tuned."""
 
 _FAST_MASS_GROWTH = 3.0
 """Factor between successive masses after the first failure of stance, motors or servos. Chosen, not

@@ -231,7 +231,7 @@ def _max_friction_utilisation(design: Design) -> float:
 
 
 def _compute_minimum_stiffness(design: Design) -> float:
-    """Return the smallest kp [N m/rad], equal at all joints, with which the robot stands."""
+    """Return the smallest uniform kp [N m/rad] with which the robot stands without feed-forward."""
     return minimum_stiffness(design.robot, design.stand)
 
 

@@ -310,10 +310,10 @@ tuned."""
 
 
 def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
-    """Return the inertials of moving bodies, each merged with the bodies that are fixed to it.
+    """Return the inertials of root and moving bodies, each merged with the bodies fixed to it.
 
-    MuJoCo refuses degenerate inertias, for example that of a thin rod, even on a body that is fixed
-    to another body.
+    Bodies without mass are left out. MuJoCo refuses degenerate inertias, for example that of a thin
+    rod, even on a body that is fixed to another body.
     """
     inertials: dict[str, Inertial] = {}
     for name, link in model.links.items():

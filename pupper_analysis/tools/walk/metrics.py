@@ -13,9 +13,13 @@ from pupper_analysis.base.errors import ConfigurationError, NotStandingError
 
 
 def _bind_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[Any], float], str]:
-    """Create a metric from ``POLICY[@VX,VY,W]``, and a hash of the policy files and the command.
+    """Return a metric of a design that walks with a policy, and a hash of policy and command.
 
-    Without a command, the robot walks forward at 0.5 m/s.
+    Args:
+        measure: Function of the simulated gait (an element of ``gaits`` of `simulate_walk`) that
+            returns the value of the metric.
+        text: ``POLICY[@VX,VY,W]``: file of the policy, and the velocity command: forward [m/s],
+            left [m/s], turning left [rad/s]. Without a command, 0.5 m/s forward.
     """
     from pupper_analysis.base.runs import register_input
     from pupper_analysis.tools.walk.gait import check_command, simulate_walk

@@ -507,8 +507,8 @@ class Observer:
         """Return the newest observation frame of n runs, shape (n, frame size), before clipping.
 
         Args:
-            states: MuJoCo states of the runs, a row per run.
-            active: Indices of the runs, shape (n,).
+            states: MuJoCo states of the n runs, a row per run.
+            active: Indices of the n runs among all runs, shape (n,).
             tick: Number of the control step, from which the phase is computed.
         """
         stage, contract = self._stage, self._contract

@@ -259,10 +259,11 @@ def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with inertias that are no mirror images.
 
-    With the inertias I and I' about the CoMs in base axes at zero angles, and the reflection S, a
-    finding is an entry of S I S - I' above 10 % of the largest entry, or a product of inertia with
-    the wrong sign (`_find_wrong_sign`). The 10 % are replaced by twice the rounding of the written
-    digits (up to 50 %) if that is larger. Pairs with different masses are not compared.
+    I and I' are the inertias about the CoMs in base axes at zero angles, S is the reflection. A
+    pair is reported, with the entry of largest difference, if an entry of S I S - I' exceeds 10 %
+    of the largest entry of both, or if I' has products of inertia of the wrong sign
+    (`_find_wrong_sign`). Twice the rounding of the written digits (up to 50 %) replaces the 10 % if
+    it is larger. Pairs with different masses are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
@@ -475,9 +476,10 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links with different contact parameters on the ground.
 
     MuJoCo combines the parameters of each geom with the parameters of the ground: condim, friction,
-    solref, solimp and margin. A finding is a difference of the combined values, which are compared
-    if as many geoms of both links can touch the ground, or a link that cannot touch the ground
-    beside a link that can. If the file has no ground, a plane with MuJoCo's defaults is assumed.
+    solref, solimp and margin. If both links have the same number of geoms that can touch the
+    ground, each combined parameter that differs is a finding. If only one link has such geoms, the
+    other link is a finding. Links without collision geoms are not compared. If the file has no
+    ground, a plane with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:

@@ -219,7 +219,10 @@ def list_observation_terms(terms: Node) -> Iterator[tuple[str, float | None, Pla
 
 
 def _read_limits(request: Request, limits: Node) -> Iterator[Source]:
-    """Yield MoveIt's joint limits. A limit is ignored if its ``has_..._limits`` is false."""
+    """Yield a source with MoveIt's joint limits; no source if there are none.
+
+    A limit is ignored if its ``has_..._limits`` is false.
+    """
     words = {
         name: row["limits"] for name, row in FIELD_TABLE["quantities"].items() if "limits" in row
     }

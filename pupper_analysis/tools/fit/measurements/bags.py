@@ -62,7 +62,10 @@ MAX_CHUNK_BYTES: Final = 500_000_000
 
 
 def is_bag(path: Path) -> bool:
-    """Return True if a path is an MCAP file, a ROS 1 bag or a ROS 2 bag."""
+    """Return True if a path is an MCAP file, a ROS 1 bag or a ROS 2 bag.
+
+    The suffix decides (`BAG_SUFFIXES`); a folder is a ROS 2 bag if it contains ``metadata.yaml``.
+    """
     return path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
 
 

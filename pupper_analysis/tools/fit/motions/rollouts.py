@@ -37,9 +37,10 @@ DELAY_PARAMETERS = (
     ("delay", SERVOS_SUBJECT, "", 0.0),
     *(("lag", SERVOS_SUBJECT, p, 0.0) for p in ("command", "position")),
 )
-"""Kind, subject, component and stated value of the delay parameters: the total delay of commands,
-the first-order lag of commands, and a first-order lag of positions. A slow
-motor has both lags, a bus delays only commands."""
+"""Estimated delays [s], common to all servos: delay of commands, time constant of a first-order
+lag of commands, and time constant of a first-order lag of positions. A slow motor has both lags, a
+bus delays only commands. The entries are the fields of `Parameter`: kind, subject, component, and
+the value in the model, 0 s, which is the mean of the prior."""
 
 BURN_IN_DURATION = 0.25
 """Time [s] at the start of a run that is not compared. The initial velocity is only known from

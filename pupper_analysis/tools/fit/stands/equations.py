@@ -51,9 +51,10 @@ times height. The value is small, because a robot at rest obeys statics. It is n
 weighted least squares divide by it. Chosen, not tuned."""
 
 _TORQUE_RTOL = 1e-4
-"""Standard deviation of the difference between a servo's torque and kp times the servo error, as a
-fraction of weight times height. A leg joint carries about a tenth of that product, so this is a
-thousandth of the joint torque."""
+"""Assumed standard deviation of a servo's torque about kp times the servo error, as a fraction of
+robot weight times `Robot.stand_height`. The least squares divide the residual of this equation by
+the standard deviation, which also includes dry friction. A leg joint carries about a tenth of
+weight times height, so this value is about a thousandth of the joint torque."""
 
 _UNKNOWN_TORQUE_RATIO = 1e3
 """Standard deviation of the torque of a joint without a usable command, as a fraction of weight
