@@ -469,8 +469,15 @@ def describe_cause(cause: Cause) -> Diagnostic:
 _FILES_DIFFER_CODE = "files-differ"
 """Code of the statement that a robot's URDF and MJCF differ, with the first difference."""
 
-_CAUSES = (_FILES_DIFFER_CODE, "motors-overloaded")
-"""Codes of statements that explain a bad verdict. These follow the first statement."""
+_CAUSES = (
+    _FILES_DIFFER_CODE,
+    "ctrlrange-cuts-off",
+    "forcerange-cuts-off",
+    "actuatorfrcrange-cuts-off",
+    "motors-overloaded",
+)
+"""Codes of statements that explain a bad verdict. These follow the first statement, in the order of
+the verdict: a range in the file that limits motors precedes the overloaded motors."""
 
 _CAUSE_MESSAGES = {
     "exclude": "excluded-from-touching",

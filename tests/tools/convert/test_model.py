@@ -365,7 +365,7 @@ def test_command_states_the_file_the_agreement_and_the_stand(tmp_path: Path) -> 
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "quad.xml" in done.stdout
-    assert "STANDS for 12 s in MuJoCo" in done.stdout
+    assert "STANDS 12 s in MuJoCo" in done.stdout
     assert json.loads((tmp_path / "out.json").read_text())["passed"]
     model = compile_file(tmp_path / "quad.xml")
     assert model.dof_armature.tolist() == [0.0] * 6 + [0, 0, 0.01] * 4
