@@ -3,7 +3,7 @@ messages.
 """
 
 import pickle
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.terrain import build_on_ground
 from tests.support.arm import arm
+from tests.support.bodies import assert_same_bodies, mujoco_bodies, pinocchio_bodies
 from tests.support.engines import evaluate_mujoco
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import load
@@ -202,3 +203,137 @@ def test_lowest_foot_touches_the_ground_at_the_stand_height(tiny: pa.Robot) -> N
     qpos[2] = tiny.stand_height
     lowest = pa.Configuration(tiny, qpos).contact_points()["foot"]
     assert lowest[2] == pytest.approx(0, abs=1e-12)
+
+
+# ------------------------------------------------------------------------------------- one robot
+
+
+def test_sizes_and_mass_count_the_base_if_it_is_free(tiny: pa.Robot, tiny_files: Files) -> None:
+    """By hand: three joints, a free joint with 7 positions and 6 velocities, and 3.2 kg in all."""
+    assert (tiny.nq, tiny.nv, tiny.nu, tiny.floating) == (10, 9, 3, True)
+    fixed = load_files(tiny_files, fixed_base=True)
+    assert (fixed.nq, fixed.nv, fixed.nu, fixed.floating) == (3, 3, 3, False)
+    assert fixed.total_mass == tiny.total_mass == pytest.approx(3.2)
+
+
+@pytest.mark.slow
+def test_base_without_free_joint_in_the_mjcf_is_fixed(tmp_path: Path) -> None:
+    """By hand: three joint positions remain, and the note names the option that keeps the base."""
+    robot = load_files(write(tmp_path, mjcf=replace_text(TINY_MJCF, "<freejoint/>", "")))
+    assert not robot.floating
+    assert robot.nq == 3
+    assert any("its base stays fixed" in str(note) for note in robot.notes)
+
+
+def test_bodies_of_both_engines_agree_if_joint_orders_differ(tiny: pa.Robot) -> None:
+    """Pinocchio from the URDF against MuJoCo from the MJCF: masses [kg], CoMs [m], inertias
+    [kg m^2] and frames.
+    """
+    assert_same_bodies(pinocchio_bodies(tiny), mujoco_bodies(tiny), 1e-12)
+
+
+def test_mass_matrix_contains_the_armature_of_the_mjcf(tiny_files: Files) -> None:
+    """References: 0.02 kg m^2 of joint ``bend`` and the default of 0.01 in the MJCF."""
+    robots = [load_files(tiny_files, fixed_base=True) for _ in range(2)]
+    robots[1].pin_model.armature = np.zeros(3)
+    given, without = (pa.Configuration(robot, robot.neutral()).mass_matrix() for robot in robots)
+    assert robots[0].joint_names == ("bend", "push", "turn")
+    np.testing.assert_allclose(given - without, np.diag([0.02, 0.01, 0.01]), atol=1e-14)
+    assert any("armature is taken from the MJCF" in str(note) for note in robots[0].notes)
+
+
+def test_gravity_of_the_mjcf_is_that_of_the_robot(tmp_path: Path) -> None:
+    """By hand: 0.4 kg on the vertical slide; 0.3 kg at 0.05 m below the hinge, along its axes."""
+    moon = replace_text(TINY_MJCF, "<default>", '<option gravity="0.1 0 -1.62"/><default>')
+    robot = load_files(write(tmp_path, mjcf=moon), fixed_base=True)
+    np.testing.assert_allclose(robot.gravity, [0.1, 0, -1.62])
+    gravity = pa.Configuration(robot, robot.neutral()).gravity()
+    np.testing.assert_allclose(gravity[:2], [0.3 * 0.1 * 0.05, 0.4 * 1.62], atol=1e-14)
+
+
+@pytest.mark.slow
+def test_ground_is_added_for_a_free_base_only(tmp_path: Path) -> None:
+    """Reference: MuJoCo's default sliding friction, 1."""
+    bare = replace_text(TINY_MJCF, '<geom type="plane" size="1 1 1"/>', "")
+    robot = load_files(write(tmp_path, mjcf=bare), as_is=True)
+    assert any("a plane with MuJoCo's default contact" in str(note) for note in robot.notes)
+    assert robot.contacts["foot"].sliding_friction == 1.0
+    fixed = load_files(write(tmp_path, mjcf=bare), fixed_base=True)
+    assert fixed.contacts == {}
+    assert not any("plane" in str(note) for note in fixed.notes)
+
+
+PUSH = '<joint name="push" type="slide" axis="0 0 1" range="-0.3 0.4"/>'
+
+
+@pytest.mark.parametrize(
+    ("urdf", "mjcf", "expected"),
+    [
+        (
+            TINY_URDF,
+            replace_text(TINY_MJCF, PUSH, "").replace('<motor joint="push"/>', ""),
+            "joints that only the URDF has, held at zero: push",
+        ),
+        (
+            replace_text(TINY_URDF, '"push" type="prismatic"', '"push" type="fixed"'),
+            TINY_MJCF,
+            "joints that only the MJCF has, held at zero: push",
+        ),
+        (
+            replace_text(TINY_URDF, 'name="push"', 'name="pull"'),
+            TINY_MJCF,
+            "joints with other names in the URDF: pull = push",
+        ),
+    ],
+)
+def test_joint_that_differs_between_the_files_is_in_a_note(
+    tmp_path: Path, urdf: str, mjcf: str, expected: str
+) -> None:
+    robot = load_files(write(tmp_path, urdf, mjcf), fixed_base=True)
+    assert expected in [str(note) for note in robot.notes]
+
+
+def test_robot_and_its_mappings_are_immutable() -> None:
+    """Functions share derived values of a robot, which a change would falsify."""
+    robot = load("v3")
+    with pytest.raises(FrozenInstanceError):
+        robot.name = "other"  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        robot.contact_radius["FR"] = 1.0  # type: ignore[index]
+    assert robot.check_foot("FR") == "FR"
+
+
+def test_paths_of_both_files_may_be_strings(tiny_files: Files) -> None:
+    urdf, mjcf = (str(path) for path in tiny_files)
+    assert pa.load_robot(urdf=urdf, mjcf=mjcf, feet=["foot"], fixed_base=True).nu == 3
+
+
+def test_missing_file_folder_and_binary_file_are_refused_by_path(
+    tiny_files: Files, tmp_path: Path
+) -> None:
+    """Either file of a pair; the refusal begins with the path of the unusable file."""
+    binary = tmp_path / "binary.urdf"
+    binary.write_bytes(b"\xff\xfe\x00\x81")
+    for wrong, reason in (
+        (tmp_path / "none", "there is no such file"),
+        (tmp_path, "it is a folder"),
+        (binary, "it is encoded in UTF-16"),
+    ):
+        for files in (Files(wrong, tiny_files.mjcf), Files(tiny_files.urdf, wrong)):
+            with pytest.raises(pa.ModelError) as caught:
+                load_files(files)
+            assert str(caught.value).startswith(f"{wrong}: {reason}")
+
+
+def test_unknown_foot_is_refused_with_the_names_of_both_files(tmp_path: Path) -> None:
+    """``toe_tip`` is a link of the URDF, and ``hoof`` a site of the MJCF."""
+    urdf = replace_text(TINY_URDF, 'link name="foot"', 'link name="toe_tip"')
+    urdf = replace_text(urdf, 'child link="foot"', 'child link="toe_tip"')
+    mjcf = replace_text(TINY_MJCF, 'site name="foot"', 'site name="hoof"')
+    with pytest.raises(pa.UnknownNameError, match=r"toe_tip.*hoof") as caught:
+        load_files(write(tmp_path, urdf, mjcf))
+    assert caught.value.name == "foot"
+    assert isinstance(caught.value, pa.ModelError)
+    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL") as other:
+        load("v3").check_foot("left")
+    assert (other.value.kind, other.value.name) == ("foot", "left")
