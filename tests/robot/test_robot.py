@@ -243,7 +243,9 @@ def test_mass_matrix_contains_the_armature_of_the_mjcf(tiny_files: Files) -> Non
 
 
 def test_gravity_of_the_mjcf_is_that_of_the_robot(tmp_path: Path) -> None:
-    """By hand: 0.4 kg on the vertical slide; 0.3 kg at 0.05 m below the hinge, along its axes."""
+    """By hand: weight [N] of 0.4 kg on the vertical slide; torque [N m] of 0.1 m/s^2 on 0.3 kg,
+    which hang 0.05 m below the hinge.
+    """
     moon = replace_text(TINY_MJCF, "<default>", '<option gravity="0.1 0 -1.62"/><default>')
     robot = load_files(write(tmp_path, mjcf=moon), fixed_base=True)
     np.testing.assert_allclose(robot.gravity, [0.1, 0, -1.62])
@@ -289,6 +291,7 @@ PUSH = '<joint name="push" type="slide" axis="0 0 1" range="-0.3 0.4"/>'
 def test_joint_that_differs_between_the_files_is_in_a_note(
     tmp_path: Path, urdf: str, mjcf: str, expected: str
 ) -> None:
+    """References: texts written by hand."""
     robot = load_files(write(tmp_path, urdf, mjcf), fixed_base=True)
     assert expected in [str(note) for note in robot.notes]
 

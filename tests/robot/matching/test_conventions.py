@@ -306,3 +306,33 @@ def test_other_differences_are_reported_beside_the_base_frame(tmp_path: Path) ->
     comparison = compare_files(pair(tmp_path, change_part(mjcf, "shank0", mass=0.3), feet))
     assert sorted(list_differences(comparison)) == [("base frame", "base"), ("mass", "knee0")]
     assert comparison.complete
+
+
+def test_turned_base_frame_without_mass_may_be_the_zero_of_its_only_joint(tmp_path: Path) -> None:
+    """The frame is turned by 90 deg about the axis of an unlimited joint: both causes give the
+    same robot, so the message names both.
+    """
+    bare = change_part(arm(), "base", mass=0.0)
+    mjcf, _ = change_frame(bare, [], "base", *POSES["turned"])
+    comparison = compare_files(pair(tmp_path, mjcf, urdf=bare))
+    assert not comparison.agree
+    assert list_differences(comparison) == [("base frame", "base")]
+    assert "or the zero of the one joint on it is" in format_headline(comparison)
+    assert comparison.complete
+
+
+def test_limits_of_the_only_joint_on_a_base_distinguish_its_zero_from_the_base_frame(
+    tmp_path: Path,
+) -> None:
+    """Equal limits: the zero is equal, and the frame is turned by 90 deg, a convention. Limits
+    moved by pi / 2 rad: the zero may be moved, so the files disagree.
+    """
+    bare = change_part(arm(), "base", mass=0.0)
+    bare = change_part(bare, "column", kind="revolute", lower=-1.0, upper=1.5)
+    mjcf, _ = change_frame(bare, [], "base", *POSES["turned"])
+    comparison = compare_files(pair(tmp_path, mjcf, urdf=bare))
+    assert comparison.agree
+    assert len([note for note in comparison.notes if "the fixed base's frame" in str(note)]) == 1
+    column, quarter = mjcf["column"], math.pi / 2
+    moved = change_part(mjcf, "column", lower=column.lower + quarter, upper=column.upper + quarter)
+    assert not compare_files(pair(tmp_path, moved, urdf=bare)).agree

@@ -67,6 +67,20 @@ def test_euler_angles_of_another_sequence_are_one_cause(tmp_path: Path) -> None:
     assert 'the MJCF\'s angles are meant otherwise: with eulerseq="XYZ" in place of "xyz"' in line
 
 
+@pytest.mark.slow
+def test_euler_sequence_of_shanks_turned_twice_by_90_degrees_is_one_cause(tmp_path: Path) -> None:
+    """About x, then about z: the sequence is the only difference of the files."""
+    turn = Rotation.from_euler("xyz", [math.pi / 2, 0.0, math.pi / 2])
+    quaternion = tuple(turn.as_quat(scalar_first=True))
+    parts = {
+        name: replace(part, quaternion=quaternion) if name.startswith("shank") else part
+        for name, part in quadruped().items()
+    }
+    text = with_euler(mjcf_text(parts), "XYZ", 'angle="radian"')
+    line = get_headline(write(tmp_path, urdf_text(parts), text))
+    assert 'with eulerseq="XYZ" in place of "xyz"' in line
+
+
 def test_degrees_for_radians_in_the_compiler_are_one_cause(tmp_path: Path) -> None:
     text = mjcf_text(quadruped()).replace('angle="radian"', 'angle="degree"')
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))

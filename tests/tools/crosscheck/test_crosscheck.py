@@ -109,6 +109,20 @@ def test_engine_deviation_is_distinguished_from_model_deviation() -> None:
     assert masses.edge_deviations["engines (MJCF)"] == 0
 
 
+def test_mass_deviation_is_the_difference_of_both_files() -> None:
+    """Reference: base masses of 1.506 and 1.509 kg in the MJCF and the changed URDF."""
+    check = cross_check(_with_urdf(pa.load_variant("v3"), 'value="1.506"', 'value="1.509"'))
+    masses = next(quantity for quantity in check.quantities if quantity.name == "body masses")
+    assert masses.deviation == pytest.approx(0.003, rel=1e-9)
+    assert masses.relative == pytest.approx(0.003 / 1.509, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_variant_with_a_fixed_base_passes(name: str) -> None:
+    """References: the other engine and the other file."""
+    assert cross_check(pa.load_variant(name, fixed_base=True)).passed
+
+
 def test_inertia_deviation_is_relative_to_its_own_link() -> None:
     """Reference: the largest moment of the changed link, a hundredth of that of the base."""
     robot = _with_urdf(pa.load_variant("v3"), 'ixx="7.4e-05"', 'ixx="7.5e-05"')

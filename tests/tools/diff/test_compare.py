@@ -20,7 +20,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.robot.matching.trees import kinematic_trees
-from pupper_analysis.tools.diff.compare import RandomStates, fix_joint
+from pupper_analysis.tools.diff.compare import RandomStates, fix_joint, rename_joints
 from tests.support.commands import Answer, answer
 from tests.support.engines import to_pinocchio
 from tests.support.repository import ROOT
@@ -277,6 +277,18 @@ def test_behaviour_is_that_of_configurations(name: str) -> None:
         for index, joint in enumerate(tree.joints):
             position = behaviour["joint positions"][number][index]
             np.testing.assert_allclose(position, config.joint_position(joint), atol=1e-12)
+
+
+def test_renamed_joint_keeps_its_place_in_the_tree() -> None:
+    """Reference: the tree before; renamed and renamed back, it has equal parents."""
+    tree, _ = kinematic_trees(load("v3"))
+    renamed = rename_joints(tree, {"leg_front_l_2": "x"})
+    assert renamed.joints["leg_front_l_3"].parent == "x"
+    assert "x" in renamed.bodies
+    back = rename_joints(renamed, {"x": "leg_front_l_2"})
+    assert back.joints.keys() == tree.joints.keys()
+    for name, joint in tree.joints.items():
+        assert back.joints[name].parent == joint.parent
 
 
 def test_fixed_joint_equals_the_reduced_model_of_pinocchio(tmp_path: Path) -> None:

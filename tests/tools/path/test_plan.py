@@ -226,6 +226,19 @@ def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
 
 
 @pytest.mark.slow
+def test_loads_of_a_path_on_a_slope_are_vertical() -> None:
+    """By hand, at rest: loads sum up to W [N]; forces along the normal sum up to W cos(slope)."""
+    robot, slope = load("v3"), 0.3
+    task = pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)
+    low = pa.StandTask(ground=task.ground, pitch=-0.25, height=0.125)
+    path = stance_path(robot, [task, low], 4.0)
+    weight = robot.total_mass * np.linalg.norm(robot.gravity)
+    assert path.loads[0].sum() == pytest.approx(weight, rel=1e-6)
+    normal = task.ground.normal()
+    assert (path.forces[0] @ normal).sum() == pytest.approx(weight * math.cos(slope), rel=1e-6)
+
+
+@pytest.mark.slow
 def test_csv_contains_time_positions_and_torques_of_a_path(tmp_path: Path) -> None:
     path = path_of("v3", "lift")
     path.to_csv(tmp_path / "new" / "path.csv")
