@@ -409,7 +409,9 @@ AT_THE_END_OF_REACH = {
 }
 
 
-@pytest.mark.parametrize("name", AT_THE_END_OF_REACH)
+@pytest.mark.parametrize(
+    "name", [pytest.param("heavy", marks=pytest.mark.slow), "v3-heavy", "v3-long-leg"]
+)
 def test_stand_at_the_end_of_reach_is_found(name: str) -> None:
     """References: MuJoCo's kinematics of the feet, and Pinocchio's CoM."""
     robot, task = load(name), AT_THE_END_OF_REACH[name]

@@ -231,7 +231,7 @@ def test_loads_of_a_path_on_a_slope_are_vertical() -> None:
     robot, slope = load("v3"), 0.3
     task = pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)
     low = pa.StandTask(ground=task.ground, pitch=-0.25, height=0.125)
-    path = stance_path(robot, [task, low], 4.0)
+    path = stance_path(robot, [task, low], 4.0, rate=20.0)
     weight = robot.total_mass * np.linalg.norm(robot.gravity)
     assert path.loads[0].sum() == pytest.approx(weight, rel=1e-6)
     normal = task.ground.normal()
