@@ -6,10 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.robot.matching.match import match_models
+from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.corpus import INERTIAL, format_link
 from tests.support.robots import (
@@ -23,12 +28,14 @@ from tests.support.robots import (
     list_differences,
     match_files,
     mjcf_text,
+    pendulum,
     quadruped,
     urdf_text,
     without_base,
     write,
     write_parts,
 )
+from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 JOINTS = {f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)}
@@ -523,3 +530,229 @@ def test_common_frames_are_fixed_links_and_sites_or_bodies(tmp_path: Path) -> No
     files = write(tmp_path, urdf, MJCF.replace(site, '<body name="foot1" pos="0.002 0 -0.21"/>'))
     assert set(match_files(files).robot.description.frames) == {f"foot{leg}" for leg in range(4)}
     assert list_differences(compare_files(files)) == [("frame", "foot1")]
+
+
+def test_joints_are_matched_by_a_mapping_of_their_names(tmp_path: Path) -> None:
+    """Two of eight joints are renamed; the mapping is the reference, so none is guessed."""
+    files = write_parts(tmp_path, rename_joints(quadruped(), hip1="A", knee1="B"), quadruped())
+    comparison = compare_files(files, names={"A": "hip1", "B": "knee1"})
+    assert comparison.agree
+    assert comparison.guessed == {}
+
+
+def test_mapping_of_two_joints_to_one_is_refused(tmp_path: Path) -> None:
+    """The refusal names the joint of the MJCF, hip0."""
+    with pytest.raises((ModelError, UnknownNameError), match="hip0"):
+        compare_texts(tmp_path, URDF, MJCF, names={"hip1": "hip0", "hip0": "hip0"})
+
+
+@pytest.mark.slow
+def test_joint_of_the_urdf_alone_may_have_the_name_of_a_mapped_joint(tmp_path: Path) -> None:
+    """``old`` is the MJCF's hip0; another joint of the URDF is called hip0, and is unmatched."""
+    urdf = rename_joints(quadruped(), hip0="old") | {"tail": make_light_part("tail", "base")}
+    urdf = change_part(urdf, "tail", joint="hip0")
+    still = quadruped() | {"tail": replace(make_light_part("tail", "base"), kind="fixed")}
+    comparison = compare_files(write_parts(tmp_path, urdf, still), names={"old": "hip0"})
+    assert comparison.only_urdf == ("hip0",)
+    assert list_differences(comparison) == []
+
+
+# ------------------------------------------------------------------------------------- bases
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "free", ["<freejoint/>", '<freejoint name="root"/>', '<joint type="free"/>']
+)
+def test_free_joint_with_or_without_a_name_agrees(tmp_path: Path, free: str) -> None:
+    """Three notations of one free joint; the URDF, which has none, is the reference."""
+    assert compare_texts(tmp_path, URDF, MJCF.replace("<freejoint/>", free)).agree
+
+
+@pytest.mark.slow
+def test_two_massless_root_links_are_left_out(tmp_path: Path) -> None:
+    """A chain of two links without mass above the base; the MJCF starts at the base."""
+    text = with_root("fixed").replace(
+        '<link name="world"/>',
+        '<link name="map"/><joint name="m" type="floating"><parent link="map"/>'
+        '<child link="world"/></joint><link name="world"/>',
+    )
+    assert compare_texts(tmp_path, text, MJCF).agree
+
+
+def test_massless_root_link_displaced_from_the_base_is_left_out(tmp_path: Path) -> None:
+    """The base is 0.1 m above its root link; the MJCF's base body has the frame of the base."""
+    assert compare_texts(tmp_path, with_root("fixed", '<origin xyz="0 0 0.1"/>'), MJCF).agree
+
+
+def test_base_fixed_in_both_files_agrees_at_any_place(tmp_path: Path) -> None:
+    """The MJCF's base is at (0.3, 0.2, 0.1) m, the URDF's at the origin; 3 joints are left."""
+    files = write_parts(tmp_path, arm(), arm(), free=False, base_position=(0.3, 0.2, 0.1))
+    assert compare_files(files).agree
+    robot = match_files(files).robot
+    assert not robot.floating
+    assert robot.nv == 3
+
+
+def test_fixed_base_of_several_bodies_agrees(tmp_path: Path) -> None:
+    """A tower fixed to a foot: both are the base, whose frame is that of the root link.
+
+    Reference: the engines' check of both files, which finds no deviation.
+    """
+    foot = Part("foot", mass=0.9, com=(0.0, 0.02, 0.01))
+    tower = replace(
+        arm()["base"], parent="foot", joint="tower", kind="fixed", position=(0.0, 0.1, 0.05),
+        quaternion=(0.8, 0.0, 0.6, 0.0),
+    )  # fmt: skip
+    parts = {"foot": foot, **arm(), "base": tower}
+    prefixed = {
+        f"left_{name}": replace(
+            part, link=f"left_{part.link}", parent=part.parent and f"left_{part.parent}"
+        )
+        for name, part in parts.items()
+    }
+    text = mjcf_text(prefixed, (), free=False, base_position=(0.3, 0.0, 0.2))
+    comparison = compare_files(write(tmp_path, urdf_text(parts, ()), text))
+    assert comparison.agree
+    assert comparison.engines == ()
+    assert comparison.check.passed
+
+
+def test_robot_of_one_joint_is_compared(tmp_path: Path) -> None:
+    """A pendulum on a fixed base; the engines' check of both files is the reference."""
+    tip = [Frame("tip", "bob", (0.0, 0.0, -0.5))]
+    urdf, mjcf = urdf_text(pendulum(), tip), mjcf_text(pendulum(), tip, free=False)
+    comparison = compare_texts(tmp_path, urdf, mjcf)
+    assert comparison.agree
+    assert comparison.check.passed
+    assert comparison.joints == ("swing",)
+
+
+@pytest.mark.slow
+def test_static_object_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
+    """A table on the world is left out with a note; the base's mass is compared without it."""
+    table = '<body name="table" pos="1 0 0"><geom size="0.1"/></body>'
+    mjcf = mjcf_text(arm(), free=False, scene=table)
+    comparison = compare_texts(tmp_path, urdf_text(arm()), mjcf)
+    assert comparison.agree
+    assert comparison.engines == ()
+    said = " ".join(map(str, comparison.notes))
+    assert "body 'table' is not part of the robot" in said
+    heavier = mjcf_text(change_part(arm(), "base", mass=3.5), free=False, scene=table)
+    comparison = compare_texts(tmp_path, urdf_text(arm()), heavier)
+    assert list_differences(comparison) == [("mass", "base")]
+
+
+def test_loose_object_without_a_name_is_no_part_of_the_robot(tmp_path: Path) -> None:
+    """Neither the ball nor the base has a name; the URDF without the ball is the reference."""
+    scene = BALL.replace(' name="ball"', "")
+    mjcf = mjcf_text(quadruped(), scene=scene).replace('<body name="base"', "<body")
+    assert compare_texts(tmp_path, URDF, mjcf).agree
+
+
+# ------------------------------------------------------------------------------------- joints
+
+
+def test_values_beside_a_ball_joint_are_compared(tmp_path: Path) -> None:
+    """The shank below the ball joint has 0.4 kg: the only difference."""
+    text = mjcf_text(change_part(quadruped(), "shank1", mass=0.4))
+    text = text.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
+    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
+    comparison = compare_texts(tmp_path, URDF, text.replace(motor, ""))
+    assert list_differences(comparison) == [("mass", "knee1")]
+    assert comparison.complete
+
+
+def test_mass_in_a_closed_loop_is_compared_beside_its_equality(tmp_path: Path) -> None:
+    """References: the equality and the mass of 0.4 kg that were added to the MJCF."""
+    loop = '<equality><connect body1="shank0" body2="shank1" anchor="0 0 0"/></equality>'
+    mjcf = mjcf_text(change_part(quadruped(), "shank1", mass=0.4), extra=loop)
+    comparison = compare_texts(tmp_path, URDF, mjcf)
+    assert sorted(kind for kind, _ in list_differences(comparison)) == ["equality", "mass"]
+    assert comparison.complete
+
+
+def test_mimic_joint_without_equality_in_the_mjcf_is_a_difference(tmp_path: Path) -> None:
+    """The message states the factor and the offset of the URDF."""
+    mimic = '<mimic joint="hip0" multiplier="2"/>\n<axis xyz="0.0 1.0 0.0"/>'
+    comparison = compare_texts(tmp_path, URDF.replace('<axis xyz="0.0 1.0 0.0"/>', mimic, 1), MJCF)
+    assert "knee0" in comparison.joints
+    assert list_differences(comparison) == [("mimic", "knee0")]
+    assert comparison.differences[0].message.startswith(
+        "joint knee0: it mimics hip0 in the URDF (times 2, plus 0)"
+    )
+
+
+@pytest.mark.slow
+def test_continuous_joint_lacks_the_limits_of_a_revolute_joint(tmp_path: Path) -> None:
+    """Continuous joints of both files agree; one of the URDF alone differs in both limits."""
+    assert compare_files(write_parts(tmp_path, arm(), arm())).agree
+    free = change_part(quadruped(), "thigh0", kind="continuous")
+    comparison = compare_files(write_parts(tmp_path, free, quadruped()))
+    assert list_differences(comparison) == [("lower limit", "hip0"), ("upper limit", "hip0")]
+
+
+def test_joints_with_different_axes_are_not_matched(tmp_path: Path) -> None:
+    """The renamed joint has axis z in the URDF and the original axis in the MJCF."""
+    urdf = change_part(quadruped(), "shank3", joint="other", axis=(0.0, 0.0, 1.0))
+    comparison = compare_files(write_parts(tmp_path, urdf, rename_links(quadruped())))
+    assert comparison.guessed == {}
+    assert (comparison.only_urdf, comparison.only_mjcf) == (("other",), ("knee3",))
+
+
+def remove_joint_name(text: str, joint: str) -> str:
+    """Return the MJCF with the joint without its name, and therefore without its motor."""
+    text = text.replace(f'<joint name="{joint}" ', "<joint ")
+    return "\n".join(line for line in text.splitlines() if f'<motor name="m_{joint}"' not in line)
+
+
+def test_hinge_without_a_name_is_named_after_its_body(tmp_path: Path) -> None:
+    """Its effort is the only difference, because a motor cannot refer to an unnamed joint."""
+    comparison = compare_texts(tmp_path, URDF, remove_joint_name(MJCF, "knee2"))
+    assert comparison.guessed == {"knee2": "shank2_joint"}
+    assert any("without a name" in str(n) and "'shank2_joint'" in str(n) for n in comparison.notes)
+    assert list_differences(comparison) == [("effort", "shank2_joint")]
+    assert comparison.differences[0].mjcf_place is not None
+
+
+def test_name_given_to_a_hinge_differs_from_those_of_the_file(tmp_path: Path) -> None:
+    """Another joint already has the name shank2_joint; all eight joints are compared."""
+    mjcf = remove_joint_name(MJCF, "knee2").replace('"knee1"', '"shank2_joint"')
+    comparison = compare_texts(tmp_path, URDF.replace('"knee1"', '"shank2_joint"'), mjcf)
+    assert len(comparison.joints) == 8
+    assert {kind for kind, _ in list_differences(comparison)} <= {"effort"}
+
+
+# ------------------------------------------------------------------------------------- files
+
+
+def test_files_that_were_read_can_be_matched_twice(tmp_path: Path) -> None:
+    """Matching changes copies: the second match equals the first, and the MJCF keeps its joints."""
+    parts = quadruped() | {"tail": make_light_part("tail", "base")}
+    files = write_parts(tmp_path, parts, quadruped())
+    urdf, mjcf = read_urdf(files.urdf), read_mjcf(files.mjcf)
+    first, second = match_models(urdf, mjcf), match_models(urdf, mjcf)
+    assert first.only_urdf == second.only_urdf == ("to_tail",)
+    assert [joint.name for joint in mjcf.spec.joints if joint.name] == [
+        part.joint for part in quadruped().values() if part.joint
+    ]
+    assert len(mjcf.spec.bodies) == 10
+    assert isinstance(mjcf.model, mujoco.MjModel)
+
+
+def test_bodies_merged_by_mujoco_are_no_common_frames(tmp_path: Path) -> None:
+    """With ``fusestatic`` MuJoCo's compiled model lacks the fixed body ``foot``."""
+    urdf, mjcf = tmp_path / "tiny.urdf", tmp_path / "tiny.xml"
+    urdf.write_text(TINY_URDF)
+    body = '<body name="foot" pos="0 0 -0.1"/>'
+    kept = TINY_MJCF.replace('<site name="foot" pos="0 0 -0.1"/>', body)
+    assert body in kept
+    for text, frames in (
+        (kept, {"foot"}),
+        (kept.replace("<compiler ", '<compiler fusestatic="true" '), set()),
+    ):
+        mjcf.write_text(text)
+        robot = match_models(read_urdf(urdf), read_mjcf(mjcf)).robot
+        assert set(robot.description.frames) == frames
+        one, two = kinematic_trees(robot)
+        assert one.joints.keys() == two.joints.keys() == {"turn", "bend", "push"}
