@@ -6,15 +6,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import minimise_foot_errors, search_stand
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.stance.solver import SearchContext
 from tests.support.engines import evaluate_mujoco
-from tests.support.variants import load
+from tests.support.variants import NAMES, load
 
 
 def margin_of(robot: pa.Robot, stand: pa.Stand) -> float:
@@ -73,3 +75,57 @@ def test_foot_error_out_of_reach_grows_with_the_com_margin() -> None:
         assert -float((sides @ [*com[:2], 1.0]).max()) >= margin - 1e-7
         errors.append(nearest.foot_error)
     assert errors[0] <= errors[1] < errors[2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_required_com_margin_is_met_up_to_the_margin_of_the_stand(name: str) -> None:
+    """References: MuJoCo's CoM and SciPy's convex hull, 10 nm below and above the margin."""
+    robot = load(name)
+    task = pa.StandTask(offset=(0.03, -0.01), yaw=0.1)
+    free = pa.solve_stand(robot, task)
+    margin = margin_of(robot, free)
+    assert free.com_margin == pytest.approx(margin, abs=1e-9)
+    held = pa.solve_stand(robot, replace(task, com_margin=margin - 1e-8))
+    np.testing.assert_allclose(held.qpos, free.qpos, atol=1e-9)
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, replace(task, com_margin=margin + 1e-8), explain=False)
+
+
+@pytest.mark.slow
+def test_refusal_of_a_com_outside_of_the_feet_limits_the_offset_alone() -> None:
+    """No margin of at least zero is met: the refusal states no limit of the CoM margin."""
+    task = pa.StandTask(offset=(0.11, 0.0), com_margin=0.01, height=0.12)
+    error = get_refusal(load("v3"), task)
+    assert [str(one) for one in error.blocked] == ["the com is 25.9 mm outside the support polygon"]
+    assert set(error.limits) == {"offset"}
+
+
+def test_required_com_margin_is_met_in_another_ik_branch() -> None:
+    """A front leg of v3 in another branch moves the CoM by millimetres; the reference is MuJoCo's
+    CoM.
+    """
+    robot = load("v3")
+    task = pa.StandTask(height=0.15, yaw=-0.48, offset=(-0.017, 0.0))
+    usual = pa.solve_stand(robot, task)
+    asked = replace(task, com_margin=usual.com_margin + 2e-3)
+    other = pa.solve_stand(robot, asked)
+    assert margin_of(robot, other) >= asked.com_margin - 1e-9
+    assert np.abs(other.qpos[7:] - usual.qpos[7:]).max() > 0.5
+
+
+def test_required_com_margin_is_met_on_soft_ground_and_with_a_payload() -> None:
+    """Penetrations shift the CoM, and a payload shifts it more; the reference is MuJoCo's CoM.
+
+    The margin is required of the loaded robot: 1 kg 50 mm in front reduces it too far.
+    """
+    robot = load("original")
+    task = pa.StandTask(offset=(0.03, 0.0), com_margin=0.03)
+    soft = pa.stance.solve_stand_on_soft_ground(robot, task)
+    assert soft.task.com_margin == 0.03
+    assert margin_of(robot, soft) >= 0.03 - 1e-9
+    edge = replace(task, com_margin=pa.solve_stand(robot, task).com_margin)
+    loaded, stand = solve_loaded_stand(robot, task, 0.1, (0.05, 0.0, 0.0))
+    assert 0.03 < margin_of(loaded, stand) < edge.com_margin
+    with pytest.raises(pa.StanceUnreachableError):
+        solve_loaded_stand(robot, edge, 1.0, (0.05, 0.0, 0.0))

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
@@ -68,3 +69,41 @@ def test_configuration_with_a_nan_is_refused_by_its_element() -> None:
     spoilt[9] = np.nan
     with pytest.raises(pa.ConfigurationError, match="element 9 is nan"):
         evaluate_stand(ClearanceShapes(robot), make_goal(robot, None, {}), spoilt, 0)
+
+
+def test_stand_is_evaluated_alike_if_pinocchio_returns_copies() -> None:
+    """Reference: the evaluations with shared memory, Pinocchio's default.
+
+    A base raised by 10 mm raises the ground clearance and the foot error by as much.
+    """
+    robot, qpos = load("v3"), stand_of("v3").qpos
+    goals = [make_goal(robot, pa.StandTask(height=z), {}) for z in (0.11, 0.12, 0.13)]
+    expected = [evaluate_stand(ClearanceShapes(robot), goal, qpos, 0) for goal in goals]
+    raised = qpos.copy()
+    raised[2] += 0.01
+    pin.sharedMemory(False)
+    try:
+        shapes = ClearanceShapes(robot)
+        found = [evaluate_stand(shapes, goal, qpos, 0) for goal in goals]
+        higher = evaluate_stand(shapes, goals[0], raised, 0)
+    finally:
+        pin.sharedMemory(True)
+    for one, other in zip(found, expected, strict=True):
+        assert one.to_dict() == other.to_dict()
+    assert higher.ground_clearance is not None
+    assert expected[0].ground_clearance is not None
+    lifted = higher.ground_clearance.distance - expected[0].ground_clearance.distance
+    assert lifted == pytest.approx(0.01, abs=1e-12)
+    assert higher.foot_error == pytest.approx(expected[0].foot_error + 0.01, abs=1e-12)
+
+
+def test_both_links_are_named_if_their_clearance_is_too_small() -> None:
+    """Reference: the two links of the self-clearance, which is 10 mm below the required value."""
+    stand = pa.solve_stand(load("v3"), pa.StandTask(self_clearance=1e-3))
+    assert stand.self_clearance is not None
+    near = replace(stand, task=pa.StandTask(self_clearance=stand.self_clearance.distance + 0.01))
+    (message,) = near.blocked
+    assert message.code == "links-too-near"
+    named = [message.subject.name, message.values["other"]]
+    assert named == list(stand.self_clearance.links)
+    assert len(set(named)) == 2

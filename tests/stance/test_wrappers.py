@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -136,3 +137,12 @@ def test_a_wrapper_in_use_is_not_given_to_another_user() -> None:
     first = held[0].wrapper
     del held[0]
     assert PooledPlacoRobot(robot).wrapper is first
+
+
+@pytest.mark.slow
+def test_threads_with_robots_of_one_structure_solve_their_own_stands() -> None:
+    """Reference: the stands of each robot in one thread, bit by bit; six threads share the pool."""
+    robots = [pa.load_variant(pa.pupper.VariantSpec("v3", scale)) for scale in (0.95, 1.0, 1.05)]
+    expected = [stands(robot) for robot in robots]
+    with ThreadPoolExecutor(6) as pool:
+        assert list(pool.map(stands, 2 * robots)) == 2 * expected

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
+import pytest
 
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody
-from pupper_analysis.robot.matching.alignment import with_base
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
+from pupper_analysis.robot.matching.alignment import measure_tree_deviation, with_base
+from pupper_analysis.robot.matching.tolerances import Tolerances
 
 
 def inertia_of(points: np.ndarray, masses: np.ndarray) -> np.ndarray:
@@ -33,3 +37,26 @@ def test_base_inertia_in_another_frame_equals_the_sum_of_point_masses() -> None:
     np.testing.assert_allclose(found.com, masses @ moved / masses.sum(), atol=1e-12)
     np.testing.assert_allclose(found.inertia, inertia_of(moved, masses), atol=1e-12)
     assert found.mass == body.mass
+
+
+def make_leg(foot: tuple[float, float, float]) -> MultibodyTree:
+    """Return a trunk with one knee; ``foot`` is the position [m] of the foot in the shank."""
+    joint = TreeJoint(
+        "trunk", np.array([0.1, 0.2, 0.3]), np.eye(3), np.array([0.0, 1.0, 0.0]), False,
+        -1.0, 1.0, 5.0, 10.0, 0.01, 0.1, 0.2,
+    )  # fmt: skip
+    body = TreeBody(1.0, np.array([0.0, 0.0, -0.1]), 0.01 * np.eye(3))
+    frames, bodies = {"foot": ("knee", np.array(foot))}, {"trunk": body, "knee": body}
+    return MultibodyTree("trunk", True, bodies, {"knee": joint}, frames, np.array([0, 0, -9.81]))
+
+
+def test_tree_deviation_is_that_of_the_displaced_frame_alone() -> None:
+    """Equal trees deviate by 0 bits; a foot displaced by (30, 40) mm by log2(1 + 50 mm /
+    tolerance).
+    """
+    tolerances = Tolerances()
+    one = make_leg((0.01, 0.0, -0.2))
+    assert measure_tree_deviation(one, make_leg((0.01, 0.0, -0.2)), tolerances) == 0
+    found = measure_tree_deviation(one, make_leg((0.01, 0.03, -0.16)), tolerances)
+    assert found == pytest.approx(math.log2(1 + 0.05 / tolerances.position))
+    assert found > 3

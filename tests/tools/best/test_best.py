@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
@@ -19,7 +20,7 @@ from pupper_analysis.tools.best.best import best_stance
 from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasible_mass
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
 from pupper_analysis.tools.best.space import BASE_COORDINATES, MIN_SINGULAR_VALUE_RATIO, StanceSpace
-from tests.support.engines import with_efforts
+from tests.support.engines import evaluate_mujoco, with_efforts
 from tests.support.random_legged import draw_robot, write_robot
 from tests.support.variants import load
 
@@ -290,3 +291,22 @@ def test_next_best_stance_is_returned_if_the_best_does_not_hold(
 def test_best_stance_is_deterministic() -> None:
     robot = load("original")
     assert best_stance(robot).to_json() == best_stance(robot).to_json()
+
+
+def test_stance_space_solves_stands_below_the_required_com_margin() -> None:
+    """The slack of the CoM margin is negative there; references: MuJoCo's CoM and SciPy's convex
+    hull.
+    """
+    robot = load("original")
+    space = StanceSpace(robot, pa.StandTask(com_margin=0.06))
+    shifted = space.start.copy()
+    shifted[space.names.index("x")] += 0.04
+    stand = space.find_stand(shifted)
+    assert stand is not None
+    assert stand.task.com_margin == 0.06
+    com = evaluate_mujoco(robot, stand.qpos).body(robot.mj_base).subtree_com
+    sides = ConvexHull([point[:2] for point in stand.contact_points.values()]).equations
+    margin = -float((sides @ [*com[:2], 1.0]).max())
+    found = space.compute_slack(stand).edges.min()
+    assert found == pytest.approx(margin - 0.06, abs=1e-9)
+    assert found < 0

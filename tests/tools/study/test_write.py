@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import shlex
 from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task, read_stance_file
+from pupper_analysis.tools.study.design import DesignBuilder
 from pupper_analysis.tools.study.write import WrittenDesign, format_stance, write_design
 from tests.support.commands import answer
 from tests.support.legged import quadruped
@@ -138,3 +142,17 @@ def test_study_command_writes_a_design(tmp_path: Path) -> None:
     assert "Design 2" in done.stdout
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "o/design-2/v3-leg1-torso1.xml"))
     assert model.actuator_gainprm[:, 0] == pytest.approx(10)
+
+
+@pytest.mark.slow
+def test_command_of_a_written_design_holds_the_torques_of_the_design(heavy: WrittenDesign) -> None:
+    """Reference: joint torques [N m] of the design in memory, on soft ground; the printed command
+    is run.
+    """
+    words = shlex.split(heavy.command)[1:]
+    found = json.loads(answer(*words, "--json", "-").stdout)
+    study = pa.Study("v3", {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}, METRICS)
+    design = DesignBuilder(study.source, study.task, study.point).design(heavy.numbers)
+    torques = pa.stance.stand_statics(design.robot, design.simulated_stand).joint_torques
+    held = found["statics"]["joint_torques"]
+    np.testing.assert_allclose(held, torques, rtol=1e-9, atol=1e-9)
