@@ -577,7 +577,10 @@ def test_two_massless_root_links_are_left_out(tmp_path: Path) -> None:
         '<link name="map"/><joint name="m" type="floating"><parent link="map"/>'
         '<child link="world"/></joint><link name="world"/>',
     )
-    assert compare_texts(tmp_path, text, MJCF).agree
+    comparison = compare_texts(tmp_path, text, MJCF)
+    assert comparison.agree
+    said = " ".join(map(str, comparison.notes))
+    assert all(f"root link '{link}' has no mass" in said for link in ("map", "world"))
 
 
 def test_massless_root_link_displaced_from_the_base_is_left_out(tmp_path: Path) -> None:
@@ -727,16 +730,22 @@ def test_name_given_to_a_hinge_differs_from_those_of_the_file(tmp_path: Path) ->
 
 
 def test_files_that_were_read_can_be_matched_twice(tmp_path: Path) -> None:
-    """Matching changes copies: the second match equals the first, and the MJCF keeps its joints."""
-    parts = quadruped() | {"tail": make_light_part("tail", "base")}
-    files = write_parts(tmp_path, parts, quadruped())
+    """Matching changes copies: the second match equals the first, and the MJCF keeps its joints.
+
+    Each file has a joint that the other lacks, half of the robot's length apart.
+    """
+    tail = make_light_part("tail", "base")
+    neck = make_light_part("neck", "base", position=(0.3, 0.0, 0.0))
+    mjcf_parts = quadruped() | {"neck": neck}
+    files = write_parts(tmp_path, quadruped() | {"tail": tail}, mjcf_parts)
     urdf, mjcf = read_urdf(files.urdf), read_mjcf(files.mjcf)
     first, second = match_models(urdf, mjcf), match_models(urdf, mjcf)
     assert first.only_urdf == second.only_urdf == ("to_tail",)
+    assert first.only_mjcf == second.only_mjcf == ("to_neck",)
     assert [joint.name for joint in mjcf.spec.joints if joint.name] == [
-        part.joint for part in quadruped().values() if part.joint
+        part.joint for part in mjcf_parts.values() if part.joint
     ]
-    assert len(mjcf.spec.bodies) == 10
+    assert len(mjcf.spec.bodies) == 11
     assert isinstance(mjcf.model, mujoco.MjModel)
 
 
