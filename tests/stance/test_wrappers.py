@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -140,9 +141,19 @@ def test_a_wrapper_in_use_is_not_given_to_another_user() -> None:
 
 
 @pytest.mark.slow
-def test_threads_with_robots_of_one_structure_solve_their_own_stands() -> None:
-    """Reference: the stands of each robot in one thread, bit by bit; six threads share the pool."""
+def test_threads_with_robots_of_one_structure_solve_their_own_stands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Reference: the stands of each robot in one thread, bit by bit.
+
+    Six threads take all wrappers from one pool, and switch every 10 us, more often than by default.
+    """
+    monkeypatch.setattr("pupper_analysis.robot.robot._MAX_POOL_SIZE", 0)
     robots = [pa.load_variant(pa.pupper.VariantSpec("v3", scale)) for scale in (0.95, 1.0, 1.05)]
-    expected = [stands(robot) for robot in robots]
-    with ThreadPoolExecutor(6) as pool:
-        assert list(pool.map(stands, 2 * robots)) == 2 * expected
+    expected, interval = [stands(robot) for robot in robots], sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        with ThreadPoolExecutor(6) as pool:
+            assert list(pool.map(stands, 2 * robots)) == 2 * expected
+    finally:
+        sys.setswitchinterval(interval)
