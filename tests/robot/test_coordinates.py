@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from tests.support.engines import addresses, integrate, velocity_map
 from tests.support.states import positions, quaternion, random_state, velocities
-from tests.support.variants import load
+from tests.support.variants import NAMES, load
 
 
 @pytest.mark.slow
@@ -27,6 +27,16 @@ def test_velocity_map_agrees_with_both_engines_integration(
     behind, ahead = (convention.q(integrate(any_robot, qpos, qvel, sign * dt)) for sign in (-1, 1))
     measured = pin.difference(any_robot.pin_model, behind, ahead) / (2 * dt)
     np.testing.assert_allclose(measured, velocity_map(convention, qpos) @ qvel, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_coordinates_of_a_variant_have_the_order_of_its_mjcf(name: str) -> None:
+    """Reference: the addresses of the named joints in MuJoCo's qpos and qvel are 0, 1, 2, ..."""
+    q, v = addresses(load(name))
+    np.testing.assert_array_equal(q, np.arange(19))
+    np.testing.assert_array_equal(v, np.arange(18))
+    np.testing.assert_array_equal(load(name).mj_convention.qpos_index, q)
+    np.testing.assert_array_equal(load(name).mj_convention.qvel_index, v)
 
 
 def test_joints_are_in_actuator_order_followed_by_joints_without_actuator(tiny: pa.Robot) -> None:

@@ -236,6 +236,22 @@ def add_gears(name: str, *, force: float | None = None) -> pa.Robot:
     return change_model(robot, change)
 
 
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_servo_torque_follows_from_random_gains_per_joint(name: str) -> None:
+    """Reference: MuJoCo's ``qfrc_actuator``, kp (q* - q) + feed-forward - kd dq/dt."""
+    robot, random = load(name), np.random.default_rng(0)
+    kp, kd = random.uniform(1, 9, 12), random.uniform(0.1, 1, 12)
+    drive = model_with_servos(robot, kp, kd)
+    qpos, rates = stand_of(name).qpos, random.uniform(-1, 1, 12)
+    wanted, torque = random.uniform(-0.2, 0.2, 12), random.uniform(-0.5, 0.5, 12)
+    data = evaluate_mujoco(robot, qpos, np.r_[np.zeros(6), rates], drive.model)
+    data.ctrl[:] = drive.command(robot, qpos[7:] + wanted, torque)
+    mujoco.mj_forward(drive.model, data)
+    np.testing.assert_allclose(
+        data.qfrc_actuator[6:], kp * wanted + torque - kd * rates, atol=1e-12
+    )
+
+
 @pytest.mark.parametrize("gains", [{}, {"kp": 7.0, "kd": 0.3}])
 def test_servo_torque_at_the_joint_equals_mujocos_actuator_force(gains: dict[str, float]) -> None:
     """Reference: MuJoCo's ``qfrc_actuator``, kp (q* - q) + feed-forward - kd dq/dt, with the file's

@@ -95,6 +95,14 @@ def test_damping_ratio_of_a_servo_equals_the_closed_form() -> None:
     assert found.least_damped.frequency == pytest.approx(damped, rel=1e-3)
 
 
+def test_oscillation_without_damping_neither_grows_nor_decays() -> None:
+    """Closed form: Euler's semi-implicit step conserves the amplitude; the ratio is zero."""
+    found = make_stability(pendulum(80.0, 0.0))
+    assert found.stable
+    assert found.least_damped is not None
+    assert found.least_damped.damping_ratio == pytest.approx(0, abs=1e-6)
+
+
 @pytest.mark.parametrize("kd", [0.0, 600.0])
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
 def test_servo_beyond_its_discrete_stability_limit_shakes(kd: float, integrator: str) -> None:

@@ -18,7 +18,7 @@ from pupper_analysis.simulation.verify import describe_deviations
 from tests.support.engines import change_model
 from tests.support.legged import edited_by
 from tests.support.slips import standing
-from tests.support.variants import NAMES, load, stand_of
+from tests.support.variants import NAMES, SKELETON_NAMES, load, stand_of
 
 GRAVITY = 9.81
 SERVOS = {"v3": (5.0, 0.1), "skeleton": (60.0, 1.0)}
@@ -34,6 +34,13 @@ def even_balance(robot: pa.Robot, stand: pa.Stand) -> pa.statics.GravityCompensa
         pa.Configuration(robot, stand.qpos),
         distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
     )
+
+
+@cache
+def verify_briefly(name: str, feedforward: bool = True) -> pa.simulation.StandVerification:
+    """Verify the nominal stand of a variant in a simulation of 2 s without nudges."""
+    robot, stand = load(name), stand_of(name)
+    return pa.verify_stand(robot, stand, feedforward=feedforward, duration=2.0, nudged=0)
 
 
 def plain_run(
@@ -426,3 +433,124 @@ def test_stand_fails_if_soft_ground_takes_a_tenth_of_the_height(tmp_path: Path) 
 def test_joint_deviation_is_given_in_the_unit_of_the_joint(unit: str, text: str) -> None:
     [message] = describe_deviations(0.05, 0.0, unit=unit)
     assert str(message).endswith(text)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_verification_records_servos_integrator_and_duration(name: str) -> None:
+    """Reference: gains and integrator of the files, and the requested 2 s."""
+    robot, result = load(name), verify_briefly(name)
+    kp, kd = SERVOS[pa.VARIANTS[name].base]
+    np.testing.assert_array_equal(result.kp, np.full(12, kp))
+    np.testing.assert_array_equal(result.kd, np.full(12, kd))
+    assert result.integrator == ("Euler" if name == "v3" else "implicitfast")
+    assert result.timestep == robot.mj_model.opt.timestep
+    assert result.duration == pytest.approx(2.0)
+    assert result.time.shape == result.height.shape
+    assert (np.diff(result.time) > 0).all()
+    assert result.height[-1] == pytest.approx(result.base_height, abs=1e-6)
+
+
+@pytest.mark.parametrize("feedforward", [True, False])
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_simulated_foot_forces_add_up_to_the_weight(name: str, feedforward: bool) -> None:
+    """Reference: the total mass times 9.81 m/s^2, vertical."""
+    result = verify_briefly(name, feedforward)
+    total = sum(result.foot_forces.values(), np.zeros(3))
+    weight = load(name).total_mass * GRAVITY
+    np.testing.assert_allclose(total, [0, 0, weight], atol=2e-3 * weight)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_feedforward_removes_the_servo_sag_and_keeps_the_contact_sag(name: str) -> None:
+    """Reference: the verification without feed-forward."""
+    with_it, without = verify_briefly(name), verify_briefly(name, False)
+    assert without.servo_sag > 0
+    assert abs(with_it.servo_sag) < 0.02 * without.servo_sag
+    assert with_it.contact_sag == pytest.approx(without.contact_sag, rel=0.15)
+
+
+@pytest.mark.parametrize("name", SKELETON_NAMES)
+def test_small_servo_sag_equals_the_virtual_work_of_the_torques(name: str) -> None:
+    """Closed form: weight x sag = sum of tau^2 / kp, with Pinocchio's torques.
+
+    The weight of the legs does not sink with the base: only the torques of the foot forces do work.
+    """
+    robot, config = load(name), pa.Configuration(load(name), stand_of(name).qpos)
+    torques = even_balance(robot, stand_of(name)).joint_torques
+    hanging = pa.gravity_compensation(config, []).joint_torques
+    lever = (torques - hanging) / (robot.total_mass * GRAVITY)
+    sag = lever @ torques / SERVOS["skeleton"][0]
+    assert verify_briefly(name, False).servo_sag == pytest.approx(sag, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "gains"), [("v3", (5, 10, 20, 40)), ("original", (30, 60, 120))])
+def test_servo_sag_decreases_with_stiffness(name: str, gains: tuple[float, ...]) -> None:
+    """Closed form: on stiff servos the sag is nearly in inverse proportion to the stiffness."""
+    results = [
+        pa.verify_stand(
+            load(name), stand_of(name), feedforward=False, kp=kp, integrator="implicitfast",
+            duration=2.0, nudged=0,
+        )
+        for kp in gains
+    ]  # fmt: skip
+    for kp, result in zip(gains, results, strict=True):
+        np.testing.assert_array_equal(result.kp, np.full(12, kp))
+    sags = [result.servo_sag for result in results]
+    assert sags == sorted(sags, reverse=True)
+    product = [kp * sag for kp, sag in zip(gains, sags, strict=True)]
+    assert product[-2] == pytest.approx(product[-1], rel=0.2)
+
+
+def test_verification_with_other_gains_and_integrator_leaves_the_model_unchanged() -> None:
+    """Reference: gains and integrator of the model before."""
+    robot = load("v3")
+    gains, bias = robot.mj_model.actuator_gainprm.copy(), robot.mj_model.actuator_biasprm.copy()
+    pa.verify_stand(robot, stand_of("v3"), kp=50, kd=1, integrator="RK4", duration=2.0, nudged=0)
+    np.testing.assert_array_equal(robot.mj_model.actuator_gainprm, gains)
+    np.testing.assert_array_equal(robot.mj_model.actuator_biasprm, bias)
+    assert robot.mj_model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER.value
+
+
+@pytest.mark.slow
+def test_repeated_sweep_and_verification_are_equal_to_the_last_bit() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    first, second = (
+        pa.simulation.sweep_gains(robot, stand, kp=[5, 9], kd=[0.2], duration=2.0) for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.height_deviation, second.height_deviation)
+    again = pa.verify_stand(robot, stand, duration=2.0, nudged=0)
+    np.testing.assert_array_equal(again.joint_torques, verify_briefly("v3").joint_torques)
+    np.testing.assert_array_equal(again.height, verify_briefly("v3").height)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_stand_that_passes_with_sag_also_passes_in_10_s(name: str) -> None:
+    """Reference: a verification of 10 s. A stand that still sinks must not pass the default
+    duration."""
+    robot, stand = load(name), stand_of(name)
+    later = pa.verify_stand(robot, stand, feedforward=False, duration=10.0)
+    assert later.passed or not verify_variant(name, False).passed, later.failures
+
+
+def test_height_deviation_of_a_sweep_decreases_with_stiffness() -> None:
+    """Closed form: well below resonance, the response to a force is the force over the stiffness.
+
+    Damping of 5 N m s/rad alone would hold the robot; the sweep has at most 2.
+    """
+    result = pa.simulation.sweep_gains(
+        load("original"), stand_of("original"), kp=(10, 30, 60, 120), kd=(0.5, 2.0)
+    )
+    assert (np.diff(result.height_deviation, axis=0) < 0).all()
+
+
+def test_height_deviation_of_a_sweep_is_proportional_to_the_force() -> None:
+    """Reference: half the force; and no force, of which less than 5 % of the deviation remains."""
+    robot, stand = load("original"), stand_of("original")
+    none, half, full = (
+        pa.simulation.sweep_gains(robot, stand, kp=[60], kd=[2], amplitude=force).height_deviation
+        for force in (0.0, 2.0, 4.0)
+    )
+    np.testing.assert_allclose(full / half, 2.0, rtol=0.1)
+    assert none < 0.05 * half

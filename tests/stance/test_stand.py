@@ -17,7 +17,20 @@ from scipy.spatial.transform import Rotation
 import pupper_analysis as pa
 from tests.support.engines import evaluate_mujoco
 from tests.support.legged import quadruped
-from tests.support.variants import NAMES, load, stand_of
+from tests.support.variants import NAMES, SKELETON_NAMES, load, stand_of
+
+V3_NAMES = tuple(name for name in NAMES if name not in SKELETON_NAMES)
+
+
+HEIGHTS = {
+    "original": 0.158,
+    "long-leg": 0.228,
+    "heavy": 0.158,
+    "v3": 0.13151,
+    "v3-long-leg": 0.18729,
+    "v3-heavy": 0.13151,
+}
+"""{variant: height of its nominal stand [m]}."""
 
 
 def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
@@ -264,3 +277,47 @@ def test_stand_does_not_depend_on_earlier_stands() -> None:
     np.testing.assert_array_equal(expected, reverse[::-1])
     other = pa.load_variant("v3")
     np.testing.assert_array_equal(expected, [pa.solve_stand(other, task).qpos for task in tasks])
+
+
+def test_nominal_stand_of_each_variant_has_its_height(
+    variant: str, robot: pa.Robot, stand: pa.Stand
+) -> None:
+    """References: recorded heights, and the kinematics of both engines."""
+    assert stand.task.height == pytest.approx(HEIGHTS[variant], abs=1e-12)
+    assert robot.stand_height == pytest.approx(HEIGHTS[variant], abs=1e-12)
+    check(robot, stand, pa.StandTask(height=HEIGHTS[variant]))
+    assert stand.iterations < 20
+
+
+@pytest.mark.parametrize(
+    ("name", "scale"),
+    [("original", 1.05), *((name, scale) for name in V3_NAMES for scale in (0.75, 1.1))],
+)
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw"), [(0, 0, 0), (0.1, -0.08, 0.15), (-0.1, 0.08, -0.2)]
+)
+def test_stands_of_moderate_height_and_tilt_are_reached(
+    name: str, scale: float, roll: float, pitch: float, yaw: float
+) -> None:
+    """Reference: the kinematics of both engines."""
+    task = pa.StandTask(scale * HEIGHTS[name], roll, pitch, yaw)
+    check(load(name), pa.solve_stand(load(name), task), task)
+
+
+@pytest.mark.parametrize("field", ["height", "roll", "pitch", "yaw"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "0.1", True, [0.1], 1j])
+def test_value_of_a_task_that_is_no_finite_number_is_refused(field: str, value: object) -> None:
+    """The error names the field."""
+    with pytest.raises(pa.ConfigurationError, match=field) as caught:
+        pa.StandTask(**{field: value})  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_stand_is_accepted_by_the_same_robot_loaded_again() -> None:
+    """Reference: the torques of the robot that the stand was solved for."""
+    robot, stand = pa.load_variant("v3"), stand_of("v3")
+    assert robot.fingerprint == load("v3").fingerprint
+    torques = pa.stance.stand_statics(robot, stand).joint_torques
+    assert torques.shape == (12,)
+    expected = pa.stance.stand_statics(load("v3"), stand).joint_torques
+    np.testing.assert_array_equal(torques, expected)

@@ -14,7 +14,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.posture import find_posture, held_stand
 from pupper_analysis.stance.sag import steady_state as settle
-from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
+from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, integrate_step
 from pupper_analysis.stance.sag.steady_state import (
     HomotopyPath,
     find_slipping_points,
@@ -373,3 +373,174 @@ def test_steady_state_refuses_invalid_arguments() -> None:
     named = {foot.lower(): place for foot, place in stand.foot_targets.items()}
     with pytest.raises(pa.UnknownNameError, match="fr"):
         steady_state(robot, replace(stand, foot_targets=named))
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_steady_state_with_sliding_feet_is_a_minimum_of_the_energy(name: str) -> None:
+    """Reference: potential energy of weight, servos and ground in random directions.
+
+    Without friction, the energy is a function of qpos alone, and grows in every direction.
+    """
+    robot, stand = load(name), stand_of(name)
+    pose = steady_state(robot, stand, feet="sliding")
+    kp, gravity = model_with_servos(robot).kp, -robot.gravity[2]
+    laws = {foot: GroundLaw.of_contact(robot, foot) for foot in robot.contact_points}
+
+    def energy(qpos: np.ndarray) -> float:
+        config = pa.Configuration(robot, qpos)
+        total = robot.total_mass * gravity * config.center_of_mass()[2]
+        total += 0.5 * kp @ (qpos[7:] - stand.qpos[7:]) ** 2
+        for foot, place in config.foot_positions().items():
+            depths = np.linspace(0, robot.contact_radius[foot] - place[2], 401)
+            total += np.trapezoid([laws[foot].force(float(depth)) for depth in depths], depths)
+        return float(total)
+
+    least, random = energy(pose.qpos), np.random.default_rng(0)
+    for _ in range(8):
+        step = 1e-4 * random.standard_normal(robot.nv)
+        up, down = (energy(integrate_step(pose.qpos, sign * step)) for sign in (1, -1))
+        assert up > least
+        assert down > least
+        assert abs(up - down) < 0.1 * (up + down - 2 * least)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_feedforward_leaves_the_contact_sag_in_a_steady_state(name: str) -> None:
+    """Reference: height and torques of a simulation with feed-forward."""
+    robot, stand = load(name), stand_of(name)
+    pose = steady_state(robot, stand, feedforward=True)
+    run = pa.verify_stand(robot, stand, duration=2.0, nudged=0)
+    assert pose.height_loss == pytest.approx(run.height_loss, abs=2e-5)
+    assert abs(pose.servo_sag) < 2e-5
+    np.testing.assert_allclose(pose.joint_torques, run.predicted_torques, atol=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["original", "heavy", "v3"])
+def test_steady_state_with_sliding_feet_equals_the_end_of_fast_creep(name: str) -> None:
+    """Reference: a simulation of 8 s, in which contacts creep 50 or 100 times as fast."""
+    robot, stand = load(name), stand_of(name)
+    pose = steady_state(robot, stand, feet="sliding")
+    quick = change_model(robot, fast_creep)
+    run = pa.verify_stand(quick, stand, feedforward=False, duration=8.0, nudged=0)
+    assert pose.base_height == pytest.approx(run.base_height, abs=5e-6)
+    assert pose.contact_sag == pytest.approx(run.contact_sag, abs=1e-5)
+    for foot, force in run.foot_forces.items():
+        assert pose.contact_forces[foot][2] == pytest.approx(force[2], rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["v3", "v3-heavy"])
+def test_height_drift_of_pinned_feet_on_level_ground_equals_the_simulation(name: str) -> None:
+    """Reference: a simulation of 8 s, in which the dry friction of the joints has crept away."""
+    pose = steady_state(load(name), stand_of(name))
+    run = pa.verify_stand(load(name), stand_of(name), feedforward=False, duration=8.0, nudged=0)
+    assert run.height_drift == pytest.approx(pose.height_drift, rel=0.15)
+
+
+@pytest.mark.parametrize("kp", [3.0, 5.0, 20.0, 100.0])
+def test_feet_of_a_steady_state_carry_load_only_in_the_ground(kp: float) -> None:
+    """References: penetrations of MuJoCo's collisions, the law of the ground, and the weight."""
+    robot, stand = load("v3"), lift_foot("v3", "RR", 0.006)
+    pose = steady_state(robot, stand, kp=kp)
+    depths = {}
+    for touch in evaluate_mujoco(robot, pose.qpos).contact:
+        depths[robot.foot_geoms[max(touch.geom)]] = -touch.dist
+    assert set(pose.stance_feet) == set(depths)
+    assert ("RR" in depths) == (kp < 50)  # on stiff servos only the ground gives
+    for foot, force in pose.contact_forces.items():
+        if foot in depths:
+            assert force[2] == pytest.approx(GroundLaw.of_contact(robot, foot).force(depths[foot]))
+        else:
+            np.testing.assert_array_equal(force, 0)
+    weight = robot.total_mass * robot.gravity
+    np.testing.assert_allclose(sum(pose.contact_forces.values()), -weight, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_foot_force_begins_at_zero_if_a_lifted_foot_just_touches() -> None:
+    """Bisection of the lift height [m] to 1 um: height and force have no step."""
+    robot = load("v3")
+
+    def pose(height: float) -> settle.SteadyState:
+        return steady_state(robot, lift_foot("v3", "RR", height), kp=4.0)
+
+    low, high = 0.006, 0.03  # it touches; it does not
+    assert "RR" in pose(low).stance_feet
+    assert "RR" not in pose(high).stance_feet
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        low, high = (middle, high) if "RR" in pose(middle).stance_feet else (low, middle)
+    assert 0 < pose(low).contact_forces["RR"][2] < 5e-3
+    assert pose(low).height_loss == pytest.approx(pose(high).height_loss, abs=2e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "ground", [pa.Ground(heights={"RR": 0.006}), pa.Ground(0.1, 0.5)], ids=["step", "slope"]
+)
+def test_lifted_foot_that_sinks_to_a_step_or_slope_carries_load(ground: pa.Ground) -> None:
+    """Reference: height and foot force of a simulation of 6 s."""
+    robot, stand = load("v3"), lift_foot("v3", "RR", 0.004, ground=ground)
+    pose = steady_state(robot, stand, kp=5.0, seconds=5.5)
+    assert "RR" in pose.stance_feet
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=5.0, duration=6.0, nudged=0)
+    assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
+    assert pose.contact_forces["RR"][2] == pytest.approx(run.foot_forces["RR"][2], abs=0.2)
+
+
+@pytest.mark.parametrize(("name", "foot", "kp"), [("original", "FL", 12.0), ("v3", "RR", 4.0)])
+def test_derivative_of_slipping_and_creeping_feet_equals_central_differences(
+    name: str, foot: str, kp: float
+) -> None:
+    """Central differences of the residual at a solution in which the lifted foot has landed.
+
+    Steps of 1e-6 in all coordinates and forces, and of 1e-3 N in the forces alone, with which the
+    compliance of the contacts [m/N] is compared as well.
+    """
+    way = HomotopyPath(SagEquilibrium(load(name), lift_foot(name, foot, 0.002), kp, "pinned"))
+    way.follow(1.0)
+    system, solution = way.system, way.solution
+    forces = np.array(list(solution.forces.values()))
+    n, random = system.robot.nv, np.random.default_rng(0)
+
+    def change(step: np.ndarray) -> np.ndarray:
+        ends = [
+            system.residual(
+                integrate_step(solution.qpos, sign * step[:n]),
+                forces + sign * step[n:].reshape(-1, 3),
+            )
+            for sign in (1, -1)
+        ]
+        return np.asarray((ends[0] - ends[1]) / 2)
+
+    for _ in range(2):
+        derivative = system.derivative(solution.qpos, forces)
+        for _ in range(4):
+            step = 1e-6 * random.standard_normal(len(derivative))
+            np.testing.assert_allclose(change(step), derivative @ step, atol=2e-9)
+            step = np.r_[np.zeros(n), 1e3 * step[n:]]
+            np.testing.assert_allclose(change(step), derivative @ step, rtol=1e-3, atol=1e-12)
+        system.begin_creep(solution, 1.0)
+
+
+@pytest.mark.slow
+def test_stand_of_v3_with_long_legs_has_no_steady_state_and_sinks_in_mujoco() -> None:
+    """Reference: a simulation of 10 s without feed-forward, in which a body comes to the ground."""
+    robot, stand = load("v3-long-leg"), stand_of("v3-long-leg")
+    with pytest.raises(pa.NoEquilibriumError, match="sliding") as caught:
+        steady_state(robot, stand, feet="sliding")
+    assert 0 < caught.value.share < 0.1
+    with pytest.raises(pa.NoEquilibriumError, match="FR and FL begin to slide") as caught:
+        steady_state(robot, stand)
+    assert 0.8 < caught.value.share < 0.9
+    for ground in (robot, change_model(robot, firm_grip)):
+        run = pa.verify_stand(ground, stand, feedforward=False, duration=10.0, nudged=0)
+        assert any(one.code == "body-touches-ground" for one in run.failures)
+
+
+def test_dictionary_of_a_steady_state_states_the_parts_of_the_height_loss() -> None:
+    """Reference: the sum of both parts, and the base height that was recorded [m]."""
+    result = steady_state(load("v3"), stand_of("v3")).to_dict()
+    assert result["base_height"] == pytest.approx(0.11963, abs=1e-5)
+    assert result["height_loss"] == pytest.approx(result["servo_sag"] + result["contact_sag"])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.crosscheck.crosscheck import EDGE_NAMES, cross_check
+from pupper_analysis.tools.crosscheck.crosscheck import EDGE_NAMES, EXTRAS_EDGE, cross_check
 from tests.support.robots import Frame, arm, compare_files, mjcf_text, numbers, urdf_text, write
 
 
@@ -167,6 +167,18 @@ def test_mass_matrices_differ_without_armature() -> None:
     assert {"armature", "mass matrix", "forward dynamics"} <= failed
     assert "gravity" not in failed
     assert np.isfinite([quantity.relative for quantity in check.quantities]).all()
+
+
+def test_spring_that_only_the_mjcf_has_is_a_difference_of_the_files() -> None:
+    """A stiffness of 2 N m/rad in MuJoCo's model alone; a URDF cannot state springs."""
+    robot = pa.load_variant("v3")
+    model = copy.copy(robot.mj_model)
+    model.jnt_stiffness[3] = 2.0
+    check = cross_check(replace(robot, mj_model=model), configurations=3)
+    assert not check.passed
+    failed = {quantity.name: quantity for quantity in check.quantities if not quantity.passed}
+    assert {quantity.edge for quantity in failed.values()} == {EXTRAS_EDGE}
+    assert "forward dynamics" in failed
 
 
 def test_length_of_a_joint_axis_is_ignored(tmp_path: Path) -> None:
