@@ -84,6 +84,7 @@ def accelerations(model: mujoco.MjModel, seed: int) -> np.ndarray:
     return np.array(data.qacc)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rich", *NAMES])
 def test_spec_of_model_has_equal_dynamics(name: str) -> None:
     """MuJoCo's ``mj_forward`` of the model and of the compiled spec."""

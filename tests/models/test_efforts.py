@@ -399,6 +399,7 @@ def test_effort_of_zero_is_reported_with_the_effort_of_a_sibling_limb(tmp_path: 
     assert cause.values["other_name"] in ("FR_roll", "RL_roll", "RR_roll")
 
 
+@pytest.mark.slow
 def test_other_failures_stay_if_a_motor_without_torque_holds_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -217,6 +217,7 @@ def test_other_zero_angle_with_rotated_frames_is_explained_completely(tmp_path: 
     assert {element for _, element in list_differences(comparison)} <= {"knee1", "foot1"}
 
 
+@pytest.mark.slow
 def test_tree_has_the_parents_axes_and_limits_of_the_file(tiny: pa.Robot) -> None:
     """References: the numbers of the URDF of the robot."""
     values = multibody.from_pinocchio(tiny.pin_model, "base", tiny.joint_names, {"f": "foot"})

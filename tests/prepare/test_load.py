@@ -203,6 +203,7 @@ def test_contact_points_equal_the_contacts_of_mujoco(tmp_path: Path) -> None:
     np.testing.assert_allclose(sorted(stand.depths.values()), depths, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> None:
     """By hand: force times lever, less the weight of the foot below the joint."""
     robot = load(biped(tmp_path))
@@ -358,6 +359,7 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     verify_held_stand(robot)
 
 
+@pytest.mark.slow
 def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_path: Path) -> None:
     """As for Cassie, whose left and right legs have separate contact bits."""
     foot = '<geom type="sphere" size="0.02" pos="0 0 -0.2" contype="2" conaffinity="4"/>'

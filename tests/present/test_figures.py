@@ -115,6 +115,7 @@ FORMULA = "a$b_c$ $\\frac$ ^"
 """Name that Matplotlib refuses as a formula."""
 
 
+@pytest.mark.slow
 def test_names_in_a_pose_figure_and_a_legend_are_not_formulas(tmp_path: Path) -> None:
     """A task and the entry of a legend contain such a name."""
     robot, stand = load("v3"), stand_of("v3")

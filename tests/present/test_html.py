@@ -152,6 +152,7 @@ def stance() -> object:
     return study_stance(load("v3"), pa.StandTask(swing={"FL": 0.02}, com="inside"))
 
 
+@pytest.mark.slow
 def test_page_quotes_the_lines_of_both_files_side_by_side() -> None:
     page = page_of(comparison())
     first = page.root.find(".//div[@class='sides']")

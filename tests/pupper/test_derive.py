@@ -416,6 +416,7 @@ def test_written_files_are_read_from_another_folder(
     assert written == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_published_files_have_the_bodies_of_the_base_model(name: str) -> None:
     ours = load(name)

@@ -198,6 +198,7 @@ def test_fixed_base_is_at_the_pose_in_the_mjcf_for_either_joint_order(
     np.testing.assert_allclose(config.gravity(), gravity, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_lowest_foot_touches_the_ground_at_the_stand_height(tiny: pa.Robot) -> None:
     qpos = tiny.neutral()
     qpos[2] = tiny.stand_height

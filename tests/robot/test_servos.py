@@ -45,6 +45,7 @@ def with_motors(pair: Pair, element: str, joints: str = "") -> Pair:
     return pair
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "controls"), [(PID, 15), (DC, 18)])
 def test_motors_of_several_controls_are_read(element: str, controls: int, tmp_path: Path) -> None:
     """Reference: counts of MuJoCo's model, with more controls than actuators."""

@@ -133,6 +133,7 @@ def test_mini_cheetah_has_the_base_of_another_robot() -> None:
     assert inertials[0]["mass"] == "6.921"
 
 
+@pytest.mark.slow
 def test_remaining_differences_of_mini_cheetah_are_damping_friction_and_efforts() -> None:
     """Damping and dry friction are 0.2 in the MJCF's default class, and the URDF states none; the
     joints of the URDF have no ``<limit>``.

@@ -269,6 +269,7 @@ def test_servos_of_a_joint_without_motor_are_refused(tiny: pa.Robot) -> None:
         model_with_servos(tiny)
 
 
+@pytest.mark.slow
 def test_stability_of_each_sweep_cell_equals_stand_stability() -> None:
     """Reference: ``stand_stability`` with the gains of the cell."""
     robot, stand = load("original"), stand_of("original")

@@ -190,6 +190,7 @@ def test_least_torque_equals_a_cone_programme_on_mujocos_jacobians(armed: pa.Rob
             np.testing.assert_allclose(ours.contact_forces[point], force, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effort", [600.0, 60.0])
 def test_maximum_hand_force_equals_an_independent_cone_program(
     armed: pa.Robot, effort: float

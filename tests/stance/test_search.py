@@ -297,6 +297,7 @@ def test_solved_constraints_keep_feet_ground_clearance_and_com_margin() -> None:
 # ------------------------------------------------------------------------------------- reach
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SKELETON_NAMES)
 def test_hip_of_a_lifted_hind_foot_is_at_its_limit_with_the_com_in_the_centre(name: str) -> None:
     """The skeletons lift a hind foot by 10 to 20 mm only; the refusal names the hip joint."""
@@ -422,6 +423,7 @@ def test_stand_at_the_end_of_reach_is_found(name: str) -> None:
     assert com_margin(com, stand.contact_points) > task.com_margin - 1e-9
 
 
+@pytest.mark.slow
 def test_nearest_stand_keeps_the_com_margin_that_is_in_reach() -> None:
     """With a foot lifted high the CoM moves to the edge. Reference: the margin of the statics."""
     robot = load("original")

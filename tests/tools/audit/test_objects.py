@@ -31,6 +31,7 @@ def test_text_of_a_urdf_is_audited_without_lines() -> None:
     assert audit.findings[0].line is None
 
 
+@pytest.mark.slow
 def test_robots_in_memory_are_compared_like_their_files() -> None:
     """A mass that is 10 % larger in the spec is a difference."""
     spec = mujoco.MjSpec.from_file(str(MJCF))

@@ -365,6 +365,7 @@ def test_a_revision_is_read_from_git(repository: Path, given: str) -> None:
     assert f"HEAD:robots/robot.urdf:{line}   robot.urdf:{line}" in result.stdout
 
 
+@pytest.mark.slow
 def test_revision_uses_its_own_includes_and_meshes(repository: Path) -> None:
     """Not the files of the working tree, which are changed or deleted."""
     assert run(repository, "HEAD:./robot.xml", "robot.xml").returncode == 0

@@ -102,6 +102,7 @@ def page(server: Any) -> Iterator[Open]:
     end(one.session)
 
 
+@pytest.mark.slow
 def test_last_of_many_quick_moves_is_shown(page: Open) -> None:
     """Reference: steady state and torques of the Python functions for the last of 200 positions."""
     angles = np.linspace(0.0, 6.0, 200)
@@ -118,6 +119,7 @@ def test_last_of_many_quick_moves_is_shown(page: Open) -> None:
     assert page.browser.saved["stance.toml"] == b'roll = "6.0deg"\n'
 
 
+@pytest.mark.slow
 def test_pending_result_is_marked(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """The steady state is delayed: the page has the torques, and marks the sag as being
     computed."""

@@ -239,6 +239,7 @@ def test_missing_element_is_inserted(tmp_path: Path) -> None:
     assert '<mass value="6"/>' in files.urdf.read_text()
 
 
+@pytest.mark.slow
 def test_missing_limits_are_inserted(tmp_path: Path) -> None:
     endless = change_part(ROBOT, "thigh2", kind="continuous")
     files = pair(tmp_path, urdf=endless)
