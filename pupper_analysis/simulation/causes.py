@@ -1,6 +1,6 @@
 """Diagnostics of stands that do not come to rest: growing modes, contact chatter, creeping feet.
 
-Inputs are the spectrum and the states of a simulation that does not come to rest; outputs are
+Inputs are the spectrum and the states of a simulation, or the predicted contact forces; outputs are
 diagnostics with the quantities that show the cause.
 """
 
@@ -49,7 +49,8 @@ def find_instability(
 ) -> list[Diagnostic]:
     """Report the fastest growing mode, or else a nudge that does not decay.
 
-    A joint that the nudge displaces too far, at the end or temporarily, is reported as well.
+    A joint that the nudge displaces too far, at the end or temporarily, is reported as well. A
+    remaining speed of at most ``_SOLVER_NOISE_RATIO`` times the nudge is not reported.
 
     Args:
         stability: Stability at the settled state. Modes are reported only if the state is at rest.

@@ -87,7 +87,8 @@ class GroundClearance:
     def displacements(self, states: Array, reference: Array) -> Array:
         """Return an upper bound, per state, of the displacement of any point of the robot [m].
 
-        The shape is (n,). The displacements are measured from a reference state.
+        The shape is (n,). The displacements are measured from a reference state. Valid only if
+        ``is_available``.
 
         Args:
             states: n states of a simulation (mjSTATE_FULLPHYSICS), shape (n, size).

@@ -10,7 +10,7 @@ valid for micrometres only, and dry friction makes it depend on the finite-diffe
    Motion of both simulations, such as creep, cancels.
 3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over the smallest value,
    within ``LONGEST_TRIAL`` seconds, without slowing down. The doubling time T is half the time of
-   the last two doublings.
+   two successive doublings. If the simulation diverges, fewer doublings are sufficient.
 4. Modes that shake are confirmed, too, if the oscillation of the difference is sustained: the
    growth may end in a limit cycle. A constant difference, which dry friction leaves, is none.
 5. A mode that shakes in the spectrum, but grows in the simulation more slowly than
@@ -54,8 +54,9 @@ friction would stop after a small nudge (``Mode.without_dry_friction``). Chosen 
 deviation that dry friction holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
-"""Upper bound of the simulated time of a growth test [s]: ``DOUBLINGS`` of a mode that doubles in
-``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other motion."""
+"""Simulated time [s] after which a growth test ends, with the interval that is being simulated:
+``DOUBLINGS`` of a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the
+decay of other motion."""
 
 _CHUNK_DURATION = 2.0
 """Simulated time [s] after which a growth test evaluates again whether the motion has grown or
@@ -98,8 +99,9 @@ class GrowthTrial(Result):
     Attributes:
         nudge: Largest initial deviation of a joint (rad, m).
         duration: Simulated time (s).
-        doubling_time: Half the time of the last two doublings (s); None if the deviation does not
-            grow by ``2 ** DOUBLINGS``, or the growth slows down.
+        doubling_time: Half the time of two successive doublings (s); None if the deviation does not
+            grow by ``2 ** DOUBLINGS``, or the growth slows down. If the simulation diverges
+            earlier, mean time of a doubling.
         joints: Joints with the largest final deviations, the largest first.
         sustained: Whether modes that shake leave an oscillation that does not decay.
     """
@@ -129,8 +131,9 @@ def confirm_growth(
 
     Returns:
         The stability with tested modes. In ``unstable``, one mode with the simulated doubling time
-        (None for a sustained oscillation) replaces the modes that were tested together.
-        ``refuted_modes`` contains tested modes that do not grow in the simulation.
+        (None for a sustained oscillation) replaces the modes that were tested together; modes that
+        grow within ``HOLD_DURATION`` and were not tested are omitted. ``refuted_modes`` contains
+        tested modes that do not grow in the simulation.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -319,7 +322,10 @@ def _doubling_time(mode: Mode) -> float:
 
 
 def _window_duration(mode: Mode) -> float:
-    """Return the time over which the maximum of a mode's deviation is taken [s]."""
+    """Return the time over which the maximum of a mode's deviation is taken [s], unbounded.
+
+    `simulate_growth` bounds the time by ``_MAX_WINDOW``.
+    """
     period = 1 / mode.frequency if mode.frequency else 0.0
     return max(period, _doubling_time(mode) / 4)
 

@@ -60,6 +60,8 @@ class LinearStep:
     def reproduces(self, states: Array) -> bool:
         """Return True if this linear model predicts simulated positions from the first two states.
 
+        False if the states do not reach the first predicted time.
+
         Args:
             states: Successive states after each step, shape (n, size), n > 2.
         """

@@ -52,8 +52,9 @@ class StandCheck(Result):
 
     Attributes:
         tilt: Tilt of the base relative to the expected stand, regardless of heading (rad).
-        height: CoM height above the ground, with the CoM fixed in the base (m).
-        expected_height: CoM height of the expected stand (m).
+        height: CoM height above the ground, with the CoM fixed in the base (m); the expected
+            height for a fixed or welded base.
+        expected_height: CoM height of the expected stand (m), as ``StandReference.com_height``.
         touching: Bodies other than feet that touch the ground.
         collapses: Whether the robot has fallen over, sunk, been thrown up, or left its place; of a
             robot whose base is fixed, whether a joint has left the posture.
@@ -417,7 +418,8 @@ class ContactRecord:
         failures: Bodies and swing feet that touch the ground; stance feet that unload and must not;
             for a fixed base without stance feet, instead of touching bodies, all pairs of bodies
             that push on each other.
-        touching: Pairs of robot bodies that push on each other in the settled state.
+        touching: Pairs of robot bodies that push on each other in the settled state and are not
+            in ``failures``.
         torques: Settled motor torques, shape (nu,) [N m].
         forces: Settled force on each foot, and constraint force of each weld or grip, shape (3,)
             [N].
@@ -454,7 +456,8 @@ def record_contacts(
 ) -> ContactRecord:
     """Sample the ground contacts of a rollout, and average the settled torques and forces.
 
-    Torques [N m] and forces [N] are means over the last second before the nudge.
+    Torques [N m], forces [N] and foot positions [m] are means over the last second before the
+    nudge.
 
     Args:
         robot: The robot.

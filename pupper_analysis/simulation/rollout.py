@@ -129,8 +129,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     positions, until the balance along this direction is zero. The simulation then starts at rest
     instead of with a fall of some millimetres.
 
-    A stand is not lowered if the base is fixed or welded, a contact is welded, or the stand has
-    feet on separate planes and penetration depths already. If no depth up to `_MAX_DROP` carries
+    A stand is not lowered if the base is fixed, a part is welded or grips, or the stand has feet
+    on separate planes and penetration depths already. If no depth up to `_MAX_DROP` carries
     the weight, the state at this depth is returned.
 
     Args:
@@ -317,7 +317,8 @@ def make_forced_controls(
 
     Returns:
         The controls, shape (runs, steps, model.nu + 6 model.nbody), with forces of zero; and a view
-        into them, shape (runs, steps, 3) [N]: the force on the base at the CoM, in world axes.
+        into them, shape (runs, steps, 3) [N]: the force on the base body at this body's CoM, in
+        world axes.
     """
     control = np.zeros((runs, steps, model.nu + 6 * model.nbody))
     control[:, :, : model.nu] = ctrl

@@ -114,14 +114,14 @@ def comes_to_rest(
     """Return True if a robot comes to rest in a stand, and again after a nudge.
 
     The settling simulation lasts at most as long as in ``verify_stand``, but ends once the robot is
-    at rest or has left the stand. Then a nudge must decay, and no mode may grow within
-    ``HOLD_DURATION`` (12 s). Both simulations also end if the robot leaves the stand, or shakes
-    without decay for ``_SHAKING_SECONDS``; the first also if the robot rests with a foot too far
-    from its target (`_stays_displaced`). The result is then False.
+    at rest. Then a nudge must decay, the robot must stand on its feet only, and no mode may grow
+    within ``HOLD_DURATION`` (12 s). Both simulations also end if they diverge, or if the robot
+    leaves the stand or shakes without decay for ``_SHAKING_SECONDS``; the first also if the robot
+    rests with a foot too far from its target (`_stays_displaced`). The result is then False.
 
     Args:
         robot: The robot.
-        stand: The stand.
+        stand: The stand, with at least one stance foot.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
@@ -226,10 +226,11 @@ _INTERVALS_PER_SECOND = round(1 / _CHECK_INTERVAL)
 def _simulate_until_rest(
     held: StandStart, reference: monitor.StandReference, shaking: _ShakingRecord
 ) -> Array | None:
-    """Simulate a stand until it rests; return the states of the last second, else None.
+    """Simulate a stand until it rests; return the states of the last second, shape (n, size).
 
-    The speeds are added to ``shaking``. The simulation also ends if shaking is sustained, or if the
-    base rests and a foot is too far from its target (`_stays_displaced`).
+    None if the robot does not rest in time, or if the simulation ends earlier: the simulation
+    diverges, the robot leaves the stand, shaking is sustained, or the base rests and a foot is too
+    far from its target (`_stays_displaced`). The speeds are added to ``shaking``.
     """
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)

@@ -2,7 +2,7 @@
 
 Inputs are a stand or a simulated state, and constant servo commands; output is a `Stability`. The
 eigenvalues of MuJoCo's step are computed first; a nudged simulation of the unmodified model
-confirms or refutes each growing mode (`judge_stability`).
+confirms or refutes the modes that grow within ``HOLD_DURATION`` (`judge_stability`).
 """
 
 from __future__ import annotations
@@ -107,6 +107,9 @@ def rest_stability(
 
     Returns:
         The modes that grow at the equilibrium, and the stability margin.
+
+    Raises:
+        PupperAnalysisError: As `make_stand_start`.
     """
     held = make_stand_start(robot, stand, feedforward=False, kp=kp, kd=kd, integrator=integrator)
     start = rest_state(held.robot, held.drive, pose.qpos, held.ctrl)
@@ -114,8 +117,8 @@ def rest_stability(
 
 
 MAX_RESTING_SPEED = 5e-3
-"""Largest speed [m/s, rad/s] with which `find_final_spectrum` counts a state as at rest; feet creep
-more slowly. Chosen, not tuned."""
+"""Largest speed [m/s, rad/s] with which `find_final_spectrum` counts a state as at rest, and
+`remains_small` a remaining motion as small; feet creep more slowly. Chosen, not tuned."""
 
 
 def evaluate_final_stability(
@@ -130,7 +133,8 @@ def evaluate_final_stability(
         start: Initial state of the simulation, mjSTATE_FULLPHYSICS.
         end: Final state of the simulation, mjSTATE_FULLPHYSICS.
         ctrl: Command of the actuators, shape (model.nu,).
-        has_fallen: Whether the simulation has failed, so that the initial state is evaluated.
+        has_fallen: Whether the simulation has failed, so that the initial state is evaluated. The
+            initial state is also evaluated if the final state is not at rest.
     """
     spectrum, settled = find_final_spectrum(drive, start, end, ctrl, has_fallen=has_fallen)
     return confirm_growth(spectrum, drive.model, settled, ctrl)

@@ -113,7 +113,7 @@ tuned: once for the motion of the base, once for that of the joints."""
 
 
 class Failure(StrEnum):
-    """First cause of failure of a nudged stand, or of a stand whose payload grows."""
+    """Cause of the first failure of a nudged stand, or of a stand whose payload grows."""
 
     MOTOR = "a motor saturates"
     SLIDING = "a foot slides"
@@ -167,8 +167,8 @@ def simulate_nudges(
 ) -> NudgeTrial:
     """Simulate a stand whose base starts with a velocity, in each of twelve directions.
 
-    The velocity is ``BASE_NUDGE_SPEED`` up or down; or along the ground in each of eight
-    directions, with a larger speed that covers the directions between; or a rotation about z in
+    The velocity is ``BASE_NUDGE_SPEED`` up or down; or horizontal in each of eight directions, with
+    a larger speed that covers the directions between; or a rotation about the base's z axis in
     both senses.
 
     The model is simulated unmodified, with the dry friction of joints and contacts. A stand that
@@ -179,8 +179,9 @@ def simulate_nudges(
     known and causes no failure. The remaining motion counts as known in two cases:
 
     - The bound from the current speeds and the fastest growing mode is below 1 mm or 1 mrad.
-    - No mode grows, and the linearised step reproduces the last 0.5 s. It predicts that each
-      coordinate leaves the range passed since the nudge by at most 1 mm or 1 mrad.
+    - No mode grows, no motor has saturated, and the linearised step reproduces the last 0.5 s. The
+      step predicts that each coordinate leaves the range passed since the nudge by at most 1 mm or
+      1 mrad, and the feet do not slide too far if they continue at their mean speed.
 
     A foot that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the weight may lift
     if the foot is back on the ground at the end.
@@ -195,7 +196,8 @@ def simulate_nudges(
             then a lower bound.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the robot cannot stand.
+        ConfigurationError: If an argument is out of range, the base is fixed and the stand has
+            stance feet, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -256,7 +258,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     com_displacement = BASE_NUDGE_SPEED * math.sqrt(
         com_height_above_contacts(robot, stand) / float(np.linalg.norm(robot.gravity))
     )
-    (lower, upper), angles = _free_joint_limits(robot, stand), stand.qpos[7:]
+    (lower, upper), angles = _find_failure_limits(robot, stand), stand.qpos[7:]
     limit_distances = np.minimum(angles - lower, upper - angles)
     loads = [
         float(load.force @ stand.normals[robot.feet[foot][0]])
@@ -271,7 +273,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     )
 
 
-def _free_joint_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
+def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
     """Return lower and upper joint limits, shape (nu,) each [rad, m]; beyond them a stand fails.
 
     The limits are those of the robot, without limits that a joint cannot fail at: a limit is
@@ -301,7 +303,8 @@ def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
 def make_nudge_velocities(robot: Robot, stand: Stand) -> Array:
     """Create the velocities of the twelve nudges of the base, shape (12, nv) [m/s, rad/s].
 
-    Rows are in the order of qvel; joint velocities are zero.
+    The rows are eight horizontal nudges, up, down, and rotations about the base's z axis in both
+    senses. The columns are in the order of qvel; joint velocities are zero.
 
     Args:
         robot: The robot.
@@ -342,7 +345,7 @@ class _FailureConditions:
         creeps = compute_creep_speeds(robot, stand, held.prediction)
         self.efforts = robot.effort_ranges * (1 - 1e-9)
         self.names = np.array(robot.joint_names)
-        self.lower, self.upper = _free_joint_limits(robot, stand)
+        self.lower, self.upper = _find_failure_limits(robot, stand)
         self.normals = stand.lift_directions(robot)
         self.foot_normals = np.array([self.normals[foot] for foot in stand.stance_feet])
         self.foot_normals = self.foot_normals.reshape(-1, 3)

@@ -249,7 +249,8 @@ def judge_stance(
 def _min_doubling_time(stability: Stability | None) -> float:
     """Return the smallest doubling time of the modes that grow within ``HOLD_DURATION`` [s].
 
-    Infinite without such a mode, or if the state is not at rest.
+    Infinite without such a mode, if the oscillation of the mode is sustained, or if the state is
+    not at rest.
     """
     leaving = (
         stability.modes_growing_within() if stability is not None and stability.at_rest else ()

@@ -94,11 +94,10 @@ STABLE_DEVIATION = 5e-3
 Chosen, not tuned."""
 
 JOINT_TOLERANCE = 1e-3
-"""Largest joint error of a verified stand with feed-forward [rad]. Chosen, not tuned."""
+"""Largest joint error of a verified stand [rad, m]. Chosen, not tuned."""
 
 FORCE_TOLERANCE = 1e-2
-"""Largest relative error of torques and foot forces of a verified stand with feed-forward. Chosen,
-not tuned."""
+"""Largest relative error of torques and foot forces of a verified stand. Chosen, not tuned."""
 
 MIN_FORCE_SCALE = 0.05
 """Smallest force, relative to the weight, by which the error of a foot force is divided. Chosen,
@@ -681,7 +680,8 @@ def describe_drive_limits(
 ) -> list[Diagnostic]:
     """Create messages about saturated motors, and about commands beyond the command range.
 
-    Passive joints have no motor that could saturate.
+    Commands are checked only in a simulation with feed-forward. Passive joints have no motor that
+    could saturate.
 
     Args:
         robot: The robot.

@@ -11,7 +11,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.simulation.trial import (
     BASE_NUDGE_SPEED,
-    _free_joint_limits,
+    _find_failure_limits,
     is_near_limit,
     make_nudge_velocities,
     simulate_nudges,
@@ -39,7 +39,7 @@ def test_joint_at_its_limit_from_the_start_is_no_failure(
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     trial = simulate_nudges(robot, stand, duration=2.0)
     assert (trial.survived, trial.failure, trial.failing_parts) == (True, None, ())
-    lower, upper = _free_joint_limits(robot, stand)
+    lower, upper = _find_failure_limits(robot, stand)
     nod = robot.joint_names.index("nod")
     assert np.isneginf(lower[nod]) == rests
     legs = np.arange(robot.nu) != nod
@@ -58,7 +58,7 @@ def test_joint_whose_range_permits_no_motion_is_named_and_has_no_limits_in_the_t
     pair = quadruped(tmp_path)
     rewrite_file(pair.urdf, ('lower="-0.8" upper="0.8"', 'lower="0" upper="0"'), count=1)
     robot = pa.load_robot(*pair)
-    lower, upper = _free_joint_limits(robot, pa.solve_stand(robot))
+    lower, upper = _find_failure_limits(robot, pa.solve_stand(robot))
     roll = robot.joint_names.index("FL_roll")
     assert (lower[roll], upper[roll]) == (-np.inf, np.inf)
     legs = np.arange(robot.nu) != roll
