@@ -215,7 +215,8 @@ def _yield_if_any(
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield candidate causes of a deviation of the published model.
 
-    They are the integration, and an inaccurate constraint solver.
+    They are the integration (not with actuator delays, which are stored as numbers of steps), and
+    an inaccurate constraint solver.
     """
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")

@@ -276,8 +276,11 @@ def find_contact_points(
         model: Model, with a floor.
         data: Data after ``mj_kinematics``, in the start pose.
         body: Id of the moving body to which the geoms belong.
-        geoms: Ids of the foot's geoms.
+        geoms: Ids of the foot's geoms, at least one.
         joints: Number of joints between foot and base.
+
+    Returns:
+        Contact points; empty if MuJoCo finds no contact with the floor.
     """
     max_tilt = _MAX_SOLE_TILT if joints >= _MIN_SOLE_JOINTS else 0.0
     geoms = _find_end_spheres(model, data, geoms, max_tilt) or geoms
@@ -302,7 +305,7 @@ def _sample_surface(
 ) -> Iterator[tuple[Array, float]]:
     """Yield (centre (3,) in the world frame, radius) [m] of spheres whose hull is that of a geom.
 
-    Shapes without extent, such as planes, yield nothing.
+    Round surfaces are sampled. Shapes without extent, such as planes, yield nothing.
     """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
     points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
@@ -461,7 +464,7 @@ def _find_sole_contacts(
 def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoint]) -> bool:
     """Return True if two lists have the same number of contact points, at the same positions.
 
-    Each point of ``first`` must be within `_SOLE_ATOL` of any point of ``second``.
+    Each point of ``first`` must be within `_SOLE_ATOL` of the nearest point of ``second``.
     """
     return len(first) == len(second) and all(
         min(float(np.linalg.norm(point.center - candidate.center)) for candidate in second)

@@ -3,7 +3,7 @@
 Inputs are a robot with a stand and the force laws of its actuators; output is a robot with a
 position servo at each independent joint. Candidates of gains and time step are tried in order,
 until the robot comes to rest in the stand and agrees with the prediction (`add_position_servos`).
-Joints of closed loops without a motor get motors without effect.
+Independent joints of robots with closed loops get motors first, to fix the joint order.
 """
 
 from __future__ import annotations
@@ -82,11 +82,11 @@ def list_dependent_joints(robot: Robot) -> list[int]:
 
 
 def add_loop_motors(robot: Robot) -> Robot:
-    """Add motors without torque to independent joints without a motor, if there are closed loops.
+    """Add motors to independent joints without a motor, if there are closed loops or couplings.
 
-    The actuator order lists joints with motors first. With these motors, the order does not change
-    when servos are added later, after stands have been solved. Without closed loops the robot is
-    returned unchanged.
+    The actuator order lists joints with motors first. With these motors, which later become servos,
+    the order does not change after stands have been solved. Without closed loops and couplings the
+    robot is returned unchanged.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
         list_dependent_joints(robot)
@@ -339,7 +339,10 @@ def _report_added_servos(
 
 
 def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
-    """Return a robot whose description lists the added servos with their gains."""
+    """Return a robot whose description lists the added servos with their gains.
+
+    Servos at passive joints, which exert no torque, are not listed.
+    """
     added = {addition.joint for addition in built.description.added if isinstance(addition, Servo)}
     added -= set(built.description.passive_joints)
     records = []

@@ -264,7 +264,7 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
 def _select_sphere(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], place: Array
 ) -> list[int]:
-    """Return the index of the sphere nearest to a position, shape (3,) [m], in the world frame.
+    """Return the sphere nearest to a position, shape (3,) [m], in the world frame: [geom id].
 
     All ``geoms`` are returned if no sphere of these is nearer than `_MAX_SPHERE_DISTANCE`.
     """
@@ -472,6 +472,8 @@ def _find_moved_link(robot: Robot, body: int) -> str:
 
 def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
     """Return the last joint between a body and the base; None without such a joint.
+
+    Also None if a joint that is not one of the robot's joints is reached first.
 
     Args:
         robot: Robot.

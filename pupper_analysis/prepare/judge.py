@@ -132,7 +132,7 @@ def judge_simulation(
         *report_limbs_without_feet(robot),
         *(robot.description.report_replaced_soles() if stand.stance_feet else ()),
         *list_file_remarks(robot),
-        *_report_buried_feet(robot, stand, statics),
+        *_report_buried_foot(robot, stand, statics),
     )
     errors = any(remark.severity is Severity.ERROR for remark in remarks)
     causes = (
@@ -207,10 +207,10 @@ _MASS_RTOL = 1e-9
 Chosen as a bound of rounding errors."""
 
 
-def _report_buried_feet(
+def _report_buried_foot(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> tuple[Diagnostic, ...]:
-    """Report the first foot that penetrates the ground by more than its contact radius."""
+    """Report the first foot whose predicted penetration exceeds its contact radius; () if none."""
     if statics is None:
         return ()
     for foot, force in statics.contact_forces.items():
@@ -238,7 +238,7 @@ def _fail_if_upset(
     ``fed`` is the result of the simulation with feed-forward. A nudge is a small velocity of the
     base. If ``trial``, the result of the nudges, is None, the nudges are simulated here, but only
     if the stand is near a limit or ``fragile``: it fails without feed-forward, and its contacts may
-    chatter after a nudge.
+    chatter after a nudge. A base that is fixed, or a stand without CoM margin, is not nudged.
     """
     if trial is None:
         if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves

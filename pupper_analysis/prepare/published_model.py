@@ -607,9 +607,9 @@ def simulate_published(
     Returns:
         Minimum and maximum force of actuators and external servos on each degree of freedom, shape
         (model.nv,) each [N m, N]. The extremes are those of the last `FORCE_WINDOW` of the
-        duration, and of the step at which MuJoCo resets the state. Gravity compensation that
-        MuJoCo adds to actuator forces (``actuatorgravcomp``) is subtracted. Infinite without
-        ``record_forces``.
+        duration, and of the step at which MuJoCo resets the state. The damping of external servos
+        is left out. Gravity compensation that MuJoCo adds to actuator forces (``actuatorgravcomp``)
+        is subtracted. Infinite without ``record_forces``.
     """
     model = published.model
     dofs, kp, kd, targets, feedforward = hold.external

@@ -218,7 +218,8 @@ def compare_with_file(
     """Simulate the unmodified file from predicted equilibria, and list causes of deviations.
 
     The model is not simulated if an actuator has a built-in controller, or if a free base has no
-    level ground; this is then the listed cause.
+    level ground; this is then the listed cause. If no cause is found, and the prepared robot moves
+    alike, the deviation does not count (`_moves_like_prepared_robot`).
 
     Args:
         published: Model of the file.
@@ -370,8 +371,8 @@ def simulate_prediction(
     """Simulate the published model from the predicted state of rest, and compare both.
 
     The model settles for `SETTLING_TIME`, is nudged, and simulated for `NUDGED_TIME`; longer, up to
-    `_MAX_NUDGED_TIME`, as long as the torques deviate, but approach the prediction. Torques [N m],
-    CoM height [m] and joint positions [rad, m] are compared at the end.
+    `_MAX_NUDGED_TIME`, as long as the torques deviate, but approach the prediction. CoM height [m]
+    and joint positions [rad, m] are compared at the end, and torques [N m] over the last second.
 
     Returns:
         Comparison; None if the base cannot be placed, for example because it is fixed, or if
@@ -593,7 +594,8 @@ def find_difference_causes(
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
     Candidate elements are disabled in a copy of the model. An element is a cause if the simulation
-    then agrees with the prediction.
+    then agrees with the prediction. Empty for a file with a servo whose stiffness is zero or
+    negative.
 
     Args:
         published: Published model.

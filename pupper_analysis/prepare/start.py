@@ -405,9 +405,9 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
         found = _choose_middle_start(
             [
                 _set_start(
-                    placed, one.joint_positions(robot), round(float(one.task.height or 0.0), 3)
+                    placed, stand.joint_positions(robot), round(float(stand.task.height or 0.0), 3)
                 )
-                for one in stands
+                for stand in stands
             ]
         )
         if found is not None:
@@ -744,6 +744,8 @@ def make_start_keyframe(
     robot: Robot, stand: Stand, reason: Diagnostic, kp: Array | None = None, kd: Array | None = None
 ) -> StartKeyframe:
     """Create the keyframe of a stand: qpos, and the ctrl with which servos hold the stand.
+
+    The base is moved to x = y = 0.
 
     Args:
         robot: Robot with servos.

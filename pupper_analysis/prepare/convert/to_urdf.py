@@ -359,7 +359,7 @@ class UrdfShapes:
         self._materials: dict[tuple[float, ...], str] = {}
         self._names: set[str] = set()
         self._files: dict[str, str] = {}
-        self._add_body: set[str] = set()
+        self._moved_meshes: set[str] = set()
         self._lost: dict[str, str] = {}
         for mesh in file.spec.meshes:
             found, name = _find_mesh_path(file, mesh), mesh.name or Path(mesh.file).stem
@@ -367,7 +367,7 @@ class UrdfShapes:
                 self._lost[name] = mesh.file
             if found is not None:
                 if np.any(mesh.refpos) or np.any(mesh.refquat[1:]):
-                    self._add_body.add(name)
+                    self._moved_meshes.add(name)
                 self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
 
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
@@ -429,7 +429,7 @@ class UrdfShapes:
             lost = self._lost.get(name)  # the folder of an <attach>ed model is unknown
             self.left.append(diagnose("mesh-without-file", subject=("mesh", name), file=lost))
             return []
-        if name in self._add_body:
+        if name in self._moved_meshes:
             self.left.append(diagnose("mesh-moved", subject=("mesh", name)))
             return []
         # MuJoCo moves a mesh to its com and principal axes, and the geom along.
