@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from pupper_analysis.base.diagnostics import diagnose
@@ -33,10 +32,9 @@ def _bind_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[
     except ValueError as error:
         raise ConfigurationError("measure", diagnose("no-numbers", count=3)) from error
     policy, digest = Policy.load(file), hashlib.sha256(repr(command.tolist()).encode())
-    for path in (Path(file), Path(file).with_suffix(".toml")):
-        if path.is_file():
-            register_input(path)
-            digest.update(path.read_bytes())
+    for path in policy.files:
+        register_input(path)
+        digest.update(path.read_bytes())
 
     def walked(design: Any) -> float:
         return measure(simulate_walk(design.robot, policy, command, workers=1).gaits[0])

@@ -157,6 +157,7 @@ class Network:
         memory: Name of each recurrent state, name of the next value, and size.
         inputs: Number of elements of an observation.
         outputs: Number of elements of an action.
+        files: Files beside the policy's file from which weights were read.
     """
 
     nodes: tuple[Node, ...]
@@ -166,6 +167,7 @@ class Network:
     memory: tuple[tuple[str, str, int], ...]
     inputs: int
     outputs: int
+    files: tuple[Path, ...] = ()
 
     @property
     def num_parameters(self) -> int:

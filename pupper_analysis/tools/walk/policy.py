@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -65,11 +65,13 @@ class Policy:
         name: File name.
         network: Network that maps observations to actions.
         contract: Observation of the policy, and meaning of the actions.
+        files: Files that were read: policy, files of weights, definitions of the contract.
     """
 
     name: str
     network: Network
     contract: Contract
+    files: tuple[Path, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path, contract: str | Path | None = None) -> Policy:
@@ -98,7 +100,8 @@ class Policy:
         network, values = _read_policy(path)
         statements = [(str(path), values), *([(str(toml_path), toml)] if has_toml else [])]
         merged = make_contract(path, statements, network.inputs, network.outputs)
-        return cls(path.name, network, merged)
+        files = (path, *network.files, *([toml_path] if has_toml else []))
+        return cls(path.name, network, merged, files)
 
     def with_contract(self, **changed: Any) -> Policy:
         """Return the policy with changed fields of its contract (observation and action)."""
@@ -165,12 +168,69 @@ _FIELD_OF_TYPE = {1: 4, 6: 5, 7: 7, 11: 10}
 for values that are not stored as raw bytes (onnx.proto3)."""
 
 
-def _read_tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
+_EXTERNAL_DATA_FIELD, _DATA_LOCATION_FIELD = 13, 14
+"""Fields of an ONNX tensor whose weights are in another file: entries (``location``, ``offset``,
+``length``), and 1 if the weights are there (onnx.proto3)."""
+
+
+class _WeightFiles:
+    """Files beside an ONNX file that contain weights; each file is read once.
+
+    Args:
+        path: ONNX file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._contents = path, dict[Path, memoryview]()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that were read."""
+        return tuple(self._contents)
+
+    def read_weights(self, tensor: ProtobufMessage, layer: str) -> memoryview:
+        """Return the bytes of a tensor's weights in another file.
+
+        Raises:
+            ModelError: If the entries are not valid, or the file is not in the folder of the ONNX
+                file, cannot be read, or is too short.
+        """
+        entries = [gather_fields(entry) for entry in tensor.get(_EXTERNAL_DATA_FIELD, ())]
+        stated = {get_text(entry, 1): get_text(entry, 2) for entry in entries}
+        location, offset = stated.get("location", ""), int(stated.get("offset") or 0)
+        name = PurePosixPath(location)
+        if not location or name.is_absolute() or ".." in name.parts or offset < 0:
+            raise ModelError(
+                self._path, diagnose("weights-outside", layer=layer, location=location)
+            )
+        file = self._path.parent / name
+        if file not in self._contents:
+            if not is_input(file):
+                problem = diagnose("weights-file-missing", layer=layer, location=location)
+                raise ModelError(self._path, problem)
+            try:
+                self._contents[file] = memoryview(read_input(file, MAX_FILE_BYTES))
+            except InputError as error:
+                raise make_input_error(file, error) from error
+        content = self._contents[file]
+        length = int(stated.get("length") or max(0, len(content) - offset))
+        if length < 0 or offset + length > len(content):
+            problem = diagnose(
+                "weights-file-short", layer=layer, needed=offset + length, found=len(content)
+            )
+            raise ModelError(file, problem)
+        return content[offset : offset + length]
+
+
+def _read_tensor(
+    path: Path, data: int | memoryview, weight_files: _WeightFiles
+) -> tuple[str, Array]:
     """Return the name and the numbers of an ONNX tensor (protobuf message), in its shape.
 
     Raises:
-        ModelError: If the tensor is too large or in another file, has an unsupported type, or has
-            another number of elements than its shape. The error names the file `path`.
+        ModelError: If the tensor is too large, has an unsupported type or another number of
+            elements than its shape, or if its file of weights cannot be read. The error names the
+            file.
     """
     tensor = gather_fields(data)
     name, dims = get_text(tensor, 8), decode_integers(tensor.get(1, ()))
@@ -181,10 +241,11 @@ def _read_tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
     if count > MAX_WEIGHTS or any(dim < 0 for dim in dims):
         problem = diagnose("too-many-weights", layer=name, count=count, most=MAX_WEIGHTS)
         raise ModelError(path, problem)
-    if kind not in _NUMPY_TYPES or tensor.get(14, [0])[0]:
-        raise ModelError(path, diagnose("weights-elsewhere", layer=name))
-    if 9 in tensor:
-        raw = bytes(tensor[9][0])
+    if kind not in _NUMPY_TYPES:
+        raise ModelError(path, diagnose("weights-of-no-type", layer=name))
+    is_external = bool(tensor.get(_DATA_LOCATION_FIELD, [0])[0])
+    if is_external or 9 in tensor:
+        raw = bytes(weight_files.read_weights(tensor, name) if is_external else tensor[9][0])
         size = np.dtype(_NUMPY_TYPES[kind]).itemsize
         numbers = np.frombuffer(raw[: len(raw) // size * size], dtype=_NUMPY_TYPES[kind])
     elif kind in (1, 11):
@@ -203,30 +264,32 @@ def _read_tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
 
 
 def build_onnx_network(path: Path, file: OnnxFile) -> Network:
-    """Build the network of an ONNX file.
+    """Build the network of an ONNX file. Weights may be in other files of the same folder.
 
     Args:
-        path: File, for messages.
+        path: File; its folder contains the files of weights.
         file: Content of the file.
 
     Raises:
         ModelError: If the file contains no network, an operator that is not supported, or a size
-            that does not fit.
+            that does not fit, or if a file of weights cannot be read.
     """
+    weight_files = _WeightFiles(path)
     with refuse_malformed(path):
-        return _build_onnx_network(path, file)
+        network = _build_onnx_network(path, file, weight_files)
+        return replace(network, files=weight_files.files)
 
 
-def _build_onnx_network(path: Path, file: OnnxFile) -> Network:
+def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) -> Network:
     """Build the network of an ONNX graph.
 
     Inputs and outputs after the first are recurrent states.
     """
     graph = file.graph
-    constants = dict(_read_tensor(path, message) for message in graph.get(5, ()))
+    constants = dict(_read_tensor(path, message, weight_files) for message in graph.get(5, ()))
     inputs, outputs = list(file.inputs.items()), list(file.outputs)
     nodes = [
-        _build_node(path, gather_fields(message), number, constants)
+        _build_node(path, gather_fields(message), number, constants, weight_files)
         for number, message in enumerate(graph[1], 1)
     ]
     if len(inputs) != len(outputs):
@@ -244,7 +307,11 @@ def _build_onnx_network(path: Path, file: OnnxFile) -> Network:
 
 
 def _build_node(
-    path: Path, node: ProtobufMessage, number: int, constants: dict[str, Array]
+    path: Path,
+    node: ProtobufMessage,
+    number: int,
+    constants: dict[str, Array],
+    weight_files: _WeightFiles,
 ) -> Node:
     """Return a node of an ONNX graph as an operation with named inputs and outputs.
 
@@ -253,6 +320,7 @@ def _build_node(
         node: ONNX node (protobuf message).
         number: Number of the node, which names a node without a name.
         constants: {name: value}; the value of a Constant is added.
+        weight_files: Files of weights beside the file.
 
     Raises:
         ModelError: If the operator is not supported.
@@ -266,7 +334,7 @@ def _build_node(
         attribute = gather_fields(message)
         key = get_text(attribute, 1)
         if 5 in attribute:
-            attributes[key] = _read_tensor(path, attribute[5][0])[1]
+            attributes[key] = _read_tensor(path, attribute[5][0], weight_files)[1]
         elif 3 in attribute:
             attributes[key] = decode_integers(attribute[3])[0]
         elif 8 in attribute:

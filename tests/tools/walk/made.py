@@ -18,6 +18,15 @@ def tensor(name: str, values: Any, dims: tuple[int, ...] | None = None) -> bytes
     return sizes + field(2, 1) + field(8, name) + field(9, array.tobytes())
 
 
+def external_tensor(name: str, values: Any, location: str, **entries: int) -> bytes:
+    """A tensor whose numbers are in another file: ``offset`` and ``length`` in bytes."""
+    array = np.asarray(values, dtype="<f4")
+    data = b"".join(field(1, size) for size in array.shape) + field(2, 1) + field(8, name)
+    for key, text in {"location": location, **entries}.items():
+        data += field(13, field(1, key) + field(2, str(text)))
+    return data + field(14, 1)
+
+
 def node(kind: str, inputs: tuple[str, ...], outputs: tuple[str, ...], **given: Any) -> bytes:
     data = b"".join(field(1, one) for one in inputs) + b"".join(field(2, one) for one in outputs)
     data += field(3, f"{kind}-{outputs[0]}") + field(4, kind)

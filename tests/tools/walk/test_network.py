@@ -177,6 +177,46 @@ def test_onnx_graph_equals_plain_loops(tmp_path: Path) -> None:
     assert found[0] == pytest.approx(product(hidden, *two), abs=ALIKE)
 
 
+def make_external_graph(location: str, numbers: np.ndarray, **entries: int) -> bytes:
+    """y = obs W, with W in another file behind 8 other bytes."""
+    given = {"offset": 8, "length": 4 * numbers.size} | entries
+    tensors = [made.external_tensor("W", numbers, location, **given)]
+    ends = [made.value("obs", 1, 6)], [made.value("y", 1, 5)]
+    return made.onnx([made.node("MatMul", ("obs", "W"), ("y",))], tensors, *ends)
+
+
+def test_weights_in_a_file_beside_the_onnx_file_equal_onnxruntime(tmp_path: Path) -> None:
+    runtime = pytest.importorskip("onnxruntime")
+    numbers = np.random.default_rng(7).normal(size=(6, 5)).astype("<f4")
+    (tmp_path / "made.onnx.data").write_bytes(b"\xff" * 8 + numbers.tobytes())
+    network = read_graph(make_external_graph("made.onnx.data", numbers), tmp_path)
+    assert network.files == (tmp_path / "made.onnx.data",)
+    session, row = runtime.InferenceSession(tmp_path / "made.onnx"), rows(1, 6).astype(np.float32)
+    assert network.forward(row.astype(float))[0] == pytest.approx(
+        session.run(None, {"obs": row})[0], abs=ALIKE
+    )
+
+
+@pytest.mark.parametrize(
+    ("location", "entries", "message"),
+    [
+        ("other.data", {}, "copy it from the export"),
+        ("../made.onnx.data", {}, "below the folder of the policy"),
+        ("/etc/hostname", {}, "below the folder of the policy"),
+        ("made.onnx.data", {"offset": 12}, "end at byte 132, the file has 128"),
+        ("made.onnx.data", {"length": 116}, "sizes do not fit"),
+        ("made.onnx.data", {"offset": -8}, "below the folder of the policy"),
+    ],
+)
+def test_file_of_weights_that_does_not_fit_is_refused(
+    location: str, entries: dict[str, int], message: str, tmp_path: Path
+) -> None:
+    numbers = np.ones((6, 5), "<f4")
+    (tmp_path / "made.onnx.data").write_bytes(b"\xff" * 8 + numbers.tobytes())
+    with pytest.raises(ModelError, match=message):
+        read_graph(make_external_graph(location, numbers, **entries), tmp_path)
+
+
 def get_refusal(layers: list[dict[str, Any]]) -> str:
     with pytest.raises(ModelError) as caught:
         read(layers)
