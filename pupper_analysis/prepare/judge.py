@@ -181,7 +181,7 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
     None if a contact point has friction, if there are no contact points, or if the robot has a
     weld or a fixed base.
     """
-    if not feet or robot.welds or robot.is_base_fixed:
+    if not feet or robot.fixed_parts or robot.is_base_fixed:
         return None
     if any(robot.contacts[foot].sliding_friction > 0 for foot in feet):
         return None

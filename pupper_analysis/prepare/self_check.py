@@ -135,7 +135,7 @@ def compare_as_published(
     loaded = get_loaded_robot(robot)
     if not (loaded.floating or stand.stance_feet):  # in a posture
         return _compare_in(loaded, stand, gains)
-    if robot.published.loaded is not None or robot.welds or not stand.task.ground.is_level:
+    if robot.published.loaded is not None or robot.fixed_parts or not stand.task.ground.is_level:
         if gains is None:
             return loaded.compute_once(compare_nominal_stand)
         return _compare_nominal(loaded, gains)

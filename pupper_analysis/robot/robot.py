@@ -139,7 +139,7 @@ _LIMIT_FIELDS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "e
 it."""
 
 _CACHED_ATTRIBUTES = (
-    "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "welds",
+    "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "fixed_parts",
     "grips", "collision_model", "_cache",
 )  # fmt: skip
 """Cached attributes that are not pickled, because recomputation is faster."""
@@ -189,8 +189,8 @@ class Touching:
         radius: Radius [m] of the sphere; None for the largest sphere inside the shapes of the hand,
             or 1 cm outside of all shapes.
         force: Prescribed normal force [N]; None if it follows from balance.
-        welded: Whether the part is fixed to the world by a weld or grip, and does not collide with
-            fixed bodies.
+        is_fixed: Whether the part is fixed to the world by a weld or grip, and does not collide
+            with fixed bodies.
         grip: Maximum force [N] of a grip, which fixes a point and permits rotation; None for a
             contact or weld.
     """
@@ -199,7 +199,7 @@ class Touching:
     offset: tuple[float, float, float] | None = None
     radius: float | None = None
     force: float | None = None
-    welded: bool = False
+    is_fixed: bool = False
     grip: float | None = None
 
 
@@ -389,17 +389,16 @@ class Robot(EngineModels):
         )
 
     @cached_property
-    def welds(self) -> Mapping[str, str | None]:
-        """First contact point of each part that is welded to the world or grips it.
+    def fixed_parts(self) -> Mapping[str, str | None]:
+        """``{welded or gripping part: its first contact point}``; a task fixes them in the world.
 
-        A stand task can weld a part (a foot, a link or the base), or let the part grip. The keys
-        are the names of the welded parts, then of the gripping parts (``grips``). The value is None
-        for a part without contact point, such as the base.
+        The part is a foot, a link or the base. The gripping parts (``grips``) follow the welded
+        parts. The contact point is None for a part without one, such as the base.
         """
         welded = (
             name
             for name, properties in self.touching.items()
-            if properties.welded and properties.grip is None
+            if properties.is_fixed and properties.grip is None
         )
         names = (*welded, *self.grips)
         return FrozenDict({name: next(iter(self.feet.get(name, ())), None) for name in names})
@@ -419,12 +418,12 @@ class Robot(EngineModels):
 
         A grip is no weld: it permits rotation, and its force is limited.
         """
-        return len(self.welds) > len(self.grips)
+        return len(self.fixed_parts) > len(self.grips)
 
     @property
     def is_base_fixed(self) -> bool:
         """True if the base is fixed to the world, by the model or by a weld of a task."""
-        return not self.floating or None in self.welds.values()
+        return not self.floating or None in self.fixed_parts.values()
 
     @cached_property
     def has_floor(self) -> bool:
@@ -444,7 +443,7 @@ class Robot(EngineModels):
             return ()
         if not self.touching:
             return self.contact_points
-        welded_points = {point for name in self.welds for point in self.feet.get(name, ())}
+        welded_points = {point for name in self.fixed_parts for point in self.feet.get(name, ())}
         return tuple(point for point in self.contact_points if point not in welded_points)
 
     @property
@@ -627,7 +626,7 @@ class Robot(EngineModels):
         Raises:
             ConfigurationError: If the robot has welds or grips.
         """
-        if self.welds:
+        if self.fixed_parts:
             problem = diagnose("robot-is-welded", robot=self.name, what=Term(what))
             raise ConfigurationError("contacts", problem)
 

@@ -56,7 +56,7 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     Raises:
         ModelError: If the MJCF has not enough unused bits of ``contype``.
     """
-    if ground.is_level and not robot.welds:
+    if ground.is_level and not robot.fixed_parts:
         return robot
     spec = robot.description.mjcf.copy()
     if not ground.is_level:
@@ -71,7 +71,7 @@ def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
     Contacts of the part with the world and with bodies fixed to it are excluded.
     """
     model, tree = robot.mj_model, SpecTree(spec)
-    for name, point in robot.welds.items():
+    for name, point in robot.fixed_parts.items():
         body = model.body(robot.mj_base if point is None else robot.contact_places[point][0]).name
         kind = mujoco.mjtEq.mjEQ_CONNECT if name in robot.grips else mujoco.mjtEq.mjEQ_WELD
         weld = spec.add_equality(name=weld_name(name), type=kind, name1=body)
@@ -105,7 +105,7 @@ def close_welds(
         pushes: {welded or gripping part: generalised force (nv,) [N, N m] of the weld on the
             robot, in the order of qvel}.
     """
-    welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
+    welds = {name: model.equality(weld_name(name)).id for name in robot.fixed_parts}
     if not welds:
         return
     data = mujoco.MjData(model)
@@ -139,7 +139,7 @@ def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dic
     Returns:
         {foot or link: force, shape (3,) [N], in world axes}.
     """
-    welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
+    welds = {name: model.equality(weld_name(name)).id for name in robot.fixed_parts}
     return {name: data.efc_force[_find_rows(data, weld_id)[:3]] for name, weld_id in welds.items()}
 
 

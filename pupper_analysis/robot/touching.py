@@ -108,7 +108,7 @@ def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
     """
     if isinstance(contact, Weld):
         _require_hand(name, not foot or not any(contact.offset), "offset")
-        return Touching(offset=None if foot else contact.offset, welded=True)
+        return Touching(offset=None if foot else contact.offset, is_fixed=True)
     _require_hand(
         name, not foot or not (any(contact.offset) or contact.radius is not None), "offset, radius"
     )
@@ -138,7 +138,7 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
         for name, touching in properties.items()
         if touching.offset is not None
     }
-    fixed = [name for name, tool in tools.items() if properties[name].welded and not tool.chain]
+    fixed = [name for name, tool in tools.items() if properties[name].is_fixed and not tool.chain]
     hands = {
         name: touching
         for name, touching in properties.items()
@@ -149,7 +149,7 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
         others = (
             touching
             for touching in last_joints
-            if last_joints[touching] == joint and touching != name and properties[touching].welded
+            if last_joints[touching] == joint and touching != name and properties[touching].is_fixed
         )
         for other_name in others:
             raise ConfigurationError(
@@ -247,7 +247,7 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
         radius = touching.radius or _inscribed_radius(robot, tool)
         size = Quantity(radius, "m")
         reason = diagnose("hand-touches-by-ball", name=name, radius=size)
-        notes += [] if touching.welded else [reason]
+        notes += [] if touching.is_fixed else [reason]
         added.append(Ball(reason, frame, body, radius, tuple(place.tolist()), model_geom))
         added.append(
             DisabledContacts(reason, (frame,))

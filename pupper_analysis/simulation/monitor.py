@@ -117,7 +117,7 @@ class StandReference:
         low = min((feet[foot][2] - robot.contact_radius[foot] for foot in feet), default=0.0)
         com_offset = base_rotation.T @ (com - qpos[:3])
         com_height = float(com[2] - low)
-        if robot.welds:  # the welded part may be above the base
+        if robot.fixed_parts:  # the welded part may be above the base
             com_height = float(np.linalg.norm(com - qpos[:3])) + robot.stand_height
         return cls(
             robot,
@@ -475,7 +475,7 @@ def record_contacts(
     surfaces: dict[str, Diagnostic | None] = {}
     unloaded: dict[str, float] = {}
     torques = np.zeros(robot.nu)
-    total = {name: np.zeros(3) for name in (*robot.feet, *robot.welds)}
+    total = {name: np.zeros(3) for name in (*robot.feet, *robot.fixed_parts)}
     carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.contact_points}
     count, touching, pressed = 0, set[tuple[str, str]](), set[tuple[str, str]]()

@@ -100,7 +100,7 @@ def make_stand_start(
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
     drive, torques = model_with_servos(robot, kp, kd, integrator), prediction.joint_torques
-    if robot.welds:
+    if robot.fixed_parts:
         close_welds(
             robot, drive.model, stand.qpos, weld_generalized_forces(robot, stand, prediction)
         )
@@ -164,7 +164,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         return float(normal @ generalized_force[robot.mj_convention.qvel_index[:3]])
 
     # Deep feet on walls hold the robot by friction alone; a fixed robot cannot be lowered.
-    if robot.is_base_fixed or robot.welds or (on_planes and any(stand.depths.values())):
+    if robot.is_base_fixed or robot.fixed_parts or (on_planes and any(stand.depths.values())):
         return rest_state(robot, drive, stand.qpos, data.ctrl)
     low, high = 0.0, _MIN_DROP
     while (over := compute_surplus_force(high)) <= 0 and high < _MAX_DROP:

@@ -266,7 +266,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     ]
     return bool(
         statics.com_margin < _MIN_MARGIN_RATIO * com_displacement
-        or (not robot.welds and min(loads) < _MIN_LOAD_RATIO * sum(loads) / len(loads))
+        or (not robot.fixed_parts and min(loads) < _MIN_LOAD_RATIO * sum(loads) / len(loads))
         or bool((statics.motor_utilisation > _MAX_UTILISATION).any())
         or max(statics.friction_utilisation.values(), default=0.0) > _MAX_UTILISATION
         or min(limit_distances, default=math.inf) < _MIN_LIMIT_DISTANCE
@@ -294,7 +294,7 @@ def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
 
     For a robot with welds, the stand height of the robot.
     """
-    if robot.welds:
+    if robot.fixed_parts:
         return robot.stand_height
     com = Configuration(robot, stand.qpos).center_of_mass()
     return float(com[2] - np.mean(list(stand.contact_points.values()), axis=0)[2])
@@ -523,7 +523,7 @@ class _NudgedRun:
             ],
             dtype=bool,
         ).reshape(raised.shape) & (raised > MAX_FOOT_LIFT)
-        is_lifted &= not robot.welds
+        is_lifted &= not robot.fixed_parts
         efforts, torques_of_samples = conditions.efforts, np.array(torques)
         is_saturated = (torques_of_samples < efforts[:, 0]) | (torques_of_samples > efforts[:, 1])
         angles = conditions.joint_positions(samples)
@@ -587,7 +587,7 @@ class _NudgedRun:
         if motion is None:
             return False
         feet, _, torques = conditions.sample(self.state)
-        if not conditions.carrying <= feet and not robot.welds:
+        if not conditions.carrying <= feet and not robot.fixed_parts:
             return False
         angles = conditions.joint_positions(self.state)
         dofs = robot.mj_convention.qvel_index[6:]

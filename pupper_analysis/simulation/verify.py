@@ -80,7 +80,9 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
         point = centres[foot] + contact_offset(radius, stand.normals[foot], depth)
         mujoco.mj_jac(model, data, jacobian, None, point, robot.contact_places[foot][0])
         remainder -= jacobian.T @ prediction.contact_forces[foot]
-    for push in weld_generalized_forces(robot, stand, prediction).values() if robot.welds else ():
+    for push in (
+        weld_generalized_forces(robot, stand, prediction).values() if robot.fixed_parts else ()
+    ):
         remainder[robot.mj_convention.qvel_index] -= push
     joints = robot.mj_convention.qvel_index[-robot.nu :]
     if robot.closure is not None:
@@ -283,7 +285,7 @@ def verify_stand(
     predicted = robot.per_foot(prediction.contact_forces)
     normals = stand.lift_directions(robot)
     total_load = sum(force[2] for force in predicted.values())
-    if robot.welds:  # a weld may carry more than the weight, or pull down
+    if robot.fixed_parts:  # a weld may carry more than the weight, or pull down
         total_load = robot.weight
     force_scale = MIN_FORCE_SCALE * total_load
     shares = {foot: float(force @ normals[foot]) / total_load for foot, force in predicted.items()}

@@ -390,7 +390,7 @@ class ClearanceShapes:
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # {joint: foot}
-        is_base_placed = not robot.floating or None in robot.welds.values()
+        is_base_placed = not robot.floating or None in robot.fixed_parts.values()
         flat = {""} if is_base_placed else set[str]()
         for foot, frame in robot.contact_frames.items():
             number = model.getFrameId(frame, pin.FrameType.BODY)

@@ -401,7 +401,7 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     of the base, so that no search is needed. False on a slope and for robots with a weld, which are
     not tested. Steps are not tested either.
     """
-    if goal.task.ground.slope or shapes.robot.welds:
+    if goal.task.ground.slope or shapes.robot.fixed_parts:
         return False
     qpos = shapes.robot.home.copy()
     qpos[:7] = 0.0, 0.0, goal.height, *goal.base_quaternion

@@ -73,8 +73,8 @@ def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
         stand: Stand.
     """
     kept = [*keep_points(robot, {foot: stand.foot_targets[foot] for foot in stand.stance_feet})]
-    at = Configuration(robot, stand.qpos) if robot.welds else None
-    for name, point in robot.welds.items():
+    at = Configuration(robot, stand.qpos) if robot.fixed_parts else None
+    for name, point in robot.fixed_parts.items():
         assert at is not None
         frame = robot.base if point is None else robot.contact_frames[point]
         kind = "grip" if name in robot.grips else "weld"
@@ -144,7 +144,7 @@ def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
 
 def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
     """Return the contact points that neither carry load nor are welded in a stand."""
-    fixed = {point for name in robot.welds for point in robot.feet.get(name, ())}
+    fixed = {point for name in robot.fixed_parts for point in robot.feet.get(name, ())}
     return tuple(
         point
         for point in robot.contact_points

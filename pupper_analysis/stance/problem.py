@@ -360,10 +360,10 @@ def feet_centre(
         contact_by_foot: {stance point: position of the contact, shape (3,) [m]}.
         targets: {contact point: target of the sphere centre, shape (3,) [m]}.
     """
-    if robot.welds:
+    if robot.fixed_parts:
         if len(robot.hands) == len(robot.feet):
             return np.array([*robot.home[:2], 0.0])
-        held = (point for foot in robot.welds for point in robot.feet.get(foot, ()))
+        held = (point for foot in robot.fixed_parts for point in robot.feet.get(foot, ()))
         radius = robot.contact_radius
         contact_by_foot = {
             **contact_by_foot,
@@ -479,7 +479,7 @@ def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]
 def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     """Check robot and names of a task, and return the contact points that carry load."""
     robot.check_floating()
-    if not (robot.contact_points or robot.welds):
+    if not (robot.contact_points or robot.fixed_parts):
         raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))
     if not robot.gravity[2] < 0:
         gravity = Vector(tuple(robot.gravity), "m/s^2")
@@ -490,7 +490,7 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
         robot.points_of(foot)
     swinging = {point for foot in task.swing for point in robot.feet[foot]}
     stance_feet = tuple(foot for foot in robot.bearing_points if foot not in swinging)
-    if robot.welds:
+    if robot.fixed_parts:
         return stance_feet
     if len(robot.contact_points) < 3:
         raise ConfigurationError(

@@ -43,7 +43,7 @@ class Contacts:
             the world frame.
         soles: For each foot of the robot that carries load, the names in ``feet`` that belong to
             it.
-        welds: For each welded or gripping part, a contact point on the part; None for the base. The
+        fixed_parts: {welded or gripping part: contact point on the part; None for the base}. The
             last len(``grips``) entries are grips.
         stated: Contact forces that the task prescribes: shape (k, n), 1.0 where a contact belongs
             to a group, and shape (k,), the total normal force of each group in units of the robot's
@@ -60,7 +60,7 @@ class Contacts:
     friction: Array
     offsets: Array
     soles: Mapping[str, tuple[str, ...]]
-    welds: Mapping[str, str | None] = field(default_factory=dict)
+    fixed_parts: Mapping[str, str | None] = field(default_factory=dict)
     stated: tuple[Array, Array] | None = None
     weight: float = 0.0
     grips: Array = field(default_factory=lambda: np.zeros(0))
@@ -88,12 +88,12 @@ class Contacts:
             weld holds any CoM. Otherwise minus infinity if a horizontal coordinate of ``place`` is
             not finite.
         """
-        if len(self.welds) > len(self.grips):
+        if len(self.fixed_parts) > len(self.grips):
             return math.inf
         x, y, *_ = place.tolist()
         grips = None
-        if self.welds:
-            grip_points = config.foot_centres([str(point) for point in self.welds.values()])
+        if self.fixed_parts:
+            grip_points = config.foot_centres([str(point) for point in self.fixed_parts.values()])
             grips = np.column_stack([grip_points, self.grips / self.weight])
         if (
             self.is_level and self.stated is None and grips is None
@@ -137,7 +137,7 @@ class Contacts:
         """
         twists = config.foot_twist_jacobians(self.feet).reshape(-1, self.nv)
         contacts = (self._twist_to_velocity @ twists).T
-        if not self.welds:
+        if not self.fixed_parts:
             return contacts
         return np.hstack([contacts, *self.weld_columns(config).values()])
 
@@ -150,10 +150,10 @@ class Contacts:
         """
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()
-        sizes = [6] * (len(self.welds) - len(self.grips)) + [3] * len(self.grips)
+        sizes = [6] * (len(self.fixed_parts) - len(self.grips)) + [3] * len(self.grips)
         return {
             name: (base if point is None else config.foot_twist_jacobians((point,))[0]).T[:, :size]
-            for (name, point), size in zip(self.welds.items(), sizes, strict=True)
+            for (name, point), size in zip(self.fixed_parts.items(), sizes, strict=True)
         }
 
     @functools.cached_property
@@ -253,7 +253,7 @@ def _make_contacts(
     if not feet:
         empty = np.zeros((0, 3))
         free, no_friction = robot.nv - robot.nu, np.zeros(0)
-        contacts = Contacts(robot.nv, free, feet, empty, no_friction, empty, {}, robot.welds)
+        contacts = Contacts(robot.nv, free, feet, empty, no_friction, empty, {}, robot.fixed_parts)
         return replace(contacts, weight=robot.weight, grips=grips)
     for values in (normals, depths, friction):
         for foot in values if isinstance(values, Mapping) else ():
@@ -278,7 +278,7 @@ def _make_contacts(
             radii, unit_normals, [(depths or {}).get(foot, 0.0) for foot in feet]
         ),
         soles={foot: names for foot, names in soles.items() if names},
-        welds=robot.welds,
+        fixed_parts=robot.fixed_parts,
         stated=prescribed_forces(robot, feet),
         weight=robot.weight if robot.touching else 0.0,
         grips=grips,

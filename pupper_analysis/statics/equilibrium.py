@@ -309,7 +309,7 @@ def balance_load(
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     robot, criterion = config.robot, to_distribution(distribution)
-    if not (carrying.feet or carrying.welds):
+    if not (carrying.feet or carrying.fixed_parts):
         check_loops(config, load)
         motor_load = config.transfer_to_motors(load)
         return _make_result(config, motor_load, motor_load, carrying, np.zeros(0))
@@ -498,7 +498,7 @@ def _solve_minimum_tangential(
     friction: Array | None,
 ) -> Array | None:
     """Compute the forces of `ForceDistribution.MIN_TANGENTIAL`, or None if infeasible."""
-    if carrying.welds:
+    if carrying.fixed_parts:
         normal_only = problem.solve_normal_only()
         if normal_only is not None or not carrying.grips.size:
             return normal_only
@@ -605,17 +605,17 @@ def _make_result(
     """
     robot, free = config.robot, carrying.free
     torques = remainder[free:].copy()
-    is_hanging = not (carrying.feet or carrying.welds)
+    is_hanging = not (carrying.feet or carrying.fixed_parts)
     base_wrench = load[:free] if is_hanging else np.zeros(free)
     unbalanced = [0.0] * free if is_hanging else remainder[:free].tolist()
     wrenches: Mapping[str, Array] = _NO_WELDS
-    if carrying.welds:
+    if carrying.fixed_parts:
         weld_part = forces[carrying.normals.size :]
         welds = weld_part[: weld_part.size - 3 * len(carrying.grips)].reshape(-1, 6)
         grips = weld_part[welds.size :].reshape(-1, 3)
         rows = np.vstack([welds, np.hstack([grips, 0.0 * grips])])
         rows.setflags(write=False)
-        wrenches = FrozenDict(zip(carrying.welds, rows, strict=True))
+        wrenches = FrozenDict(zip(carrying.fixed_parts, rows, strict=True))
         forces = forces[: carrying.normals.size]
     forces = forces.reshape(-1, 3)
     utilisation = compute_utilisation(robot, torques)
@@ -753,7 +753,7 @@ def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibl
 
     if not carrying.grips.size or not holds(_UNLIMITED_FRICTION):
         return None
-    names, factor = [*carrying.welds][-len(carrying.grips) :], _find_threshold(holds)
+    names, factor = [*carrying.fixed_parts][-len(carrying.grips) :], _find_threshold(holds)
     needed = [
         diagnose("grip-needs", name=name, force=Quantity(_round_up(factor * grip), "N"))
         for name, grip in zip(names, carrying.grips.tolist(), strict=True)

@@ -109,7 +109,7 @@ def compute_least_torque(
     """
     model, points = robot.mj_model, list(stand.stance_feet)
     (data, rows), order = contact_rows(robot, stand), robot.mj_convention.qvel_index
-    for point in robot.welds.values():
+    for point in robot.fixed_parts.values():
         body = model.body(robot.mj_base).id if point is None else robot.contact_places[point][0]
         both = np.zeros((2, 3, model.nv))
         mujoco.mj_jacBody(model, data, both[0], both[1], body)

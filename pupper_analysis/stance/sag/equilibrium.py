@@ -239,7 +239,7 @@ class EquilibriumScales:
     def from_stand(robot: Robot, stand: Stand) -> EquilibriumScales:
         """Return the weight [N] and height [m] that scale the equations of a robot in a stand."""
         weight = robot.usual_weight
-        if robot.is_base_fixed or robot.welds:
+        if robot.is_base_fixed or robot.fixed_parts:
             length = robot.stand_height or float(robot.mj_model.stat.extent)
             return EquilibriumScales(weight, length, 3 if robot.floating else 0)
         lowest = min(float(stand.foot_targets[foot][2]) for foot in stand.stance_feet)
@@ -399,8 +399,10 @@ class SagEquilibrium:
         }
         self._joints = np.arange(robot.nv - robot.nu, robot.nv)
         # If only the base is welded, its six equations are replaced by identities.
-        self._num_welded_rows = 6 if [*robot.welds.values()] == [None] else 0
-        self._welds = Welds(robot, stand) if robot.welds and not self._num_welded_rows else None
+        self._num_welded_rows = 6 if [*robot.fixed_parts.values()] == [None] else 0
+        self._welds = (
+            Welds(robot, stand) if robot.fixed_parts and not self._num_welded_rows else None
+        )
 
     def depths(self, places: Array) -> dict[str, float]:
         """Compute the penetration of each contact point: {point: [m]}; negative above the ground.
@@ -839,7 +841,7 @@ class Welds:
     def __init__(self, robot: Robot, stand: Stand) -> None:
         self._contacts, config = stand_contacts(robot, stand), Configuration(robot, stand.qpos)
         frames = (
-            robot.contact_frames.get(str(point), robot.base) for point in robot.welds.values()
+            robot.contact_frames.get(str(point), robot.base) for point in robot.fixed_parts.values()
         )
         self._poses = [
             (frame, config.frame_position(frame), config.frame_rotation(frame)) for frame in frames

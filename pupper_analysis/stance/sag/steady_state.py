@@ -156,7 +156,7 @@ def compute_smallest_stiffness(
     if system.feet == "sliding":  # translations and yaw of the whole robot are ignored
         held = np.eye(3, n)
         held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
-    if system.robot.welds:
+    if system.robot.fixed_parts:
         held = np.vstack([held, system.weld_rows(solution.qpos)])
     _, lengths, rows = np.linalg.svd(held)
     least = max(held.shape) * np.finfo(float).eps * lengths.max(initial=0.0)
@@ -238,7 +238,7 @@ class HomotopyPath:
         forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
         sunk = system.equilibrium_depths(np.array(list(forces.values())).reshape(-1, 3))
         qpos = stand.qpos.copy()
-        if not (system.robot.is_base_fixed or system.robot.welds):
+        if not (system.robot.is_base_fixed or system.robot.fixed_parts):
             qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
         self._set_command(0.0)
         when = diagnose("as-it-stands-fed")
@@ -601,7 +601,7 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
     """
-    stands = robot.is_base_fixed or robot.welds or (robot.floating and robot.contacts)
+    stands = robot.is_base_fixed or robot.fixed_parts or (robot.floating and robot.contacts)
     if not stands or (stand.stance_feet and not robot.floating) or len(stand.qpos) != robot.nq:
         raise ConfigurationError("robot", diagnose("robot-cannot-stand", robot=robot.name))
     for foot in stand.foot_targets:
@@ -727,7 +727,9 @@ def find_sag_failure(
         pose = steady_state(robot, stand, kp=kp, feet=feet)
     except NoEquilibriumError as error:
         return error.diagnostic
-    if pose.base_height <= 0.5 * float(stand.qpos[2]) and not (robot.is_base_fixed or robot.welds):
+    if pose.base_height <= 0.5 * float(stand.qpos[2]) and not (
+        robot.is_base_fixed or robot.fixed_parts
+    ):
         return diagnose("base-sags", height=Quantity(pose.base_height, "m"))
     if len(pose.failures) > 1:
         return diagnose("failures-together", failures=pose.failures)

@@ -146,7 +146,9 @@ def _run_search(
 ) -> StanceSearch:
     """Run the search of `best_stance`, with its arguments, and return the finished search."""
     robot = with_contacts(robot, task.contacts) if task is not None else robot
-    if not robot.welds:  # an arm is told to use hold, rather than that its fingers are coupled
+    if (
+        not robot.fixed_parts
+    ):  # an arm is told to use hold, rather than that its fingers are coupled
         robot.check_floating()
     robot.check_tree("the best stance")
     search = StanceSearch(robot, _parse_objective(objective), task, point, kp)

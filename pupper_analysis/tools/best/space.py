@@ -327,7 +327,7 @@ class StanceSpace:
             task has closed loops, hands, welds or contacts with separate planes.
         """
         robot, task = self.robot, stand.task
-        if robot.closure is not None or robot.hands or robot.welds or task.contacts:
+        if robot.closure is not None or robot.hands or robot.fixed_parts or task.contacts:
             return None
         points, count = robot.contact_points, len(BASE_COORDINATES)
         shifts = np.zeros((len(points), 3, len(self.names)))

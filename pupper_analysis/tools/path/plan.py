@@ -289,11 +289,11 @@ def stance_path(
         StanceUnreachableError: If a sample is out of reach. The error states the time.
         StaticsInfeasibleError: If a sample cannot be held at this speed. The error states the time.
     """
-    if not robot.welds:
+    if not robot.fixed_parts:
         robot.check_floating()
     robot.check_tree("a path")
     per_segment = _count_samples(seconds, rate, stances)
-    if robot.welds or any(task.contacts for task in stances):
+    if robot.fixed_parts or any(task.contacts for task in stances):
         raise ConfigurationError("contacts", diagnose("no-path-with-contacts"))
     if any(task.offset is not None for task in stances):
         raise ConfigurationError("offset", diagnose("no-path-with-offsets"))

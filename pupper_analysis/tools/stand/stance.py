@@ -215,7 +215,7 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
     """
     robot = stand.check(robot)
     carrying = replace(stand_contacts(robot, stand), stated=None)
-    if robot.welds:
+    if robot.fixed_parts:
         return ()
     config, limits = Configuration(robot, stand.qpos), robot.effort_limits
     load, transposed = map(
