@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 _SIMILARITY_TOLERANCE = 0.05
 """Tolerance for similar limbs: of masses, relative to the larger mass; of distances between joints,
 relative to the length of the limb; of |cos| between axes, absolute. Left and right limbs of
-published robots agree within 1 %. Masses or dimensions must agree, but not both, because a single
+published robots agree within 1 %. Equal masses or equal dimensions are sufficient, because a single
 wrong value affects only one of the two."""
 
 

@@ -68,11 +68,11 @@ def build_robot(
         fixed_base: Whether to fix a free base to the world at the pose in the MJCF; contacts with
             the ground are then disabled.
         foot_depth: Distance [m] of the feet below the hips in the nominal stand. By default, the
-            lowest foot of the keyframe ``home`` touches the ground.
+            lowest foot touches the ground in the configuration ``Robot.home``.
 
     Raises:
-        ModelError: If a model cannot be built, the joints are not supported or differ from the
-            joints of the other model, or a contact point has no geom.
+        ModelError: If a model cannot be built or contains a flexible body, the joints are not
+            supported or differ from the joints of the other model, or a contact point has no geom.
         UnknownNameError: If the frame of a foot is missing in a model.
     """
     mj_model, keyframe, added = _compile_mujoco_model(description, fixed_base)

@@ -2,8 +2,7 @@
 
 A URDF is a tree, and can only express ``<mimic>``. MuJoCo's residuals phi(q) are zero if the loops
 are closed (constraint violations otherwise). With the Jacobian A of phi, A qvel = 0, and the
-constraints exert A^T lambda. The
-dependent joints F have no motor and carry no torque:
+constraints exert A^T lambda. The dependent joints F have no motor and carry no torque:
 
     0 = x_F - A_F^T lambda,    x' = x - A^T lambda
 
@@ -135,8 +134,8 @@ class Closure:
     def jacobian(self, qpos: Array) -> Array:
         """Return the derivatives of ``residual`` by the joint positions, shape (m, nu).
 
-        ``residual`` contains the violations of the equality constraints that close loops.
-        Columns are in actuator order. The pose of the base does not affect the violations.
+        Columns are in actuator order; those of joints outside of loops and couplings are zero. The
+        pose of the base does not affect the violations.
 
         Args:
             qpos: Configuration, shape (nq,).

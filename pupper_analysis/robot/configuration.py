@@ -708,7 +708,8 @@ def _check_reference(reference: str) -> pin.ReferenceFrame:
 
 _DIFFERENCE_STEP = 1e-6
 """Step of the central differences of passive forces [rad, m]. The forces are smooth: springs are
-linear or polynomial, and gravity compensation varies with sines of the angles."""
+linear or polynomial, and gravity compensation varies with sines of the angles. Chosen, not
+tuned."""
 
 
 class AtRest:

@@ -41,7 +41,7 @@ def normalise_quaternion(qpos: Array) -> None:
     """Normalise the quaternion of a free base, in place.
 
     Raises:
-        ConfigurationError: If the quaternion is zero.
+        ConfigurationError: If the quaternion is zero (norm below 1e-9).
     """
     norm = math.hypot(*qpos[3:7].tolist())
     if norm < 1e-9:

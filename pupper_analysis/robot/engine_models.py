@@ -51,7 +51,7 @@ class EngineModels:
 
         @property
         def shapes(self) -> tuple[CarriedShape, ...]:
-            """Collision shapes of the moving bodies in MuJoCo."""
+            """Collision shapes of the robot's MuJoCo model, including feet and a fixed base."""
 
     def pin_data(self) -> pin.Data:
         """Return new Pinocchio data of ``pin_model``."""

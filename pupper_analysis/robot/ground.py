@@ -35,7 +35,7 @@ Point = tuple[float, float]
 
 _DEFAULT_ANGLE = 0.0
 """Default of slope and uphill direction [rad]. The constructor skips its checks if both fields are
-this object (``is``, not ``==``), because level ground is the usual case."""
+this object (``is``, not ``==``) and there are no steps: level ground is the usual case."""
 
 
 class Step(NamedTuple):

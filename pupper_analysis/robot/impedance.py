@@ -66,7 +66,7 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
 
 
 def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float, float]:
-    """Return the impedance d of a constraint, and the derivative [1/m, 1/rad].
+    """Return the impedance d of a constraint, and its derivative by abs(violation) [1/m, 1/rad].
 
     d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero d is the mean of both.
 

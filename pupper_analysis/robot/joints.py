@@ -139,7 +139,10 @@ def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, .
 
 
 def free_joints(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that move no foot and are in no loop or coupling, in actuator order."""
+    """Return the joints that move no foot or hand, and are in no loop or coupling.
+
+    The joints are in actuator order.
+    """
     model = robot.structure.model
     foot_or_coupled_joints = {
         model.names[joint]
@@ -153,7 +156,7 @@ def free_joints(robot: Robot) -> tuple[str, ...]:
 
 
 def _foot_joints(robot: Robot) -> set[str]:
-    """Return the names, in Pinocchio's model, of all joints between the world and a foot."""
+    """Return the names, in Pinocchio's model, of all joints between world and feet or hands."""
     model = robot.structure.model
     return {
         model.names[joint]
@@ -240,8 +243,9 @@ def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array,
     """Return the default posture of a robot with a fixed base, and the keyframe.
 
     The posture is the keyframe ``home``, or else the first keyframe, if the positions are within
-    the joint ranges. Otherwise each joint is at the middle of the range; a joint with an infinite
-    limit is at zero, or at the limit that is nearest to zero. Loops are not closed.
+    the joint ranges; excesses below `_KEYFRAME_ROUNDING` are clipped. Otherwise each joint is at
+    the middle of the range; a joint with an infinite limit is at zero, or at the limit that is
+    nearest to zero. Loops are not closed.
 
     Args:
         robot: Robot with a fixed base.

@@ -24,7 +24,8 @@ def make_mujoco_spec(
     ground does not collide. A robot with a free base and without a floor gets a floor.
 
     Returns:
-        Spec; qpos of the keyframe ``home``, else of the first keyframe, else empty; notes.
+        Spec; qpos of the keyframe ``home`` (else of the first keyframe, else empty), in MuJoCo's
+        order and with the coordinates of a free joint that was removed; notes.
     """
     notes = []
     spec = description.mjcf.copy()

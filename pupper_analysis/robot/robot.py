@@ -151,7 +151,7 @@ class PublishedFile:
 
     Attributes:
         file: MJCF. None for a URDF without MJCF, and if the robot was loaded without changes.
-        keyframe: Requested keyframe.
+        keyframe: Requested keyframe; None if none was requested.
         imported: URDF without MJCF, for MuJoCo's importer.
         options: (name, value) of the requested MuJoCo options, which replace those of the file.
         loaded: Robot as loaded from the file, if this belongs to a robot that was changed later.
@@ -250,9 +250,9 @@ class Robot(EngineModels):
         base: Name of the base link (URDF).
         mj_base: Name of the base body (MJCF).
         joint_names: Joints in actuator order.
-        contact_points: Contact points of the feet; the keys of all dictionaries of contact forces.
-            A spherical foot has a single contact point with the name of the foot.
-        feet: {foot: contact points}; a flat foot has several on the same body.
+        contact_points: Contact points of feet and hands; the keys of all dictionaries of contact
+            forces. A spherical foot has a single contact point with the name of the foot.
+        feet: {foot or hand: contact points}, hands last; a flat foot has several on the same body.
         contact_frames: {contact point: frame in the URDF}.
         contact_places: {contact point: (body id in ``mj_model``, centre (3,) [m] of the sphere in
             the frame of the body)}.
@@ -418,7 +418,7 @@ class Robot(EngineModels):
 
         A grip is no weld: it permits rotation, and its force is limited.
         """
-        return len(self.fixed_parts) > len(self.grips)
+        return len(self.fixed_parts) > len(self.grips)  # the gripping parts are fixed parts, too
 
     @property
     def is_base_fixed(self) -> bool:
@@ -801,7 +801,7 @@ def acts_at_rest(model: mujoco.MjModel) -> bool:
 
 _NEGATIVE_MOMENT_RTOL = 1e-6
 """Largest negative moment of inertia that is attributed to rounding, relative to the largest moment
-of the body."""
+of the body. Chosen, not tuned."""
 
 
 def _check_bodies(robot: Robot) -> None:

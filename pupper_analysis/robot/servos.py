@@ -106,7 +106,8 @@ def make_position_commands(robot: Robot, positions: Array) -> Array:
     """Compute the ctrl (model.nu,) with which the servos of the robot's model hold joint positions.
 
     Motors that are no position servos are commanded 0, and servos that do not act on a single joint
-    are commanded not to exert a force. Unlike `Servos.command`, joints without motor are allowed.
+    are commanded not to exert a force. Joints without motor are allowed, unlike in
+    `model_with_servos`.
 
     Args:
         robot: Robot.

@@ -35,7 +35,7 @@ class CarriedShape:
         joint: Joint that moves the geom; "" for the base.
         form: Shape in the frame of the link.
         on_ground: Whether MuJoCo detects contacts of the geom with the ground; False if the geom is
-            fixed in the world.
+            fixed in the world, or the model has no ground plane.
     """
 
     geom: int

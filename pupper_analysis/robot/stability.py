@@ -50,11 +50,11 @@ SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value
 
 
 def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Return a copy of a state with separate memory.
+    """Return a copy of a state with separate memory, evaluated by ``mj_forward``.
 
     Args:
         model: MuJoCo model.
-        data: State.
+        data: State, of which all inputs of a step are copied (``mjSTATE_INTEGRATION``).
     """
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION.value))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
@@ -72,7 +72,8 @@ def step_derivative(
     Rows and columns are in the tangent space of (qpos, qvel, act), in MuJoCo's order.
 
     Args:
-        model: MuJoCo model. The tolerance of the solver is tightened during the call.
+        model: MuJoCo model. During the call, the tolerance of the solver is tightened, and sleeping
+            is disabled.
         data: State; not changed.
         difference: Step of the centred differences (m, rad, and their rates).
     """
@@ -256,7 +257,8 @@ class Stability(Result):
     Attributes:
         timestep: Time step (s).
         radius: Largest absolute eigenvalue of a step, with dry friction.
-        unstable: Modes that grow, fastest first. After ``confirm_growth``, modes that leave the
+        unstable: Modes that grow, fastest first; those that need the absence of dry friction, only
+            if they grow within ``HOLD_DURATION``. After ``confirm_growth``, modes that leave the
             state within ``HOLD_DURATION`` are confirmed by a simulation.
         least_damped: Decaying oscillation with the smallest damping ratio, with or without dry
             friction; None if no oscillation decays.

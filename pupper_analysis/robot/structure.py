@@ -59,7 +59,7 @@ class Structure:
         carried: Mask (nv, nv): whether coordinate i (row) is not before coordinate j (column) in
             the model, or both are rotations of the base. For two coordinates on one chain: whether
             j moves the axis of i.
-        total_mass: Mass [kg].
+        total_mass: Mass [kg] of all links, including those fixed to a fixed base.
         fixed: Mass that does not move (with a fixed base), relative to the total mass.
         lever: CoM (3,) [m] of the fixed mass.
     """

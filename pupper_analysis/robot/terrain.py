@@ -45,10 +45,11 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     - between the shapes of a hand and its plane, except the contact sphere, which they surround;
     - between a welded part and all of these geoms.
 
-    Welds to the world are initially inactive (see ``close_welds``).
+    Welds to the world are initially inactive (see ``close_welds``). On level ground without welds
+    and grips, the result is ``robot`` itself.
 
     Args:
-        robot: Robot whose MJCF has a floor.
+        robot: Robot whose MJCF has a floor; a missing floor is added.
         ground: Slope and steps.
         places: {contact point: sphere centre (3,) [m] in the world frame}, also of lifted feet,
             for rigid ground; determines the positions of the steps.
@@ -134,10 +135,10 @@ def close_welds(
 
 
 def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Array]:
-    """Return the force of the world on each part that a task welds to the world or lets grip a bar.
+    """Return the force of the world on each part that a task welds to the world or lets grip.
 
     Returns:
-        {foot or link: force, shape (3,) [N], in world axes}.
+        {foot, link or base: force, shape (3,) [N], in world axes}.
     """
     welds = {name: model.equality(weld_name(name)).id for name in robot.fixed_parts}
     return {name: data.efc_force[_find_rows(data, weld_id)[:3]] for name, weld_id in welds.items()}
@@ -201,7 +202,7 @@ of the foot follows after an underscore."""
 
 
 def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
-    """Return the constraint rows of an equality; translations before rotations."""
+    """Return the indices of the constraint rows of an equality; translations before rotations."""
     is_equality = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
     return np.flatnonzero(is_equality & (data.efc_id == equality))
 

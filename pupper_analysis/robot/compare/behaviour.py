@@ -140,8 +140,8 @@ def _is_robot_body(robot: Robot, reference: Reference) -> list[bool]:
 class Behaviour:
     """Evaluation of the quantities for multibody trees of a robot, in MuJoCo.
 
-    Trees with the same structure share a MuJoCo model. ``tools/crosscheck`` compares with
-    Pinocchio.
+    A tree with the structure of the tree before reuses the MuJoCo model of that tree.
+    ``tools/crosscheck`` compares with Pinocchio.
 
     Attributes:
         states: States of the evaluation.
@@ -201,7 +201,7 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
 
     Joint positions are uniform within the URDF's limits (without limits +-pi rad or m), torques
     within the effort limits (without limits +-1 N m or N), velocities normal with a standard
-    deviation of 1 (m/s, rad/s). The base has any orientation, and a position within +-1 m.
+    deviation of 1 (m/s, rad/s). A free base has any orientation, and a position within +-1 m.
     Positions and torques are also bounded by ``_MAX_JOINT_POSITION`` and ``_MAX_EFFORT``.
 
     Args:
@@ -241,7 +241,8 @@ nv^3 bytes, 0.26 GB for nv = 200 and 256 GB for nv = 2000.
 
 _MAX_STATE_BYTES: Final = 80e6
 """Maximum size of the mass matrices of all states in each of the five evaluations [bytes]. A robot
-with 306 degrees of freedom is compared at no more than 106 states, a robot with 1000 at 10."""
+with 306 degrees of freedom is compared at no more than 106 states, a robot with 1000 at 10. Chosen,
+not tuned."""
 
 _MIN_STATES: Final = 2
 """Smallest number of random states of a comparison, however large the robot is: a single state

@@ -111,6 +111,7 @@ DISABLE = mujoco.mjtDisableBit
 """MuJoCo's enumeration of disable flags."""
 
 Numbers = dict[str, float | list[float]]
+"""{attribute of an MJCF element, or array of ``mjModel``: value or values, in MuJoCo's units}."""
 
 _DISABLING_FLAGS = {
     "stiffness": (DISABLE.mjDSBL_SPRING,),

@@ -100,15 +100,17 @@ def find_conventions(
         offset = _find_zero_offset(first, second, name, tolerances)
         if offset and joint.parent == second.joints[name].parent:
             zeros[name] = offset
-    return Conventions(base, _is_base_displaced(first, second, tolerances), zeros)
+    return Conventions(base, _is_base_frame_confirmed(first, second, tolerances), zeros)
 
 
-def _is_base_displaced(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> bool:
-    """Return True if the base frames differ, and not only the zero angle of a joint on the base.
+def _is_base_frame_confirmed(
+    first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
+) -> bool:
+    """Return True if a displaced base frame could not be the displaced zero of a single joint.
 
-    With a single joint on the base, both may look alike. The base frames differ if several joints
-    are on the base, if both files state the mass of the base, or if the limits of the single joint
-    are equal and less than a full turn apart.
+    With a single joint on the base, both may look alike. The base frame is confirmed if several
+    joints are on the base, if both files state the mass of the base, or if the limits of the single
+    joint are equal and less than a full turn apart.
     """
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
