@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.fit.stands.plan import StandPlan
 
 
-_SHARED_OPTIONS = {one.name for one in fields(RobotOptions)} | {
+_SHARED_OPTIONS = {field.name for field in fields(RobotOptions)} | {
     *("words", "output", "priors", "kp", "everything"),
     *("style", "json_path", "report_path", "force"),
 }

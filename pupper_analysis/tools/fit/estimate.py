@@ -219,7 +219,8 @@ def estimate_parameters(
     step decreases the cost by at most ``min_decrease``, or after 60 steps. This occurs if joints
     stick and slip, since the cost of such a simulation has jumps. A stalled iteration still gives a
     result if the predicted decrease is below 1, or below 1 % of the cost; the covariance is then
-    widened by the outer product of the undamped step.
+    widened by the outer product of the undamped step. Otherwise the iteration continues from an
+    accepted step, up to 60 steps.
 
     The noise of residuals may depend on the parameters (encoder noise acts on torques by kp). It is
     evaluated at the last parameters, and not differentiated: otherwise the minimisation would

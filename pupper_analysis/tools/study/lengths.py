@@ -6,7 +6,8 @@ remains. With the unit vector u of the line, the factor s and A = 1 + (s - 1) u 
 become p' = A p. The density is constant, so that m' = s m, and the second moments become S' = s A S
 A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'. Links that are fixed to a stretched link are
 stretched as well. A shape with a principal axis along u is lengthened; any other primitive shape
-keeps its size and is moved, and a mesh without such an axis is refused.
+keeps its size and is moved, and a mesh without such an axis is refused. Both ends of a geom with
+``fromto`` are moved, whatever its axis.
 """
 
 from __future__ import annotations
@@ -313,7 +314,8 @@ def _stretch_geom(
 ) -> None:
     """Stretch a geom of the MJCF in place: points p of the body frame [m] move to A p + b.
 
-    Spheres keep their size; cylinders and capsules keep their radius.
+    Spheres keep their size; cylinders and capsules keep their radius. Of a geom with ``fromto``,
+    both ends are moved.
 
     Args:
         geom: Geom.

@@ -132,7 +132,7 @@ class Study:
         check_type("seed", seed, int)
         check_type("stand", stand, StandTask | None)
         self.source = make_robot_source(robot)
-        variables = {str(name): make_variable(str(name), metric) for name, metric in vary.items()}
+        variables = {str(name): make_variable(str(name), values) for name, values in vary.items()}
         for name in variables:
             check_variable_name(name, self.source)
         self.variables = variables
@@ -175,8 +175,8 @@ class Study:
             if pattern is not None and pattern.kind in LINK_STANCE_KINDS:
                 contact_links = tuple(
                     link
-                    for link, variable in self.task.contacts.items()
-                    if variable.plane is not None
+                    for link, contact in self.task.contacts.items()
+                    if contact.plane is not None
                 )
                 if pattern.pattern not in contact_links:
                     raise UnknownNameError(

@@ -248,6 +248,9 @@ class _RecordingSession:
     ) -> tuple[Array, Sequence[str]]:
         """Move the robot to a stand, and return joint positions at rest and the feet in the air.
 
+        Positions are averaged once the robot is at rest; those of a bridge without ramps (typed)
+        are read once.
+
         Args:
             stand: Planned stand.
             loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.

@@ -31,9 +31,10 @@ _TILT_HEIGHT_INDICES = [3, 4, 2]
 The measurements do not depend on the other base coordinates (horizontal position, yaw)."""
 
 _LAST_MOTION_FRACTION = 0.75
-"""Standard deviation of six random friction terms, as a fraction of the dry friction: one for each
-motion in which the base may come to rest. These terms are common to all joints and feet; about half
-of the variance of the friction is independent for each joint and foot. Measured on v3 set down in
+"""Standard deviation of random friction terms, as a fraction of the standard deviation of the
+friction (of a joint: dry friction / sqrt(3); of a foot: `StandNoise.moment`). Six terms act on all
+joints, and six on all feet: one for each motion in which the base may come to rest. About half of
+the variance of the friction is independent for each joint and foot. Measured on v3 set down in
 MuJoCo: with this value the whitened residuals of robots with exact parameters have unit
 variance."""
 
@@ -45,18 +46,18 @@ _VELOCITY_ATOL = 1e-9
 """Smallest divisor [rad/m, rad/rad] when joint and foot rotations per unit motion of the base are
 scaled to a largest value of 1. Prevents a division by zero. Chosen, not tuned."""
 
-_BALANCE_RTOL = 1e-5
+_BALANCE_STD_RATIO = 1e-5
 """Standard deviation of the base's equations of balance, as a fraction of the weight, or of weight
 times height. The value is small, because a robot at rest obeys statics. It is not 0, because the
 weighted least squares divide by it. Chosen, not tuned."""
 
-_TORQUE_RTOL = 1e-4
+_TORQUE_STD_RATIO = 1e-4
 """Assumed standard deviation of a servo's torque about kp times the servo error, as a fraction of
 robot weight times `Robot.stand_height`. The least squares divide the residual of this equation by
 the standard deviation, which also includes dry friction. A leg joint carries about a tenth of
 weight times height, so this value is about a thousandth of the joint torque."""
 
-_UNKNOWN_TORQUE_RATIO = 1e3
+_UNKNOWN_TORQUE_STD_RATIO = 1e3
 """Standard deviation of the torque of a joint without a usable command, as a fraction of weight
 times height. It is so large that this torque has no effect on the fit. Chosen, not tuned."""
 
@@ -259,10 +260,12 @@ class StandRows:
         # Half of the variance of a uniform distribution in the friction band; the other half is
         # that of the last motions.
         friction = noise.friction * self._values.friction
-        torque = np.hypot(_TORQUE_RTOL * self._weight * height, friction / math.sqrt(6.0))
+        torque = np.hypot(_TORQUE_STD_RATIO * self._weight * height, friction / math.sqrt(6.0))
         torque = np.hypot(torque, self._held_torque_std)
-        torque = np.where(self._commanded, torque, _UNKNOWN_TORQUE_RATIO * self._weight * height)
-        base = _BALANCE_RTOL * self._weight * np.array([1.0, 1.0, 1.0, height, height, height])
+        torque = np.where(
+            self._commanded, torque, _UNKNOWN_TORQUE_STD_RATIO * self._weight * height
+        )
+        base = _BALANCE_STD_RATIO * self._weight * np.array([1.0, 1.0, 1.0, height, height, height])
         flatness = np.full(len(normal_forces), noise.flatness)
         self.deviation: Array = np.concatenate([base, torque, flatness])
 
@@ -319,8 +322,9 @@ class StandRows:
 
         The error of a joint position is estimated from all other readings of the stand; the
         uncertainty of the parameters is taken into account. r are the residuals after elimination
-        of the unknowns of the stand (see `eliminate_own_unknowns`), d their derivative by the joint
-        position, A their derivative by the parameters, and C the covariance of the parameters:
+        of the unknowns of the stand (see `eliminate_own_unknowns`), d their derivative by the error
+        of the joint position (measured minus true), A their derivative by the parameters, and C the
+        covariance of the parameters:
 
             error = -d^T r / (d^T d - d^T A C A^T d)
 
@@ -557,7 +561,7 @@ class StandValues:
         settling: {link with a known mass: one-sided friction as a fraction of ``friction``}.
         unweighed_load: Load on the feet beyond the masses, as a fraction of the masses.
         gravity_norm: Norm of gravity [m/s^2].
-        mass: Mass of the whole robot [kg].
+        mass: Mass of the whole robot, without known masses [kg].
         noise_mass: Mass with which the noise is scaled [kg].
         noise_kp: Stiffness with which the noise is scaled, shape (nu,) [N m/rad].
         noise_deadband: Dead band within which the friction of joints is noise [rad].

@@ -61,11 +61,11 @@ def generate_wirings(robot: Robot) -> Iterator[Wiring]:
     """Yield wirings with one error: a wrong sign, two exchanged joints, or two exchanged legs."""
     names, identity, positive = robot.joint_names, tuple(range(robot.nu)), (1.0,) * robot.nu
     for joint, name in enumerate(names):
-        signs = tuple(-1.0 if other == joint else 1.0 for other in identity)
+        signs = tuple(-1.0 if column == joint else 1.0 for column in identity)
         yield Wiring(identity, signs, diagnose("joint-turns-the-other-way", joint=name))
-    for one, other in itertools.combinations(identity, 2):
-        message = diagnose("joints-exchanged", joints=[names[one]], others=[names[other]])
-        yield Wiring(_exchange_entries(identity, [one], [other]), positive, message)
+    for joint, partner in itertools.combinations(identity, 2):
+        message = diagnose("joints-exchanged", joints=[names[joint]], others=[names[partner]])
+        yield Wiring(_exchange_entries(identity, [joint], [partner]), positive, message)
     legs = [[names.index(name) for name in leg_joints(robot, p)] for p in robot.contact_points]
     legs = [leg for number, leg in enumerate(legs) if leg not in legs[:number]]
     for first, second in itertools.combinations(legs, 2):
