@@ -44,6 +44,7 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.joints import force_unit
 from pupper_analysis.robot.mujoco_spec import make_mujoco_spec
 from pupper_analysis.robot.robot import (
     Robot,
@@ -250,7 +251,12 @@ def _copy_armature(
     MJCF, {joint: statement of the range}.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
-    notes = report_efforts(limits)
+    slides = {
+        name
+        for name in joint_names
+        if mj_model.jnt_type[mj_model.joint(name).id] == JointKind.SLIDE
+    }
+    notes = report_efforts(limits, slides)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
     armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
@@ -499,13 +505,13 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
         range_ = (-effort, effort)
         origin = EffortStatement.of("", "joint", name, "effort", range_)
         new_limits[name] = EffortLimit(name, *range_, origin, (origin,))
-        old_limit = old_limits[name].symmetric_torque
+        old_limit, unit = old_limits[name].symmetric_torque, force_unit(robot, name)
         messages.append(
             diagnose(
                 "effort-in-place-of",
                 subject=("joint", name),
-                effort=Quantity(effort, "N m"),
-                own=Quantity(old_limit, "N m") if old_limit < math.inf else None,
+                effort=Quantity(effort, unit),
+                own=Quantity(old_limit, unit) if old_limit < math.inf else None,
             )
         )
     null = {

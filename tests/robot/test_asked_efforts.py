@@ -42,6 +42,40 @@ def test_requested_efforts_bound_statics_and_simulation(effort: float) -> None:
     assert with_efforts(robot, {}) is robot
 
 
+_LIFT_URDF = """<robot name="lift"><link name="base"/><link name="arm">
+<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+</link><link name="tray">
+<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+</link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="7" velocity="1"/></joint>
+<joint name="lift" type="prismatic"><parent link="arm"/><child link="tray"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1" effort="50" velocity="1"/></joint></robot>"""
+
+_LIFT_MJCF = """<mujoco><worldbody><body name="arm">
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="turn" axis="0 0 1" range="-60 60"/>
+<body name="tray"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<joint name="lift" type="slide" axis="0 0 1" range="0 1"/></body></body></worldbody>
+<actuator><motor joint="turn" forcelimited="true" forcerange="-6 6"/>
+<motor joint="lift" forcelimited="true" forcerange="-40 40"/></actuator></mujoco>"""
+
+
+def test_efforts_of_slides_are_reported_in_newtons(tmp_path: Path) -> None:
+    """The limit of a prismatic joint is a force: the definition of ``effort`` in URDF."""
+    urdf, mjcf = tmp_path / "lift.urdf", tmp_path / "lift.xml"
+    urdf.write_text(_LIFT_URDF)
+    mjcf.write_text(_LIFT_MJCF)
+    robot = pa.load_robot(urdf, mjcf)
+    differing = next(note for note in robot.notes if note.code == "effort-limits-differ")
+    assert "turn 6 N m (MJCF) of 7 N m" in str(differing)
+    assert "lift 40 N (MJCF) of 50 N" in str(differing)
+    assert not str(differing).count("50 N m")
+    requested = str(with_efforts(robot, {"turn": 2.0, "lift": 30.0}).notes[-1])
+    assert "turn 2 N m of 6 N m" in requested
+    assert "lift 30 N of 40 N" in requested
+    assert not requested.count("40 N m")
+
+
 def test_invalid_efforts_and_joints_are_refused() -> None:
     robot = load("v3")
     for effort in (0.0, -1.0, math.inf, math.nan):
