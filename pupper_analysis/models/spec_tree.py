@@ -64,7 +64,7 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
     body.fullinertia = entries if has_products else np.full(6, np.nan)
 
 
-def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
+def write_joint_parameter(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
     """Write the value of a joint parameter, for example damping or effort, into an MJCF spec.
 
     An effort becomes a symmetric force range of the joint, of at least ``MIN_RANGE``. If MuJoCo

@@ -35,7 +35,12 @@ from pupper_analysis.models.efforts import null_efforts
 from pupper_analysis.models.mjcf import JointKind, compile_spec, name_elements
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import TreeJoint
-from pupper_analysis.models.spec_tree import SpecTree, delete_joint, join_free_base, state_number
+from pupper_analysis.models.spec_tree import (
+    SpecTree,
+    delete_joint,
+    join_free_base,
+    write_joint_parameter,
+)
 from pupper_analysis.models.urdf_file import UrdfFile, to_engine_xml
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
@@ -574,7 +579,7 @@ def copy_unknown_values(
         if kind == "effort":  # 0 means unspecified in a URDF
             values = {name: value for name, value in values.items() if value > 0}
         for name, value in values.items():
-            state_number(mjcf_joints[name], attribute, value)
+            write_joint_parameter(mjcf_joints[name], attribute, value)
             for model in models if attribute.mujoco else ():
                 getattr(model, attribute.mujoco)[model.jnt_dofadr[model.joint(name).id]] = value
         if values:

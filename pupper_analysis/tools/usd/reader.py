@@ -28,7 +28,7 @@ from pupper_analysis.models.spec_tree import (
     MIN_RANGE,
     SpecTree,
     set_inertia,
-    state_number,
+    write_joint_parameter,
 )
 from pupper_analysis.models.stated.mjcf import JOINT_KINDS
 from pupper_analysis.models.stated.model import (
@@ -301,7 +301,7 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
             mj_joint.range = lower, upper + (MIN_RANGE if lower == upper else 0.0)
         for kind in ("armature", "damping", "friction", "spring", "effort"):
             if kind in joint.stated:
-                state_number(mj_joint, BY_KIND[kind], joint.stated[kind])
+                write_joint_parameter(mj_joint, BY_KIND[kind], joint.stated[kind])
 
 
 _MAX_RANGE = 1e6
