@@ -417,10 +417,11 @@ class _Descent:
 
 
 def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:
-    """Yield joint positions (nu,) [rad, m] for each combination of an IK branch per limb.
+    """Yield joint positions (nu,) [rad, m] for the combinations of an IK branch per limb.
 
     The combination with the lowest cost comes first. The cost is a sum over limbs: the absolute
     differences of joint positions from ``near`` [rad, m], plus 1 per um of foot error above 1 um.
+    Expensive branches are left out if there are more than `_MAX_SORTED_COMBINATIONS` combinations.
 
     Args:
         found: {limb: its IK branches}.
@@ -447,7 +448,7 @@ def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> I
         yield joints
 
 
-_MAX_COMBINATIONS = 100_000
+_MAX_SORTED_COMBINATIONS = 100_000
 """Upper bound of the number of combinations (an IK branch per limb) that are sorted by cost. Six
 legs with six branches each have 46,656; twelve legs would have 2e9, more than memory holds.
 Chosen."""
@@ -456,9 +457,9 @@ Chosen."""
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
     """Return the numbers of the branches of each limb that are combined, in ascending order.
 
-    Branches are removed while there are more than `_MAX_COMBINATIONS` combinations: in each step
-    the branch whose cost exceeds the smallest cost of its limb by most. So no combination with a
-    smaller excess than that of a removed branch is lost.
+    Branches are removed while there are more than `_MAX_SORTED_COMBINATIONS` combinations: in each
+    step the branch whose cost exceeds the smallest cost of its limb by most. So no combination with
+    a smaller excess than that of a removed branch is lost.
 
     Args:
         costs: Costs of the branches of each limb.
@@ -473,7 +474,7 @@ def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
         reverse=True,
     )
     for _, limb, number in excess:
-        if math.prod(map(len, kept)) <= _MAX_COMBINATIONS:
+        if math.prod(map(len, kept)) <= _MAX_SORTED_COMBINATIONS:
             break
         if len(kept[limb]) > 1:
             kept[limb].remove(number)

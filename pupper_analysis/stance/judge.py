@@ -201,7 +201,10 @@ class Stand(Pictured, Tabular):
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
-        """Return a copy of this stand with another task, which it must satisfy (not checked)."""
+        """Return a copy of this stand with another task, which it must satisfy (not checked).
+
+        The ground remains that of this stand, since it includes the planes of the contacts.
+        """
         other = replace(
             self, task=task.replace_unchecked(ground=self.task.ground)
         )  # the ground includes planes of feet
@@ -310,12 +313,13 @@ class Stand(Pictured, Tabular):
     def ctrl(self) -> Array:
         """Servo commands of ``robot.mj_model`` that hold the stand, shape (mj_model.nu,).
 
-        Feed-forward of the joint torques: gear (q* + tau / kp) for a position servo; 0 for an
-        actuator that drives no joint of the robot. MuJoCo clips commands to ``ctrlrange``.
+        Feed-forward of the joint torques: gear (q* + tau / kp) for a position servo at a joint.
+        Actuators elsewhere, for example on tendons, are commanded not to exert a force
+        (`Servos.command`). MuJoCo clips commands to ``ctrlrange``.
 
         Raises:
             ConfigurationError: If the stand has no robot; see `with_robot`.
-            ModelError: If a joint has no position servo.
+            ModelError: If a joint has no position servo, except dependent joints of loops.
             StaticsInfeasibleError: If no contact forces balance the stand.
         """
         from pupper_analysis.robot.servos import model_with_servos
@@ -398,8 +402,8 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     """Return True if a shape of the base link is below the required ground clearance in each stand.
 
     Shapes of links that are fixed to the base count as well. The goal fixes height and orientation
-    of the base, so that no search is needed. False on a slope and for robots with a weld, which are
-    not tested. Steps are not tested either.
+    of the base, so that no search is needed. False on a slope, and for robots with a weld or grip,
+    which are not tested. Steps are not tested either.
     """
     if goal.task.ground.slope or shapes.robot.fixed_parts:
         return False

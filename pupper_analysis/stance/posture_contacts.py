@@ -93,6 +93,7 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
     The task of the result requires the base orientation, height and CoM of the posture, the
     positions of joints that move no foot, and the positions of lifted feet. The ground, the
     contacts, the positions of the other feet, margins and clearances are those of the given stand.
+    For an arm, which has hands only, the task requires the position of the base instead of the CoM.
 
     Args:
         robot: Robot with the contacts of the stand.
@@ -143,7 +144,7 @@ def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
 
 
 def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
-    """Return the contact points that neither carry load nor are welded in a stand."""
+    """Return the contact points that neither carry load nor are welded or grip in a stand."""
     fixed = {point for name in robot.fixed_parts for point in robot.feet.get(name, ())}
     return tuple(
         point
@@ -155,8 +156,8 @@ def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
 def _place_lifted_feet(robot: Robot, stand: Stand, task: StandTask, at: Configuration) -> StandTask:
     """Return a task in which lifted feet have the positions and heights of a configuration.
 
-    The lifted feet are those of ``stand``; the configuration is ``at``. A foot keeps its place in
-    the task if its contact states a place.
+    The lifted feet are those of ``stand``; the configuration is ``at``. Hands, and feet whose
+    contact states a place, keep their places in the task, but not their heights.
 
     Raises:
         ConfigurationError: If a lifted foot is not above its ground.

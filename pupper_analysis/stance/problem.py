@@ -280,7 +280,7 @@ def _build_goal(
         robot: Robot.
         task: Task.
         com: Mode of the horizontal CoM position if the task specifies none: "centre" or "inside".
-        depths: {foot: penetration of the ground [m]}; 0 for other feet.
+        depths: {stance point: penetration of the ground [m]}; 0 for other points.
         like: Goal whose contacts and foot targets are reused if its task has equal feet.
         checked: True to reject tasks that no stand can satisfy.
     """
@@ -349,10 +349,10 @@ def feet_centre(
 ) -> Array:
     """Compute the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
-    Hands and feet on steep planes are left out, unless nothing remains (`Goal.centre`). Welded feet
-    count as contacts. For a welded robot without feet (an arm), the result is the point at z = 0
-    below the base in the home pose; if all feet are lifted, the horizontal mean of all targets, at
-    z = 0.
+    Hands and feet on steep planes are left out, unless nothing remains (`Goal.centre`). Welded and
+    gripping feet count as contacts. For a robot with a weld or grip and without feet (an arm), the
+    result is the point at z = 0 below the base in the home pose; if all feet are lifted, the
+    horizontal mean of all targets, at z = 0.
 
     Args:
         robot: Robot.
@@ -507,7 +507,7 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     return stance_feet
 
 
-_MAX_ITERATIONS = 4
+_NUM_FIT_ITERATIONS = 4
 """Number of iterations in which a plane is fitted to the spheres of a sole. With unequal radii, the
 contact points depend on the normal of the plane. Chosen, not tuned."""
 
@@ -676,7 +676,7 @@ def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
     The plane passes through the origin and has the given normal.
     """
     out = UP
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(_NUM_FIT_ITERATIONS):
         out = _fit_upward_normal(sole - radii[:, None] * out)
     turn = pin.Quaternion.FromTwoVectors(out, normal).matrix()
     middle = sole.mean(axis=0)

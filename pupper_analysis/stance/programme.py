@@ -45,7 +45,7 @@ The second value also bounds the first minimisation of foot distances. Measured 
 to a stand: without slacks, all of 1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or
 fewer."""
 
-_FINE_UNIT = 200.0
+_FINE_UNIT_DIVISOR = 200.0
 """Divisor of the stand height, which gives the smallest unit of length in the second run of
 `minimise_foot_distances` [1]. The unit is the foot distance that the first run leaves, but not less
 than this bound. Measured with flat minima: with a larger unit (the stand height) and with a smaller
@@ -244,7 +244,7 @@ class StanceProgram:
 
         The sum of squared distances is minimised subject to the constraints of this program, in
         two runs: with the stand height as the unit of distance, then with the distance that the
-        first run leaves as the unit.
+        first run leaves (at least the stand height / `_FINE_UNIT_DIVISOR`) as the unit.
 
         Args:
             qpos: Initial configuration, shape (nq,).
@@ -252,7 +252,7 @@ class StanceProgram:
         x, scale = self._make_start(qpos, None), self._unit**-2
         for tolerance, most in ((1e-12, _SOLVE_ITERATIONS[1]), (1e-10, _MAX_ITERATIONS)):
             x = self._minimise(partial(self._squared_distances, scale=scale), x, tolerance, most)
-            scale = 1 / max(self._squared_distances(x)[0], (self._unit / _FINE_UNIT) ** 2)
+            scale = 1 / max(self._squared_distances(x)[0], (self._unit / _FINE_UNIT_DIVISOR) ** 2)
         return self._point(x).qpos
 
     def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:

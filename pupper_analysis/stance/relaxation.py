@@ -81,7 +81,7 @@ def explain_refusal(
     Args:
         context: Search context of the robot.
         goal: Goal.
-        nearest: Configuration of the search with the smallest violation.
+        nearest: Best failure of the search (`search_stand`).
         explain: Compute the requirements to relax, and the smallest relaxation.
     """
     robot = context.robot
@@ -162,7 +162,7 @@ class _Search:
     Args:
         context: Search context of the robot.
         goal: Goal.
-        nearest: Configuration of the search with the smallest violation.
+        nearest: Best failure of the search, from which the nonlinear program starts.
     """
 
     def __init__(self, context: SearchContext, goal: Goal, nearest: Stand) -> None:

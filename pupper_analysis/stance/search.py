@@ -38,7 +38,7 @@ from pupper_analysis.stance.solver import SearchContext, SolverResult
 
 Array = NDArray[np.float64]
 
-_MAX_COMBINATIONS = 256
+_MAX_COMBINATIONS_PER_ROUND = 256
 """Upper bound of combinations of IK branches that are tried as initial guesses in a round of
 `_BRANCH_ROUNDS`. Derived from four legs with four branches each."""
 
@@ -231,7 +231,7 @@ class _Search:
             self.found = find_branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
             reach = 0.0 if goal.by_base else bound_com_shift(robot, nearest.qpos, self.found)
             found = self.try_initial_guesses(
-                branch_initial_guesses(robot, goal, self.found, reach, _MAX_COMBINATIONS)
+                branch_initial_guesses(robot, goal, self.found, reach, _MAX_COMBINATIONS_PER_ROUND)
             )
             if found is not None:
                 return found

@@ -268,10 +268,10 @@ def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) 
     config = Configuration(robot, stand.qpos)
     carrying = make_contacts(robot, stand.stance_feet, None, stand.normals, stand.depths)
     forces = (held.contact_forces[foot] for foot in stand.stance_feet)
-    grips = len(held.weld_wrenches) - len(robot.grips)
     wrenches = [*held.weld_wrenches.values()]
+    num_welds = len(wrenches) - len(robot.grips)  # grips come last, and bear no moment
     pushed = np.concatenate(
-        [*forces, *wrenches[:grips], *(wrench[:3] for wrench in wrenches[grips:])]
+        [*forces, *wrenches[:num_welds], *(wrench[:3] for wrench in wrenches[num_welds:])]
     )
     left = config.static_load() - carrying.transposed_jacobian(config) @ pushed
     return robot.closure.static_deflection(stand.qpos, left[robot.nv - robot.nu :])

@@ -208,7 +208,7 @@ def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Arra
     """Search a stand near the previous stands of a sequence; None without one.
 
     None also if the stand may depend on the initial guess, as with redundant joints. The search
-    starts from the extrapolated configuration, then from the latest one.
+    starts from the extrapolated configuration, if it is near the latest one, then from the latest.
 
     Args:
         context: Search context of the robot.

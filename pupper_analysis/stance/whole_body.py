@@ -617,10 +617,7 @@ class _MujocoBody(_PinocchioBody):
         self._robot, self._data = robot, robot.compute_kinematics(qpos)
 
     def pose(self, frame: str) -> tuple[Array, Array]:
-        """Return rotation (3, 3) and position (3,) [m] of a link in the world, by MuJoCo.
-
-        The link may also be a body, site or tool; the configuration is that of this object.
-        """
+        """Return rotation (3, 3) and position (3,) [m] of a link in the world, by MuJoCo."""
         robot, model = self._robot, self._robot.mj_model
         name, offset = find_tool(robot, frame).locate_in_mjcf(robot)
         body = model.body(name).id

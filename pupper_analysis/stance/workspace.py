@@ -269,7 +269,10 @@ def _solve_at(
 
 
 def _make_task(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
-    """Return the task of a stand with another value [m or rad] of a base coordinate."""
+    """Return the task of a stand with another value [m or rad] of a base coordinate.
+
+    The task requires the CoM, or the offset of the base, that `base_workspace` describes.
+    """
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside" and can_move_com(robot):
         x, y, _ = Configuration(robot, start.qpos).center_of_mass().tolist()

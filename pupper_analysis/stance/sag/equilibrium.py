@@ -101,7 +101,7 @@ class ContactKinematics:
         depths: Penetrations as passed [m].
         places: Shape (n, 3) [m]; slips along the two ground tangents, without the rolling of the
             sphere, and the penetration.
-        jacobians: Jacobians of the material point at each contact, shape (n, 3, nv), in the ground
+        jacobians: Jacobians of the material point at each contact, shape (n, 3, nv), in the contact
             frame.
         turning: Rotational Jacobians of the feet, shape (n, 3, nv), in the world frame.
     """
@@ -293,6 +293,9 @@ class EquilibriumScales:
 
 
 Feet = Literal["pinned", "sliding"]
+"""Slip law of the feet: ``pinned`` feet hold tangential forces up to the limit of their friction,
+``sliding`` feet hold none (final state of MuJoCo's creep)."""
+
 RESIDUAL_TOLERANCE = 3e-12
 """Upper bound of the residual of an accepted equilibrium, in units of robot weight (forces), weight
 x height (torques) and height (lengths). Chosen, not tuned."""
@@ -755,7 +758,7 @@ class SagEquilibrium:
         """Return the contact points that contradict a solution, with the violation.
 
         A touching contact must not pull; another contact point must not penetrate the ground.
-        Welded feet are not tested.
+        Welded and gripping feet are not tested.
 
         Returns:
             {contact point: pulling force [N] or penetration [m]}.
@@ -769,7 +772,7 @@ class SagEquilibrium:
         For a point that is assumed in contact, the violation is the force [N] with which the ground
         would pull the point; zero for a point of a sole, whose equation between depth and force
         permits no pull. For another point it is the penetration [m] plus the contact margin, minus
-        `CONTACT_DEPTH_TOLERANCE` times the stand height.
+        `CONTACT_DEPTH_TOLERANCE` times `EquilibriumScales.length`.
         """
         if foot in self.anchors:
             # The depth equation of a sole point has no pull.
