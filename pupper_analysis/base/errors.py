@@ -321,7 +321,7 @@ class StaticsInfeasibleError(PupperAnalysisError):
     Attributes:
         reason: Reason.
         margin: Signed distance [m] between the projected CoM and the edge of the support polygon;
-            negative outside.
+            negative outside. NaN if a grip or a prescribed force is the reason.
         friction_needed: Minimum friction coefficient with a solution; None if there is none.
         feet: Feet concerned.
     """

@@ -24,8 +24,8 @@ lock."""
 def lock_file(path: Path, *, temporary: bool = False) -> Iterator[bool]:
     """Hold an exclusive lock on a file; yield False if another run holds it.
 
-    The system releases the lock when the process ends, also if it is killed. Systems without POSIX
-    locks lock nothing.
+    The system releases the lock when the process ends, also if it is killed. On systems without
+    POSIX locks, only other threads of this process are locked out.
 
     Args:
         path: The lock file. Created if needed.

@@ -68,7 +68,7 @@ class Options(Addition):
 
 @dataclass(frozen=True)
 class Ball(Addition):
-    """Collision sphere that replaces the contact of a mesh.
+    """Collision sphere of a contact point: in place of a mesh of a foot, or of a hand.
 
     Attributes:
         name: Name of the geom.

@@ -233,7 +233,7 @@ first of these types is that of the joint."""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
-    """Return the type of an actuator at a single hinge or slide, from its force law."""
+    """Return the type of an actuator at a hinge, slide or fixed tendon, from its force law."""
     if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_DCMOTOR.value:
         return Drive.OTHER if _depends_on_position(model, motor) else Drive.FORCE
     if model.actuator_gaintype[motor] != mujoco.mjtGain.mjGAIN_FIXED.value:

@@ -23,7 +23,7 @@ from pupper_analysis.models.places import (
 )
 
 MAX_BYTES: Final = MAX_TEXT_BYTES
-"""Maximum size of an XML file."""
+"""Maximum size of an XML file [bytes]; a larger file is refused."""
 
 MAX_DEPTH: Final = 250
 """Largest nesting depth of XML elements, and largest number of joints in a chain of a URDF; a

@@ -164,6 +164,7 @@ def write_variant(
 
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
+        ConfigurationError: If ``folder`` is no path.
         ModelError: If a base file or a mesh is missing or damaged.
         OutputError: If a file cannot be written, or exists with other content.
     """

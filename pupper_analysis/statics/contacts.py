@@ -215,10 +215,10 @@ def make_contacts(
         depths: {contact point: penetration into the ground [m]}.
 
     Raises:
-        UnknownNameError: If a foot is unknown.
+        UnknownNameError: If a contact point is unknown.
         ConfigurationError: If a friction coefficient is missing or not in [0, `MAX_FRICTION`], a
-            normal is not a direction, a foot is named twice, the ground's friction is unknown, or a
-            robot with a fixed base has contacts.
+            normal is not a direction, a contact point is named twice, the ground's friction is
+            unknown, or a robot with a fixed base has contacts.
     """
     feet = tuple(robot.bearing_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
@@ -311,8 +311,8 @@ def prescribed_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] 
 def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
     """Return position and force limit of each grip, or None if the robot has no grips.
 
-    A grip is a foot that holds on to its contact point: a grip can pull as well as push, and
-    carries no moment. The norm of the grip force is limited.
+    A grip is a foot or hand that holds on to its contact point: a grip can pull as well as push,
+    and carries no moment. The norm of the grip force is limited.
 
     Args:
         robot: Robot.

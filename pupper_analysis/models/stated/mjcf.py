@@ -258,7 +258,10 @@ def _stated_values(
 def _make_inertial(
     model: mujoco.MjModel, body: int, spec_body: mujoco.MjsBody | None
 ) -> Inertial | None:
-    """Return the inertia of a body; from the spec if explicit there, else from the geoms."""
+    """Return the inertia of a body, from the spec if explicit there, else from the geoms.
+
+    None if the inertia is not explicit and the mass of the geoms is zero.
+    """
     axes = rotation_from_quaternion(model.body_iquat[body])
     if spec_body is not None:
         entries = np.array(spec_body.fullinertia)
