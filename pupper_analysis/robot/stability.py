@@ -190,9 +190,9 @@ class Mode(Result):
             tendons.
         repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` has the mode as well;
             also True if that spectrum was not computed.
-        nudge: Deviation of a joint from which growth was measured in simulation (rad or m); None if
-            the mode is known from the spectrum only. With a value, ``doubling_time`` is the
-            simulated time.
+        nudge: Largest initial deviation of a joint in the simulation that measured growth (rad or
+            m), 0 if only velocities deviated; None if the mode is known from the spectrum only.
+            With a value, ``doubling_time`` is the simulated time.
     """
 
     growth: float = field(metadata={"unit": "1"})

@@ -94,8 +94,8 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Create the message about a growing mode, with the nudge that confirmed the growth, if any."""
-    nudge = None if mode.nudge is None else Quantity(mode.nudge, mode.nudge_unit)
+    """Create the message about a growing mode, with the deviation that was simulated, if any."""
+    nudge = Quantity(mode.nudge, mode.nudge_unit) if mode.nudge else None
     is_length = mode.nudge_unit == "m"
     return diagnose(
         "mode-shakes" if mode.shakes else "mode-buckles",

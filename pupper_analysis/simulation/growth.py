@@ -97,7 +97,7 @@ class GrowthTrial(Result):
     """Result of a nudged simulation along modes.
 
     Attributes:
-        nudge: Largest initial deviation of a joint (rad, m).
+        nudge: Largest initial deviation of a joint (rad or m); 0 if only velocities deviate.
         duration: Simulated time (s).
         doubling_time: Half the time of two successive doublings (s); None if the deviation does not
             grow by ``2 ** DOUBLINGS``, or the growth slows down. If the simulation diverges
@@ -234,7 +234,8 @@ def simulate_growth(
     amplitude = _final_amplitude(np.array(lows[:grown]), np.array(highs[:grown]), max(count, 1))
     oscillates = not amplitude < _MIN_OSCILLATION_RATIO * maxima[grown - 1]
     names_of_most_moving = select_most_moving(joint_deviations)
-    return GrowthTrial(angle, time, doubling, names_of_most_moving, sustained, oscillates)
+    nudge = float(np.abs(displacement[: model.nv]).max())
+    return GrowthTrial(nudge, time, doubling, names_of_most_moving, sustained, oscillates)
 
 
 def _count_windows_until_grown(maxima: Array) -> int:
@@ -271,7 +272,7 @@ def _make_displacement(
 
     This is the scaled sum of the directions of the modes that were found with both steps of the
     finite differences (``repeated_at_second_step``). Without such a mode it is a velocity of all
-    coordinates.
+    coordinates, and no position is displaced.
     """
     nv = model.nv
     repeated = [mode for mode in modes if mode.repeated_at_second_step]

@@ -103,6 +103,36 @@ def test_nudge_of_a_growing_mode_has_the_unit_of_its_joint(kind: str, expected: 
     assert f"a deviation of 0.1 {expected} doubles" in str(describe_growth(mode))
 
 
+@pytest.mark.parametrize("repeated", [True, False])
+def test_growth_message_states_only_a_deviation_of_position_that_was_applied(
+    repeated: bool,
+) -> None:
+    """A mode of only one finite-difference step is tested by initial velocities."""
+    model = mujoco.MjModel.from_xml_string(rod(5.0, 0.4))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    found = step_stability(model, data, settle=0.0)
+    (mode,) = found.unstable
+    found = replace(found, unstable=(replace(mode, repeated_at_second_step=repeated),))
+    (confirmed,) = confirm_growth(found, model, data, data.ctrl).unstable
+    assert confirmed.nudge == (pytest.approx(1e-4) if repeated else 0.0)
+    assert ("a deviation of 0.1 mrad" in str(describe_growth(confirmed))) is repeated
+
+
+def test_nudge_of_a_fast_mode_is_the_deviation_that_the_bound_of_speeds_leaves() -> None:
+    """Closed form: a speed of at most 0.1 rad/s at a rate of 2000/s is 0.05 mrad."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option gravity="0 0 0" timestep="1e-2"/><worldbody><body>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/>'
+        '<joint name="j" axis="0 0 1" armature="1"/></body></worldbody></mujoco>'
+    )
+    mode = Mode(0.02, 0.0, -1.0, 5e-4, 5e-4 * math.log(2), ("j",))
+    mode = replace(mode, _direction=np.array([1.0, 2000.0]))
+    start = full_state(model, mujoco.MjData(model))
+    trial = simulate_growth(model, start, np.zeros(0), [mode], 1e-4, 0.1)
+    assert trial.nudge == pytest.approx(5e-5)
+
+
 def test_divergence_within_the_first_window_is_growth() -> None:
     """The deviation doubled within the window of 0.5 s, as all later values are infinite."""
     assert _doubling_time_of(np.array([np.inf, np.inf]), 0.5, lost=True) == 0.5
