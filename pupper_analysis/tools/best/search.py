@@ -306,8 +306,8 @@ class StanceSearch:
 
         Returns:
             Derivatives of a, shape (k, n); b is constant. None if these are not known in closed
-            form: for the payload, on a slope, for stances with penetrations or active friction
-            cones, and for robots with redundant joints in the legs, closed loops or welds.
+            form: for example for the payload, stances with penetrations or active friction cones,
+            and robots with redundant joints in the legs, closed loops or welds.
         """
         if self.objective is Objective.PAYLOAD or stance.rows[-1, 0] < 0:
             return None

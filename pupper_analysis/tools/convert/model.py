@@ -84,8 +84,7 @@ def convert_model(
 
     Args:
         source: Path of the URDF or MJCF, or a robot in memory, as for ``load_robot``. For an MJCF,
-            only ``output``, ``packages`` and ``force``
-            may be passed in addition.
+            only ``output``, ``packages`` and ``force`` may be passed in addition.
         output: Path of the new file.
         feet: Links of the feet, or the link for each foot name. Default: detected as by
             ``load_robot``.
@@ -153,7 +152,7 @@ def convert_model(
         )
         robot = _make_converted_robot(draft, *pair, feet)
         unlike = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
-        failures += [one for one in unlike if one.severity is Severity.ERROR]
+        failures += [remark for remark in unlike if remark.severity is Severity.ERROR]
     if draft.failure is None and draft.stands:
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
         failures += verification.failures
@@ -165,7 +164,10 @@ def convert_model(
         source=name,
         output=str(output),
         written=tuple(map(str, contents)),
-        notes=(*(one for one in unlike if one.severity is not Severity.ERROR), *draft.notes),
+        notes=(
+            *(remark for remark in unlike if remark.severity is not Severity.ERROR),
+            *draft.notes,
+        ),
         not_converted=draft.not_converted,
         repairs=draft.repairs,
         comparison=comparison,

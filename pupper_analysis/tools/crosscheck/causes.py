@@ -174,7 +174,7 @@ class PatternCase:
         first: Tree of the URDF.
         raw: Tree of the MJCF, in the body frames of the MJCF.
         second: Tree of the MJCF, in the body frames of the URDF.
-        keys: Differences.
+        keys: Kind and element of each difference.
         tolerances: Tolerances of the comparison.
         urdf: Links of the URDF's bodies, in the frames of ``first``; empty without inertial
             differences.
@@ -432,14 +432,14 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     The message names the wrong unit, such as degrees, g or mm, if one explains the factor.
     """
     first, raw = case.first, case.raw
-    bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
+    bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
     masses = _find_common_factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
     inertias = _find_common_factor(
         [(a.inertia, case.second.bodies[n].inertia) for n, a in first.bodies.items()]
     )
-    places = [(one.position, raw.joints[name].position) for name, one in first.joints.items()]
+    places = [(joint.position, raw.joints[name].position) for name, joint in first.joints.items()]
     lengths = _find_common_factor(places)
-    hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
+    hinges = [(joint, raw.joints[name]) for name, joint in first.joints.items() if not joint.slides]
     bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
     limits = _find_common_factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
     for what, factor, units, kinds in (

@@ -158,7 +158,7 @@ def _make_annotation(
 
 MAX_SHORT_GROUPS, MAX_SHOWN_GROUPS = 20, 40
 """Largest number of groups of differences with lines side by side, in the short and in the full
-view. The table lists all differences."""
+view. The table lists all differences. Chosen, not tuned."""
 
 _ONE_FILE_EDGES = {
     EDGE_NAMES[URDF_PINOCCHIO, URDF_MUJOCO],

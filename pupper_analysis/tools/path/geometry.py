@@ -113,7 +113,8 @@ def solve_segments(
 
     Raises:
         ConfigurationError: If stances have different grounds, mix ``com`` types, move a foot that
-            carries load, have fewer than three feet in common, or a foot lands while another lifts.
+            carries load, have fewer than three contact points in common, or a foot lands while
+            another lifts.
         StanceUnreachableError: If a stance is out of reach. The error names the stance.
         UnknownNameError: If a task names a foot that the robot does not have.
     """

@@ -283,7 +283,7 @@ def stance_path(
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stances cannot follow each other:
-            a loaded foot moves, fewer than three feet carry load, a joint jumps.
+            a loaded foot moves, fewer than three contact points carry load, a joint jumps.
         NoEquilibriumError: If the rolling displacement does not converge.
         UnknownNameError: If a task names a foot that the robot does not have.
         StanceUnreachableError: If a sample is out of reach. The error states the time.

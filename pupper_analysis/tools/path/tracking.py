@@ -330,7 +330,7 @@ def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
     """Return the stances of a path to a stand, from the default base pose and CoM position.
 
     All stances have the foot positions of the stand. If the stand lifts a foot, an intermediate
-    stance first moves the CoM above the other feet.
+    stance with all feet on the ground has the base pose and CoM position of the stand.
     """
     task = stand.task
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
