@@ -173,7 +173,7 @@ class EffortLimit(Result):
 
     @property
     def positive_statement(self) -> EffortStatement | None:
-        """Smallest positive torque limit that a file states; None if there is none."""
+        """Statement of the smallest positive torque limit in the files; None if there is none."""
         positive = [statement for statement in self.stated if statement.symmetric_torque > 0]
         return min(positive, key=lambda statement: statement.symmetric_torque, default=None)
 

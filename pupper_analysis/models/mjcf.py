@@ -43,17 +43,17 @@ class JointKind(IntEnum):
 
 
 def free_joints(model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the free joints."""
+    """Return the ids of the free joints of a MuJoCo model, ascending."""
     return [int(joint) for joint in np.flatnonzero(model.jnt_type == JointKind.FREE)]
 
 
 def scalar_joints(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Return the ids of the hinges and slides, the joints with a single coordinate."""
+    """Return the ids of a MuJoCo model's hinges and slides, the joints with a single coordinate."""
     return np.flatnonzero(model.jnt_type >= min(JointKind.SLIDE, JointKind.HINGE))
 
 
 def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
-    """Return True if a model or spec has a free joint."""
+    """Return True if a MuJoCo model or spec has a free joint, of the robot or of an object."""
     if isinstance(model, mujoco.MjSpec):
         return any(joint.type == JointKind.FREE for joint in model.joints)
     return bool((model.jnt_type == JointKind.FREE).any())

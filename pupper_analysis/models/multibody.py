@@ -52,7 +52,7 @@ class TreeBody:
 
     @property
     def spatial_inertia(self) -> pin.Inertia:
-        """Spatial inertia, in the frame of the body."""
+        """Spatial inertia of this body [kg, m, kg m^2], in the frame of the body."""
         return make_inertia(self.mass, self.com, self.inertia)
 
     def transform(self, pose: pin.SE3) -> TreeBody:

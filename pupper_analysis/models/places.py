@@ -55,7 +55,7 @@ class Place:
 
     @property
     def source(self) -> Source:
-        """The location as the source of a diagnostic."""
+        """This file, with line or element, as the source of a diagnostic."""
         return Source(str(self.file), self.line, self.element or "")
 
 

@@ -281,7 +281,7 @@ def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[N
     find_by_ros = substitution._eval_find
 
     def find(package: str) -> str:
-        """Return the folder of a ROS package; ROS is asked if `find_packages` does not find it."""
+        """Return the folder of a ROS package: that of `find_packages`, or else that of ROS."""
         folders = find_packages(package, path.absolute().parent, packages)
         if folders:
             return str(folders[0].absolute())

@@ -103,7 +103,7 @@ class SpecTree:
         return tuple(body.name for body in self.spec.bodies[1:])
 
     def parent(self, link: str) -> str | None:
-        """Return the parent body; None for a child of the world."""
+        """Return the name of the parent body; None for a child of the world."""
         parent = self.spec.body(link).parent
         return None if parent.name == self.spec.worldbody.name else str(parent.name)
 
@@ -126,7 +126,7 @@ class SpecTree:
         return group
 
     def subtree(self, link: str) -> Iterator[str]:
-        """Yield a body and all descendants."""
+        """Yield the names of a body and of all its descendants."""
         body = self.spec.body(link)
         yield link
         for child in body.find_all(mujoco.mjtObj.mjOBJ_BODY):
@@ -311,7 +311,7 @@ class SpecTree:
         return motors[-1] if motors else None
 
     def add_motor(self, joint: str) -> mujoco.MjsActuator:
-        """Add a torque motor without limits at a joint."""
+        """Add a torque motor without limits at a joint, and return it."""
         motor = self._add_actuator(joint)
         # The defaults of the MJCF may enable a limit, which would have no range here.
         motor.ctrllimited = motor.forcelimited = motor.actlimited = (
@@ -377,7 +377,7 @@ class SpecTree:
                 motor.ctrllimited = unlimited
 
     def exclude_contact(self, first: str, second: str) -> None:
-        """Exclude contacts between two bodies."""
+        """Exclude contacts between two bodies of this MJCF, with the element ``<exclude>``."""
         self.spec.add_exclude(bodyname1=first, bodyname2=second)
 
     def add_ball(

@@ -78,7 +78,7 @@ class UrdfElement:
 
     @property
     def name(self) -> str:
-        """Name of the element."""
+        """Name of this link or joint, the attribute ``name``."""
         return str(self.element.get("name"))
 
     def remove(self, *tags: str) -> None:
@@ -169,7 +169,7 @@ class UrdfJoint(UrdfElement):
 
     @property
     def child(self) -> str:
-        """Name of the child link."""
+        """Name of the child link of this joint."""
         return self._link_name("child")
 
     def _link_name(self, tag: str) -> str:
@@ -233,7 +233,7 @@ class UrdfJoint(UrdfElement):
         self.element.set("type", "fixed")
 
     def set_range(self, lower: float, upper: float) -> None:
-        """Set the limits [rad, m]; a continuous joint becomes revolute."""
+        """Set the position limits of this joint [rad, m]; a continuous joint becomes revolute."""
         if self.kind == "continuous":
             self.element.set("type", "revolute")
         self.set_parameter(BY_KIND["lower limit"], lower)
@@ -266,7 +266,7 @@ class UrdfTree:
         return UrdfTree(parse_text(text))
 
     def copy(self) -> UrdfTree:
-        """Return a deep copy."""
+        """Return a copy of this URDF tree that shares no XML elements with this tree."""
         return UrdfTree(copy.deepcopy(self.root))
 
     @cached_property
@@ -321,7 +321,7 @@ class UrdfTree:
 
     @property
     def base(self) -> UrdfLink:
-        """Link without a parent."""
+        """Root of this URDF: the first link that is not the child of a joint."""
         return next(link for name, link in self.links.items() if name not in self.parent_joints)
 
     @property
@@ -342,7 +342,7 @@ class UrdfTree:
         return group
 
     def subtree(self, link: str) -> Iterator[str]:
-        """Yield a link and all descendants, depth first."""
+        """Yield the names of a link and of all its descendants, depth first."""
         pending = [link]
         while pending:
             name = pending.pop()
@@ -350,19 +350,19 @@ class UrdfTree:
             pending += [joint.child for joint in reversed(self.child_joints.get(name, ()))]
 
     def chain(self, link: str) -> Iterator[UrdfJoint]:
-        """Yield the joints from a link to the base."""
+        """Yield the joints on the path from a link to the base, that of the link first."""
         while link in self.parent_joints:
             yield self.parent_joints[link]
             link = self.parent_joints[link].parent
 
     def fix(self, names: Collection[str]) -> None:
-        """Change joints to fixed joints; unknown names are ignored."""
+        """Change joints of this URDF to the type ``fixed``; unknown names are ignored."""
         for name in names:
             if name in self.joints:
                 self.joints[name].fix()
 
     def remove_shapes(self) -> None:
-        """Remove all visual and collision shapes."""
+        """Remove the visual and collision shapes of all links of this URDF."""
         for link in self.links.values():
             link.remove("visual", "collision")
 
@@ -375,7 +375,7 @@ class UrdfTree:
         self._clear_cache()
 
     def remove_base(self) -> None:
-        """Remove the base and the joints on the base."""
+        """Remove the base of this URDF and the joints between base and children."""
         base = self.base
         for joint in self.child_joints.get(base.name, ()):
             self.root.remove(joint.element)
@@ -400,7 +400,7 @@ class UrdfTree:
         self.new_joint(joint, "fixed", parent, name, pin.SE3(np.eye(3), place))
 
     def new_link(self, name: str) -> UrdfLink:
-        """Add a link without a joint."""
+        """Add a link to this URDF, without inertia, shapes and joint, and return it."""
         self._clear_cache()
         return UrdfLink(etree.SubElement(self.root, "link", name=name))
 

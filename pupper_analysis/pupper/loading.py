@@ -22,7 +22,7 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
 
     @wraps(load_files)
     def load_named(*models: P.args, **options: P.kwargs) -> Robot:
-        """Load a variant by name, or a robot from files."""
+        """Load a Pupper variant if a single variant name is given, else a robot from files."""
         if len(models) != 1 or not is_variant(models[0]):
             return load_files(*models, **options)
         given = {name: value for name, value in options.items() if value not in (None, False)}

@@ -250,9 +250,9 @@ class PublishedRun:
             computed torque.
         height_error: Final minus computed height of the CoM (m); None if the base is fixed.
         joint_error: Largest joint deviation (rad; m for a slide).
-        collapses: Whether the robot has fallen, sunk by ``robot.fall.MAX_HEIGHT_LOSS_RATIO`` of its
-            height, travelled by its height, or diverged. For a fixed base, whether a joint has
-            left the posture.
+        collapses: Whether the robot has fallen, sunk or risen by ``MAX_HEIGHT_LOSS_RATIO`` (in
+            ``robot.fall``) of its height, travelled by its height, or diverged. For a fixed base,
+            whether a joint has left the posture.
         differs: Whether the robot collapses, or deviates by more than a verified stand may.
         imported: Whether the model is MuJoCo's import of a URDF.
         worst_joint: Joint with the largest displacement if the robot collapses, otherwise with the

@@ -121,7 +121,7 @@ class Slope:
 
     @property
     def normal(self) -> Point:
-        """Unit normal (x, y, z)."""
+        """Unit normal (x, y, z) out of this inclined plane, in the world frame."""
         return slope_normal(self.angle, self.uphill)
 
     @property
@@ -130,7 +130,7 @@ class Slope:
         return self.angle
 
     def with_parameter(self, number: float) -> Slope:
-        """Return a copy with another angle to the horizontal [rad]."""
+        """Return a copy of this inclined plane with another angle to the horizontal [rad]."""
         return replace(self, angle=number)
 
     def contact_plane(self, point: Point) -> Plane:

@@ -237,7 +237,7 @@ class Phrase(str):
         return Phrase, (str(self), self.chinese)
 
     def text(self, language: str = "en") -> str:
-        """Return the text in ``"en"`` or ``"zh"``."""
+        """Return this text in a language, ``"en"`` or ``"zh"``."""
         return self.chinese if language == "zh" else str(self)
 
 

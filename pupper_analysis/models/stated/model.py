@@ -199,7 +199,7 @@ class RobotModel:
 
     @cached_property
     def total_mass(self) -> float:
-        """Mass of all bodies [kg]."""
+        """Mass of all links of this robot [kg]."""
         return sum(body.mass for body in self.links.values())
 
     @cached_property
@@ -257,7 +257,7 @@ class RobotModel:
         return self._children_by_name[name]
 
     def descendants(self, name: str) -> Iterator[Link]:
-        """Yield the descendants of a body, depth first."""
+        """Yield the descendants of a link, depth first, without the link."""
         for child in self.children(name):
             yield child
             yield from self.descendants(child.name)

@@ -157,7 +157,7 @@ class NamedModel:
         )
 
     def name(self, kind: str, index: int) -> str:
-        """Return the name of an element, or the number: ``#3``."""
+        """Return the name of an element of this MJCF; without a name, the id: ``#3``."""
         object_type = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}").value
         return mujoco.mj_id2name(self.names, object_type, index) or f"#{index}"
 

@@ -22,7 +22,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
-_MIN_SAVED_BITS = 0.5
+_MIN_BITS_SAVED_BY_BODY_FRAME = 0.5
 """Smallest decrease of the deviation between two trees [bits, see `measure_deviation_bits`] with
 which a body frame with another orientation or origin replaces the best previous frame. The minimum
 excludes rounding errors. Chosen, not tuned."""
@@ -74,7 +74,7 @@ def align_frames(
         measure_tree_deviation(first, alignment.values, tolerances)
         for alignment in (nearest, rotated)
     ]
-    return rotated if costs[1] < costs[0] - _MIN_SAVED_BITS else nearest
+    return rotated if costs[1] < costs[0] - _MIN_BITS_SAVED_BY_BODY_FRAME else nearest
 
 
 def _align_by_cost(
@@ -114,7 +114,7 @@ def _align_by_cost(
             for step in _candidate_steps(first, rotated, name, still=name in fixed):
                 candidate = with_origin(rotated, name, step)
                 cost = measure_joint_deviation(first, candidate, name, tolerances)
-                if cost < least_cost - _MIN_SAVED_BITS:
+                if cost < least_cost - _MIN_BITS_SAVED_BY_BODY_FRAME:
                     best, least_cost, shift = candidate, cost, rotation.T @ step
         result = best
         if shift.any():

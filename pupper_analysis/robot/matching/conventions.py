@@ -38,7 +38,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
-_MIN_SAVED_BITS = 3.0
+_MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
 """Smallest decrease of the total deviation [bits, see `measure_deviation_bits`] with which a
 displaced base frame is accepted, if the robots agree with this frame. A decrease to less than 60 %
 is always sufficient. Chosen, not tuned."""
@@ -225,7 +225,9 @@ def _find_base_pose(
         is_rotation_only = (
             fixed and distance <= tolerances.position and _is_axis_permutation(pose.rotation)
         )
-        is_better = total_cost < 0.6 * total or (cost == 0 and total_cost < total - _MIN_SAVED_BITS)
+        is_better = total_cost < 0.6 * total or (
+            cost == 0 and total_cost < total - _MIN_BITS_SAVED_BY_BASE_FRAME
+        )
         if is_better and total_cost < best_cost:
             best, best_cost = pose, total_cost
         elif is_rotation_only and cost == 0 and best is None:
