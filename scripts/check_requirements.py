@@ -20,10 +20,10 @@ from pathlib import Path
 PROJECT_FOLDER = Path(__file__).parents[1]
 """Root folder of this project."""
 
-FILE = PROJECT_FOLDER / "requirements-check.txt"
+FILE = PROJECT_FOLDER / ".github/requirements/check.txt"
 """List of the requirements."""
 
-LOCK = PROJECT_FOLDER / "requirements-check.lock"
+LOCK = PROJECT_FOLDER / ".github/requirements/check.lock"
 """Lock file of the requirements."""
 
 NOT_NEEDED = ("placo", "matplotlib", "clarabel")

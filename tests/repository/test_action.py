@@ -169,14 +169,14 @@ def test_fetched_actions_and_packages_are_pinned_by_hash() -> None:
         assert used, file
         assert all(one == "./" or re.search(r"@[0-9a-f]{40}$", one) for one in used), file
     assert "--require-hashes" in STEPS["Install"]["run"]
-    lock = (ROOT / "requirements-check.lock").read_text()
+    lock = (ROOT / ".github/requirements/check.lock").read_text()
     assert "://" not in lock
     pinned: dict[str, list[str]] = {}
     for entry in re.split(r"\n(?=\S)", lock)[1:]:
         name, version = re.findall(r"^([a-z0-9.-]+)==(\S+)", entry)[0]
         assert "--hash=sha256:" in entry, name
         pinned.setdefault(name, []).append(version)
-    asked = (ROOT / "requirements-check.txt").read_text().splitlines()
+    asked = (ROOT / ".github/requirements/check.txt").read_text().splitlines()
     building = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
     for line in (*asked, *building):
         if not line.startswith("#"):
@@ -197,7 +197,7 @@ def test_locked_requirements_equal_those_of_the_project() -> None:
     )
     (ours, our_pins), (todays, pins) = (
         text.split("# The versions that placo ")
-        for text in ((ROOT / "requirements-check.txt").read_text(), result.stdout)
+        for text in ((ROOT / ".github/requirements/check.txt").read_text(), result.stdout)
     )
     assert ours == todays
     assert re.search(r"^pin==\d", our_pins, re.M)
