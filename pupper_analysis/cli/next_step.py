@@ -39,6 +39,8 @@ def complete_command(step: NextStep | None) -> str:
         Command line. Empty without a step or a running command, if the next command is not
         installed or needs more files than were typed, or if a typed file is standard input.
     """
+    from pupper_analysis.pupper.named_robots import is_variant
+
     context = click.get_current_context(silent=True)
     if step is None or context is None:
         return ""
@@ -65,10 +67,14 @@ def complete_command(step: NextStep | None) -> str:
     ]
     several = any(one.nargs == -1 for one in taken)
     lacking = len(robot) < sum(one.required for one in taken) or (taken and not (robot or several))
-    if step.robot_typed and lacking:
+    # A variant stands for both files.
+    pair = any(one.name == "mjcf" for one in taken) and not any(map(is_variant, robot))
+    if step.robot_typed and (lacking or (pair and len(robot) < len(taken))):
         return ""
     if not several:
         robot = robot[: len(taken)]
+    elif len(robot) > 1 and arguments >= {"urdf", "mjcf"}:  # a variant and a file: two robots
+        robot = [word for word in robot if not is_variant(word)] or robot[:1]
     excluded = (*step.words, *step.omitted)
     options = _list_common_options(order, values, target, excluded)
     split = next(

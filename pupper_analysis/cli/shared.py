@@ -602,7 +602,8 @@ MODEL_FILE = ModelFile()
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     """Return a URDF and an MJCF in this order, in whatever order they were typed.
 
-    Files of other formats, and files that cannot be read, keep the typed order.
+    A variant has both formats, and stands for the one that the other file does not have. Files of
+    other formats, and files that cannot be read, keep the typed order.
 
     Raises:
         ConfigurationError: If both files are URDFs, or both are MJCFs.
@@ -610,9 +611,13 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     from pupper_analysis.base.errors import ModelError
     from pupper_analysis.models.published import find_file
     from pupper_analysis.models.xml import parse_xml
+    from pupper_analysis.pupper.named_robots import is_variant
 
     tags = []
     for path in (one, other):
+        if is_variant(path):
+            tags.append("")
+            continue
         try:
             tags.append(parse_xml(find_file(path))[1].tag)
         except ModelError:
@@ -622,7 +627,7 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
         given, missing = kinds_by_tag[tags[0]], kinds_by_tag[{*kinds_by_tag}.difference(tags).pop()]
         problem = diagnose("both-of-one-format", given=given, missing=missing)
         raise ConfigurationError(f"{one}, {other}", problem)
-    return (other, one) if tags == ["mujoco", "robot"] else (one, other)
+    return (other, one) if tags[0] == "mujoco" or tags[1] == "robot" else (one, other)
 
 
 class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only

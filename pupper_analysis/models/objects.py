@@ -35,15 +35,27 @@ class UrdfObject(Protocol):
         """Return the XML text of the URDF."""
 
 
-ModelObject: TypeAlias = mujoco.MjSpec | mujoco.MjModel | pin.Model | pin.GeometryModel | UrdfObject
-"""Robot in memory. A ``pin.GeometryModel`` contains the shapes of a ``pin.Model``."""
+ModelObject: TypeAlias = (
+    mujoco.MjSpec
+    | mujoco.MjModel
+    | pin.Model
+    | pin.GeometryModel
+    | UrdfObject
+    | UrdfFile
+    | MjcfFile
+)
+"""Robot in memory. A ``pin.GeometryModel`` contains the shapes of a ``pin.Model``. ``UrdfFile`` and
+``MjcfFile`` are files that have been read, or models that were derived in memory."""
 
 
 def is_object(model: object) -> bool:
     """Return True if a model is a robot in memory: an object or an XML text, not a path."""
     if isinstance(model, str):
         return model.lstrip("\ufeff \t\r\n").startswith("<")
-    kinds = mujoco.MjSpec, mujoco.MjModel, pin.Model, pin.GeometryModel
+    kinds = (
+        *(mujoco.MjSpec, mujoco.MjModel, pin.Model, pin.GeometryModel),
+        *(UrdfFile, MjcfFile),
+    )
     return isinstance(model, kinds) or (
         not isinstance(model, Path | type) and isinstance(model, UrdfObject)
     )
@@ -157,6 +169,8 @@ def _read_object(
     folder: Path,
 ) -> UrdfFile | MjcfFile:
     """Return the model file of a robot in memory; meshes are written to the folder."""
+    if isinstance(model, UrdfFile | MjcfFile):
+        return model
     if isinstance(model, str):
         return _read_text(model, "XML text", packages)
     if isinstance(model, mujoco.MjSpec):

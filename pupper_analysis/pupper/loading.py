@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec
+from pathlib import Path
+from typing import Any, ParamSpec
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.models.objects import is_object
 from pupper_analysis.prepare.convert import load
-from pupper_analysis.pupper.named_robots import is_variant
+from pupper_analysis.pupper.named_robots import is_variant, refuse_unknown_variant
 from pupper_analysis.pupper.variant_files import load_variant
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.robot import Robot
 
 P = ParamSpec("P")
@@ -18,11 +21,14 @@ P = ParamSpec("P")
 
 
 def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
-    """Let ``load_robot`` accept the name of a variant in place of files."""
+    """Let ``load_robot`` accept a variant, or the name of a variant, in place of files."""
 
     @wraps(load_files)
     def load_named(*models: P.args, **options: P.kwargs) -> Robot:
-        """Load a Pupper variant if a single variant name is given, else a robot from files."""
+        """Load a Pupper variant if a single variant is given, else a robot from files."""
+        for model in models:
+            if isinstance(model, str | Path) and not is_object(model):
+                refuse_unknown_variant(str(model))
         if len(models) != 1 or not is_variant(models[0]):
             return load_files(*models, **options)
         given = {name: value for name, value in options.items() if value not in (None, False)}
@@ -30,7 +36,10 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
         given.pop("visuals", None)  # MuJoCo reads the meshes of variants without conversion
         if given:
             raise ConfigurationError(next(iter(given)), diagnose("options-of-files-alone"))
-        return load_variant(str(models[0]), fixed_base=fixed_base)
+        variant: Any = models[0]
+        if not isinstance(variant, VariantSpec):
+            variant = str(variant)
+        return load_variant(variant, fixed_base=fixed_base)
 
     return load_named
 

@@ -1,12 +1,15 @@
-"""Variants by name where model files are expected."""
+"""Variants by name where model files are expected.
+
+A base model has files. The models of a scaled variant are derived in memory, without line numbers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
     VARIANTS,
@@ -16,10 +19,99 @@ from pupper_analysis.pupper.variants import (
     list_similar_variants,
 )
 
+if TYPE_CHECKING:
+    from pupper_analysis.models.mjcf_file import MjcfFile
+    from pupper_analysis.models.urdf_file import UrdfFile
+
+_Model = TypeVar("_Model")
+"""Type of a model that is not a variant."""
+
+_MAX_WORD_LENGTH = 200
+"""Largest number of characters of a word that can be a misspelled variant name. Chosen, not tuned:
+longer texts are XML."""
+
 
 def is_variant(word: object) -> bool:
-    """Return True if a word is the name of a variant, and not of a file in the current folder."""
-    return isinstance(word, str) and word in VARIANTS and not Path(word).exists()
+    """Return True for a variant, or for its name if the current folder has no such file."""
+    if isinstance(word, VariantSpec):
+        return True
+    return isinstance(word, str | Path) and str(word) in VARIANTS and not Path(word).exists()
+
+
+def find_model(
+    model: _Model | VariantSpec, model_format: Literal["urdf", "mjcf"]
+) -> _Model | Path | UrdfFile | MjcfFile:
+    """Return the URDF or the MJCF of a variant; another model is returned unchanged.
+
+    Args:
+        model: Name of a variant, ``VariantSpec``, or any other model.
+        model_format: Format of the model of a variant.
+
+    Returns:
+        Path, if the variant is a base model; otherwise the derived model in memory.
+
+    Raises:
+        VariantError: If a word without suffix is probably a misspelled variant name, or the scales
+            give no valid model.
+        ModelError: If a base file is missing or damaged.
+    """
+    if not is_variant(model):
+        if isinstance(model, str | Path):
+            refuse_unknown_variant(str(model))
+        return model  # type: ignore[return-value]  # not a VariantSpec
+    variant: Any = model
+    spec = _get_spec(variant)
+    if _is_base_model(spec):
+        return _find_base_files(spec)[model_format == "mjcf"]
+    from pupper_analysis.models.mjcf_file import mjcf_of_spec
+    from pupper_analysis.models.places import forget_lines
+    from pupper_analysis.models.urdf_file import urdf_from
+    from pupper_analysis.models.xml import parse_file_text
+    from pupper_analysis.pupper.variant_files import describe_variant
+
+    derived = describe_variant(spec)
+    if model_format == "mjcf":
+        return mjcf_of_spec(derived.mjcf_source.with_name(f"{spec.name}.xml"), derived.mjcf)
+    path = derived.urdf_source.with_name(f"{spec.name}.urdf")
+    root = parse_file_text(path, derived.urdf)
+    forget_lines(root)
+    return urdf_from(path, derived.urdf, root, None)
+
+
+def find_model_pair(
+    urdf: _Model | VariantSpec, mjcf: _Model | VariantSpec | None
+) -> tuple[Any, Any]:
+    """Return the URDF and the MJCF of two arguments, or of one variant; see `find_model`.
+
+    Args:
+        urdf: URDF, or a variant.
+        mjcf: MJCF, or a variant; None for the MJCF of the variant ``urdf``.
+
+    Raises:
+        ConfigurationError: If there is no ``mjcf`` and ``urdf`` is no variant.
+        VariantError: See `find_model`.
+        ModelError: See `find_model`.
+    """
+    first = find_model(urdf, "urdf")
+    if mjcf is None and not is_variant(urdf):
+        raise ConfigurationError("mjcf", diagnose("mjcf-missing"))
+    return first, find_model(urdf if mjcf is None else mjcf, "mjcf")
+
+
+def _get_spec(variant: str | Path | VariantSpec) -> VariantSpec:
+    """Return the spec of a variant that `is_variant` accepts."""
+    return get_variant_spec(variant if isinstance(variant, VariantSpec) else str(variant))
+
+
+def _is_base_model(spec: VariantSpec) -> bool:
+    """Return True if a variant is not scaled: it then has permanent files."""
+    return spec.leg_scale == spec.torso_mass_scale == 1.0
+
+
+def _find_base_files(spec: VariantSpec) -> tuple[Path, Path]:
+    """Return the URDF and the MJCF of the base model of a variant."""
+    base = BASE_MODELS[spec.base]
+    return find_model_folder("urdf") / base.urdf, find_model_folder("mjcf") / base.mjcf
 
 
 def refuse_unknown_variant(word: str) -> None:
@@ -29,26 +121,9 @@ def refuse_unknown_variant(word: str) -> None:
         VariantError: If the word has no suffix, names no file, and is similar to names of variants,
             which the message lists.
     """
+    if len(word) > _MAX_WORD_LENGTH:
+        return
     path = Path(word)
     may_be_variant = not path.suffix and len(path.parts) == 1 and not path.exists()
     if may_be_variant and word not in VARIANTS and list_similar_variants(word):
         get_variant_spec(word)
-
-
-@contextmanager
-def variant_model_files(name: str | VariantSpec) -> Iterator[tuple[Path, Path]]:
-    """Yield the URDF and the MJCF of a variant.
-
-    A base model has permanent files. The files of a scaled variant are written to a temporary
-    folder, which is removed at the end.
-    """
-    spec = get_variant_spec(name) if isinstance(name, str) else name
-    if spec.leg_scale == spec.torso_mass_scale == 1.0:
-        base = BASE_MODELS[spec.base]
-        yield find_model_folder("urdf") / base.urdf, find_model_folder("mjcf") / base.mjcf
-        return
-    # Imports PlaCo and Clarabel, which `audit` and `crosscheck` of files do not need.
-    from pupper_analysis.pupper.variant_files import write_variant
-
-    with TemporaryDirectory() as folder:
-        yield write_variant(name, folder)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.pupper.named_robots import variant_model_files
+from pupper_analysis.pupper.named_robots import find_model
 from tests.support.commands import answer
 
 
@@ -41,20 +42,67 @@ def test_file_takes_precedence_over_a_variant_of_its_name(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["v3", "long-leg"])
-def test_audit_and_crosscheck_accept_the_name_of_a_variant(name: str, tmp_path: Path) -> None:
-    """Temporary files of a scaled variant are removed afterwards."""
+@pytest.mark.parametrize(("name", "file"), [("v3", "pupper_v3"), ("long-leg", "long-leg")])
+def test_audit_and_crosscheck_accept_the_name_of_a_variant(
+    name: str, file: str, tmp_path: Path
+) -> None:
     done = answer("audit", name, "--json", "audit.json", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()[:2]] == ["OK", "OK"]
     results = json.loads((tmp_path / "audit.json").read_text())
-    with variant_model_files(name) as files:
-        assert {file.name for file in files} <= set(results)
-    own = name == "v3"  # a base model has files; those of a scaled one are gone again
-    assert [file.exists() for file in files] == [own, own]
+    assert {f"{file}.urdf", f"{file}.xml"} <= set(results)
     done = answer("crosscheck", name, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("AGREE")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["v3-long-leg", "long-leg"])
+def test_models_of_a_variant_equal_the_written_files(name: str, tmp_path: Path) -> None:
+    """Reference: both files that ``write_variant`` writes, read by ``diff``."""
+    for written, model_format in zip(
+        pa.pupper.write_variant(name, tmp_path), ("urdf", "mjcf"), strict=True
+    ):
+        assert pa.diff_models(written, find_model(name, model_format)).same
+        assert pa.diff_models(name, written).same
+
+
+@pytest.mark.slow
+def test_converted_variant_refers_to_existing_meshes(tmp_path: Path) -> None:
+    """Reference: the file system, after the conversion of a variant that has no files."""
+    for output in (tmp_path / "a.urdf", tmp_path / "a.xml"):
+        done = answer("convert", "v3-long-leg", "-o", str(output), folder=tmp_path)
+        assert done.returncode == 0, done.stderr
+        meshes = re.findall(r"(?:filename|<mesh[^>]* file)=\"([^\"]+)\"", output.read_text())
+        assert len(meshes) > 3
+        assert all((tmp_path / mesh).is_file() for mesh in meshes)
+        assert f"next: pupper-analysis stand {output}" in done.stdout
+
+
+@pytest.mark.slow
+def test_crosscheck_of_a_variant_and_a_file_names_a_next_command_that_runs(tmp_path: Path) -> None:
+    """A variant and a file are two robots for ``stand``: the next command has the file alone."""
+    pa.pupper.write_variant("v3", tmp_path)
+    file = tmp_path / "mjcf" / "v3.xml"
+    done = answer("crosscheck", str(file), "v3", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert f"next: pupper-analysis stand {file}\n" in done.stdout
+
+
+def test_differences_of_a_scaled_variant_are_located_by_its_name() -> None:
+    """The model of a scaled variant has no file, and no lines."""
+    changes = pa.diff_models("v3", "v3-heavy").changes
+    assert {change.new_place for change in changes} == {"v3-heavy"}
+    assert all("pupper_v3_body.xml:" in change.old_place for change in changes)
+
+
+def test_model_in_memory_is_not_synchronised() -> None:
+    """Reference: `sync` writes files; a scaled variant has none."""
+    with pytest.raises(pa.ConfigurationError, match="analyze VARIANT --write"):
+        pa.sync_models("v3-heavy")
+    assert pa.sync_models("v3").agree
+    with pytest.raises(pa.ConfigurationError, match="MJCF is missing"):
+        pa.sync_models("robot.urdf")
 
 
 def test_crosscheck_of_one_file_names_the_missing_argument() -> None:

@@ -27,6 +27,8 @@ from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.pupper.named_robots import find_model
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.tools.audit import rules as _rules  # noqa: F401  (registers the rules)
 from pupper_analysis.tools.audit.registry import (
     CHECKS,
@@ -43,7 +45,7 @@ __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
 @check_arguments
 def audit_model(
-    path: str | Path | ModelObject,
+    path: str | Path | ModelObject | VariantSpec,
     *,
     packages: Mapping[str, Path] | None = None,
     disabled: Iterable[str] = (),
@@ -51,8 +53,9 @@ def audit_model(
     """Find physical and practical errors in a model file of any supported format.
 
     Args:
-        path: Model file, or a robot in memory, as for ``load_robot``. Findings about a robot in
-            memory have no lines.
+        path: Model file, name of a published robot, or a robot in memory, as for ``load_robot``;
+            for a variant, the MJCF is audited. Findings about a robot in memory or a scaled variant
+            have no lines.
         packages: {ROS package: folder}, for ``package://`` paths in a URDF.
         disabled: Ids of rules that are not run.
 
@@ -64,7 +67,9 @@ def audit_model(
         ConfigurationError: If a rule in ``disabled`` does not exist.
         MissingPackageError: If the package that reads the format is not installed, for example
             usd-core.
+        VariantError: If ``path`` is probably a misspelled variant name.
     """
+    path = find_model(path, "mjcf")
     if isinstance(disabled, str):
         disabled = (disabled,)
     unwanted = tuple(dict.fromkeys(disabled))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,9 +81,9 @@ def command(
     from pupper_analysis.present import formats
     from pupper_analysis.present.document import NextStep
     from pupper_analysis.pupper.named_robots import (
+        find_model,
         is_variant,
         refuse_unknown_variant,
-        variant_model_files,
     )
     from pupper_analysis.tools.audit import document as audit_report
     from pupper_analysis.tools.audit.audit import audit_model
@@ -99,37 +98,32 @@ def command(
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
     refuse_unknown_variant(str(file))
     folders = shared.parse_packages(packages)
-    if fix and (is_variant(str(file)) or not file.is_file()):
+    named = is_variant(file)
+    if fix and (named or not file.is_file()):
         raise ConfigurationError("--fix", diagnose("nothing-to-fix", file=str(file)))
-    with variant_model_files(str(file)) if is_variant(str(file)) else nullcontext((file,)) as files:
-        with shared.show_progress("checking the model against the rules"):
-            results = [
-                audit_model(model_file, packages=folders, disabled=disabled) for model_file in files
-            ]
-        if style in ("text", "markdown"):
-            shown = [("", result) for result in results]
-            step = NextStep("crosscheck") if len(results) > 1 else None  # files of a variant
-            shared.show_results(shown, style, everything=everything, next_step=step)
-        else:
-            found = [
-                annotation
-                for result in results
-                for annotation in audit_report.make_audit_annotations(result)
-            ]
-            click.echo(formats.write_annotations(style, found))
-        if fix and _fix_files(results, confirmed=confirmed):
-            results = [audit_model(file, packages=folders, disabled=disabled)]
-        least = Severity(fail_on).rank
-        passed = all(
-            finding.severity.rank > least for result in results for finding in result.findings
-        )
-        content = (
-            results[0]
-            if len(results) == 1
-            else {Path(result.file).name: result for result in results}
-        )
-        shared.write_page(report_path, content)
-        shared.finish_command(json_path, content, passed=passed)
+    with shared.show_progress("checking the model against the rules"):
+        models = [find_model(file, "urdf"), find_model(file, "mjcf")] if named else [file]
+        results = [audit_model(model, packages=folders, disabled=disabled) for model in models]
+    if style in ("text", "markdown"):
+        shown = [("", result) for result in results]
+        step = NextStep("crosscheck") if len(results) > 1 else None  # files of a variant
+        shared.show_results(shown, style, everything=everything, next_step=step)
+    else:
+        found = [
+            annotation
+            for result in results
+            for annotation in audit_report.make_audit_annotations(result)
+        ]
+        click.echo(formats.write_annotations(style, found))
+    if fix and _fix_files(results, confirmed=confirmed):
+        results = [audit_model(file, packages=folders, disabled=disabled)]
+    least = Severity(fail_on).rank
+    passed = all(finding.severity.rank > least for result in results for finding in result.findings)
+    content = (
+        results[0] if len(results) == 1 else {Path(result.file).name: result for result in results}
+    )
+    shared.write_page(report_path, content)
+    shared.finish_command(json_path, content, passed=passed)
 
 
 def _print_rules() -> None:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import cast
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
@@ -20,7 +21,11 @@ from pupper_analysis.base.errors import (
     PupperAnalysisError,
 )
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.objects import require_path
 from pupper_analysis.models.places import make_input_error
+from pupper_analysis.models.published import PACKAGE_PREFIX, find_file, is_published_name
+from pupper_analysis.pupper.named_robots import find_model_pair, is_variant, refuse_unknown_variant
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.tools.contract.facts import Fact, Request, Role, Source, load_readers
 from pupper_analysis.tools.contract.findings import (
     Disagreement,
@@ -98,7 +103,7 @@ class Contract(Result):
 
 @check_arguments
 def read_contract(
-    *sources: str | Path,
+    *sources: str | Path | VariantSpec,
     names: Mapping[str, str] | None = None,
     stand: bool = True,
     fail_on: str = "warning",
@@ -109,7 +114,9 @@ def read_contract(
 
     Args:
         *sources: Files, folders, or ``FILE:NAME`` to select a configuration in a file; at least one
-            is a model. Modules that a Python file imports are searched in the folders as well.
+            is a model. A model may also be the name of a published robot, or a base model of the
+            package, such as ``"v3"``, for both of its files. Modules that a Python file imports are
+            searched in the folders as well.
         names: {joint name in a source: joint name in the model} of joints that are not matched
             automatically.
         stand: Whether to compute how the robot stands in the default pose of each source.
@@ -119,7 +126,9 @@ def read_contract(
         Numbers, disagreements and poses.
 
     Raises:
-        ConfigurationError: If no model is passed, or an argument is invalid.
+        ConfigurationError: If no model is passed, or an argument is invalid, for example a scaled
+            variant, which has no files.
+        VariantError: If a source is probably a misspelled variant name.
         ModelError: If a source cannot be read, contains no joint of the robot, or if a trainer's
             file contains several configurations and no name is passed. The message states the
             place and the valid choices.
@@ -127,7 +136,7 @@ def read_contract(
     if fail_on not in list(map(str, Severity)):
         message = diagnose("one-of", names=[str(severity) for severity in Severity])
         raise ConfigurationError("fail_on", message)
-    requests, folders = _split_arguments(sources)
+    requests, folders = _split_arguments(_find_model_files(sources))
     read = [
         source
         for request in requests
@@ -227,6 +236,22 @@ def _make_names_distinct(read: Sequence[Source]) -> list[Source]:
         )
         renamed.append(replace(source, name="/".join((*own_parts[-num_parts:-1], source.name))))
     return renamed
+
+
+def _find_model_files(sources: Sequence[str | Path | VariantSpec]) -> list[str | Path]:
+    """Return the sources, with the files of base models and published robots instead of names."""
+    found: list[str | Path] = []
+    for source in sources:
+        if is_variant(source):
+            models = find_model_pair(source, None)
+            for model in models:
+                require_path("sources", model)
+            found += models
+        else:
+            refuse_unknown_variant(str(source))
+            named = is_published_name(str(source)) or str(source).startswith(PACKAGE_PREFIX)
+            found.append(find_file(str(source)) if named else cast(str | Path, source))
+    return found
 
 
 def _split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:

@@ -25,7 +25,7 @@ _USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIO
 option without an effect is refused if the user typed it."""
 
 
-@shared.command("convert", meanings={"source": "the URDF, MJCF or USD to convert"})
+@shared.command("convert", meanings={"source": "the URDF, MJCF, USD or variant to convert"})
 @click.argument("source", type=shared.MODEL_FILE)
 @shared.output_option(
     "-o",
@@ -92,11 +92,13 @@ def command(
       pupper-analysis convert robot.urdf -o new.xml --armature 0.005
       pupper-analysis convert arm.urdf -o arm.xml --fixed-base
       pupper-analysis convert robot.xml -o new.urdf
+      pupper-analysis convert v3-long-leg -o new.xml the URDF of a variant
 
     Exit status: 0 both files agree and the robot stands, 1 otherwise (the file is written
     nevertheless), 2 invalid input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.models.urdf_file import read_urdf
+    from pupper_analysis.models.loading import read_as_urdf
+    from pupper_analysis.pupper.named_robots import find_model
     from pupper_analysis.tools.convert.model import convert_model
 
     if output.suffix.lower() in _USED_OPTIONS:
@@ -106,7 +108,7 @@ def command(
     named |= {foot: foot for foot in feet if "=" not in foot}
     rotors = {}
     if armature:
-        joints = read_urdf(source, folders).tree.joints.values()
+        joints = read_as_urdf(find_model(source, "urdf"), folders).tree.joints.values()
         moving = [joint.name for joint in joints if not joint.is_fixed]
         rotors = _assign_by_pattern(armature, moving)
     with shared.show_progress("converting, and standing it for 12 s"):

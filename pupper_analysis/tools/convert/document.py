@@ -49,14 +49,15 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
     """Return the command to run next.
 
-    If the conversion failed, the command shows the differences from the source or audits the new
-    file. Otherwise it simulates the new file: ``stand`` if the stand was simulated, else ``hold``.
+    If the conversion failed, the command shows the differences from the source, or audits the
+    source. Otherwise the command simulates the new file: ``stand`` for a robot with a free base and
+    feet, else ``hold``.
     """
     if not conversion.agree:
         return doc.NextStep("crosscheck", (conversion.source, conversion.output), robot_typed=False)
     if not conversion.passed:
         return doc.NextStep("audit")
-    command = "hold" if conversion.verification is None else "stand"
+    command = "stand" if conversion.floating else "hold"
     return doc.NextStep(command, (conversion.output,), robot_typed=False)
 
 

@@ -31,12 +31,15 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.objects import ModelObject, is_object
+from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
 from pupper_analysis.prepare.convert.repair import Repair
 from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.prepare.passes import Feet, make_robot
 from pupper_analysis.prepare.simulable import check_simulable
+from pupper_analysis.pupper.named_robots import find_model
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS
@@ -60,7 +63,7 @@ from pupper_analysis.tools.convert.draft import ConversionDraft, draft_mjcf, dra
 @silence_mujoco()
 @ensure_run()
 def convert_model(
-    source: str | Path | ModelObject,
+    source: str | Path | ModelObject | VariantSpec,
     output: str | Path,
     *,
     feet: Feet | None = None,
@@ -83,8 +86,9 @@ def convert_model(
     cannot express are listed in ``not_converted``.
 
     Args:
-        source: Path of the URDF or MJCF, or a robot in memory, as for ``load_robot``. For an MJCF,
-            only ``output``, ``packages`` and ``force`` may be passed in addition.
+        source: Path of the URDF or MJCF, name of a published robot, or a robot in memory, as for
+            ``load_robot``; of a variant, the model that has another format than ``output``. For an
+            MJCF, only ``output``, ``packages`` and ``force`` may be passed in addition.
         output: Path of the new file.
         feet: Links of the feet, or the link for each foot name. Default: detected as by
             ``load_robot``.
@@ -105,19 +109,21 @@ def convert_model(
     Raises:
         ConfigurationError: If an argument is out of range, or an option of new MJCFs is passed for
             an MJCF.
+        VariantError: If ``source`` is probably a misspelled variant name.
         ModelError: For example, if the source cannot be read, the other format cannot represent the
             robot, or the URDF has no joint of ``armature``.
         OutputError: If the output or a mesh exists, is an input file, has another suffix, is no
             regular file, or cannot be written.
     """
     output = Path(output)
+    name = _name_source(source)
+    source = find_model(source, "mjcf" if output.suffix.lower() == ".urdf" else "urdf")
     if not is_object(source):
-        register_input(Path(cast(str | Path, source)))
-    check_writable(output, MODEL_KIND, force=force)
-    if output.exists() and not output.is_file():
-        raise OutputError(output, diagnose("output-not-regular"))
+        source = find_file(cast(str | Path, source), packages)
+        register_input(source)
+    _check_output(output, force=force)
     file = read_model(source, packages)
-    name = str(file.path if is_object(source) else source)
+    name = name or str(file.path)
     if isinstance(source, pin.Model) and armature is None:
         armature = _list_armatures(source)
     wanted = ".xml" if isinstance(file, UrdfFile) else ".urdf"
@@ -137,7 +143,7 @@ def convert_model(
     write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     urdf, mjcf = (source, output) if isinstance(file, UrdfFile) else (output, source)
     comparison = compare_files(urdf, mjcf, packages=packages, tolerances=Tolerances.fine()).result
-    verification, kept = None, None
+    verification, kept, floating = None, None, False
     failures = list(_list_disagreements(comparison, draft))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     if draft.failure is not None:
@@ -151,6 +157,7 @@ def convert_model(
             else (draft.urdf or file, read_mjcf(output))
         )
         robot = _make_converted_robot(draft, *pair, feet)
+        floating = robot.floating and bool(robot.feet)
         unlike = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
         failures += [remark for remark in unlike if remark.severity is Severity.ERROR]
     if draft.failure is None and draft.stands:
@@ -173,10 +180,25 @@ def convert_model(
         comparison=comparison,
         verification=verification,
         kept=kept,
+        floating=floating,
         failures=tuple(failures),
         agree=agree,
         passed=not failures,
     )
+
+
+def _name_source(source: str | Path | ModelObject | VariantSpec) -> str:
+    """Return the name of a source as the caller typed it; "" for a robot in memory."""
+    if isinstance(source, VariantSpec):
+        return source.name
+    return "" if is_object(source) else str(source)
+
+
+def _check_output(output: Path, *, force: bool) -> None:
+    """Raise an OutputError if the new file cannot be written."""
+    check_writable(output, MODEL_KIND, force=force)
+    if output.exists() and not output.is_file():
+        raise OutputError(output, diagnose("output-not-regular"))
 
 
 def _make_converted_robot(
@@ -240,6 +262,7 @@ class Conversion(Result):
             or if the robot is known not to stand.
         kept: Simulation of a new MJCF from the keyframe, with a small velocity disturbance (nudge).
             None if ``verification`` is None.
+        floating: True if the new file is that of a robot with a free base and feet.
         failures: Reasons for a negative result: unexplained differences from the source, a robot
             that does not stand, lost collision meshes.
         agree: True if both files agree, except for repaired inertials and replaced feet.
@@ -255,6 +278,7 @@ class Conversion(Result):
     comparison: FilesCompared
     verification: StandVerification | None
     kept: KeyframeRun | None
+    floating: bool
     failures: tuple[Diagnostic, ...]
     agree: bool
     passed: bool

@@ -82,23 +82,17 @@ def command(
     1 the files differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
-    from pupper_analysis.pupper.named_robots import (
-        is_variant,
-        refuse_unknown_variant,
-        variant_model_files,
-    )
+    from pupper_analysis.pupper.named_robots import is_variant, refuse_unknown_variant
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.crosscheck.crosscheck import compare_models
     from pupper_analysis.tools.crosscheck.document import make_comparison_annotations
 
     context = click.get_current_context()
-    if mjcf is None and is_variant(str(urdf)):
-        urdf, mjcf = context.with_resource(variant_model_files(str(urdf)))
-    elif mjcf is None:
+    if mjcf is not None:
+        urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
+    elif not is_variant(urdf):
         refuse_unknown_variant(str(urdf))
         raise command.make_missing_error(context, "mjcf")
-    else:
-        urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
     names = parse_name_map(pairs)
     folders = shared.parse_packages(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()

@@ -54,6 +54,8 @@ from pupper_analysis.models.objects import ModelObject
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.pupper.named_robots import find_model_pair
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.compare.behaviour import (
     States,
     affordable_states,
@@ -97,8 +99,8 @@ class Comparison(FilesCompared):
 @check_arguments
 @silence_mujoco()
 def compare_models(
-    urdf: str | Path | ModelObject,
-    mjcf: str | Path | ModelObject,
+    urdf: str | Path | ModelObject | VariantSpec,
+    mjcf: str | Path | ModelObject | VariantSpec | None = None,
     *,
     names: Mapping[str, str] | None = None,
     packages: Mapping[str, Path] | None = None,
@@ -113,10 +115,12 @@ def compare_models(
     Files of registered formats, such as USD, are accepted in place of either file.
 
     Args:
-        urdf: Path of the URDF or the replacement; or a robot in memory that is a URDF: its text,
-            ``yourdfpy.URDF`` or ``pin.Model``. Differences then have no lines.
-        mjcf: Path of the MJCF or the replacement; or a robot in memory that is an MJCF: its text,
-            ``mujoco.MjSpec`` or ``mujoco.MjModel``.
+        urdf: Path of the URDF or the replacement; name of a published robot; a variant, for its
+            URDF; or a robot in memory that is a URDF: its text, ``yourdfpy.URDF`` or ``pin.Model``.
+            Differences of scaled variants and of robots in memory have no lines.
+        mjcf: Path of the MJCF or the replacement; name of a published robot; a variant, for its
+            MJCF; or a robot in memory that is an MJCF: its text, ``mujoco.MjSpec`` or
+            ``mujoco.MjModel``. By default the MJCF of the variant ``urdf``.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: folder}, for ``package://`` paths.
         feet: Frames that count as feet, named as in the MJCF; by default all frames in both files.
@@ -135,9 +139,12 @@ def compare_models(
             MuJoCo refuses the URDF of a large robot.
         MissingPackageError: If the package that reads the format of a file is not installed.
         UnknownNameError: If a name does not occur in the file.
-        ConfigurationError: If an argument is out of range.
+        ConfigurationError: If an argument is out of range, or if there is no ``mjcf`` and ``urdf``
+            is no variant.
+        VariantError: If a model is probably a misspelled variant name.
     """
     validate_state_request(configurations, seed)
+    urdf, mjcf = find_model_pair(urdf, mjcf)
     tolerances = tolerances or Tolerances()
     compared = compare_files(
         urdf,

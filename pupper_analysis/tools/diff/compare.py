@@ -8,6 +8,7 @@ options, keyframes, motors) are compared by `elements`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -28,6 +29,9 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.objects import ModelObject
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.pupper.named_robots import find_model, is_variant
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.compare.attribution import MAX_RESIDUAL
 from pupper_analysis.robot.compare.differences import (
     VERSION_NAMES,
@@ -128,8 +132,8 @@ class ModelDiff(Result):
 @check_arguments
 @silence_mujoco()
 def diff_models(
-    old: str | Path | ModelObject,
-    new: str | Path | ModelObject,
+    old: str | Path | ModelObject | VariantSpec,
+    new: str | Path | ModelObject | VariantSpec,
     *,
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
@@ -141,8 +145,10 @@ def diff_models(
     flags and keyframes. Visual shapes and sensors are ignored.
 
     Args:
-        old: Old file, ``REVISION:PATH`` for a file in git, or a robot in memory, as for
-            ``load_robot``. Changes of a robot in memory have no lines.
+        old: Old file, ``REVISION:PATH`` for a file in git, a variant, the name of a published
+            robot, or a robot in memory, as for ``load_robot``. The model of a variant has the
+            format of the other version; an MJCF, if both are variants. Changes of scaled variants
+            and of robots in memory have no lines.
         new: New version, in the same forms as ``old``.
         packages: {ROS package: folder}, for ``package://`` paths.
         tolerances: Largest ignored changes; by default rounding errors.
@@ -153,9 +159,13 @@ def diff_models(
     Raises:
         ModelError: If a file cannot be read, git does not contain the file, the formats differ, or
             the versions have no joint in common.
+        VariantError: If an argument is probably a misspelled variant name.
     """
     tolerances = tolerances or Tolerances.strict()
-    with open_version(old) as before, open_version(new) as after:
+    with (
+        _open_version_or_variant(old, new, packages) as before,
+        _open_version_or_variant(new, old, packages) as after,
+    ):
         old_version, new_version = (
             read_version(source.read(lambda path: read_model(path, packages)))
             for source in (before, after)
@@ -167,6 +177,32 @@ def diff_models(
         if type(old_version.file) is not type(new_version.file):
             raise ModelError(after.name, diagnose("formats-differ", other=before.name))
         return _Comparison(old_version, new_version, (before, after), tolerances).result()
+
+
+@contextmanager
+def _open_version_or_variant(
+    given: str | Path | ModelObject | VariantSpec,
+    other: str | Path | ModelObject | VariantSpec,
+    packages: Mapping[str, Path] | None,
+) -> Iterator[VersionedFile]:
+    """Yield a version; the model of a variant has the format of the other version.
+
+    Args:
+        given: Version.
+        other: Other version of the comparison.
+        packages: {ROS package: folder}.
+    """
+    if not is_variant(given):
+        with open_version(find_model(given, "mjcf")) as version:
+            yield version
+        return
+    is_urdf = False
+    if not is_variant(other):
+        with open_version(find_model(other, "mjcf")) as version:
+            file = version.read(lambda path: read_model(path, packages))
+            is_urdf = isinstance(file, UrdfFile)
+    name = given.name if isinstance(given, VariantSpec) else str(given)
+    yield VersionedFile(find_model(given, "urdf" if is_urdf else "mjcf"), name)
 
 
 class _Comparison:

@@ -37,6 +37,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.objects import ModelObject, is_object
 from pupper_analysis.models.places import Place, one_line
+from pupper_analysis.models.published import PACKAGE_PREFIX, is_published_name
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear, list_actuator_targets
@@ -243,8 +244,11 @@ class VersionedFile:
     root: Path | None = None
 
     def label(self, place: Place) -> str:
-        """Return ``file:line`` of a place; the file is named as by the user (``REVISION:PATH``)."""
-        return self._replace_paths(place.path)
+        """Return ``file:line`` of a place; the file is named as by the user (``REVISION:PATH``).
+
+        Elements of a robot in memory have no line; the label is the name of the robot.
+        """
+        return self.name if is_object(self.path) else self._replace_paths(place.path)
 
     def read(self, read: Callable[[Path | ModelObject | str], _T]) -> _T:
         """Call ``read`` with the path of this file, its copy from git, or the robot in memory.
@@ -274,8 +278,9 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
     """Yield a file, a copy of a file in git with all files that it may include, or an object.
 
     Args:
-        given: Robot in memory, path, or ``REVISION:PATH`` as for ``git show``: relative to the top
-            of the repository, or to the current folder if PATH begins with ``./`` or ``../``.
+        given: Robot in memory, path, name of a published robot, ``package://NAME/FILE``, or
+            ``REVISION:PATH`` as for ``git show``: relative to the top of the repository, or to the
+            current folder if PATH begins with ``./`` or ``../``.
 
     Raises:
         ModelError: If git is not installed or does not contain the file; with git's message.
@@ -288,11 +293,13 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
     # An existing path takes precedence; "C:\\robot.urdf" is a path as well.
     if (
         Path(text).exists()
+        or is_published_name(text)
+        or text.startswith(PACKAGE_PREFIX)
         or not separator
         or not inside
         or (len(revision) < 2 and revision != "@")
     ):
-        yield VersionedFile(Path(text), text)
+        yield VersionedFile(given, text)
         return
     if revision.startswith("-"):
         raise ModelError(text, diagnose("no-revision", revision=revision))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -122,17 +124,18 @@ def _explain_preparation(
     from pupper_analysis.prepare.convert.load import read_pair
     from pupper_analysis.prepare.passes import LoadRequest, parse_feet
     from pupper_analysis.present.document import Report
-    from pupper_analysis.pupper.named_robots import variant_model_files
+    from pupper_analysis.pupper.named_robots import find_model
     from pupper_analysis.tools.stand.document import preparation_document
     from pupper_analysis.tools.stand.stance import explain_loading
 
     selected = request.which.select_robot(words) or "v3"
+    models: tuple[Any, ...]
+    options: Mapping[str, Any]
     with ExitStack() as resources:
         if isinstance(selected, RobotFiles):
             models, options = selected.models, selected.options
         else:
-            variant = resources.enter_context(variant_model_files(selected))
-            models, options = tuple(map(str, variant)), {}
+            models, options = (find_model(selected, "urdf"), find_model(selected, "mjcf")), {}
         resources.enter_context(
             shared.show_progress("preparing the robot: feet, start pose, servos")
         )

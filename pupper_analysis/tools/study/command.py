@@ -122,13 +122,14 @@ def command(
     2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.cli.next_step import print_next_step
+    from pupper_analysis.models.published import is_published_name
     from pupper_analysis.present.document import NextStep
     from pupper_analysis.pupper.named_robots import is_variant
     from pupper_analysis.tools.study.document import progress_bar
     from pupper_analysis.tools.study.outcome import check_objectives, study_outcome
     from pupper_analysis.tools.study.study import Study
 
-    if is_variant(str(file)):
+    if is_variant(file) or is_published_name(str(file)):
         raise ConfigurationError("FILE", diagnose("study-of-variant", variant=str(file)))
     study = Study.read(file)
     if folder is None:  # after the file, so that a wrong name is reported first

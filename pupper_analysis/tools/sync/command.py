@@ -19,12 +19,12 @@ from pupper_analysis.cli.shared import (
 @shared.command(
     "sync",
     meanings={
-        "urdf": "the URDF to compare and change",
+        "urdf": "the URDF to compare and change, or a base model such as v3",
         "mjcf": "the MJCF to compare and change",
     },
 )
 @click.argument("urdf", type=click.Path(path_type=Path))
-@click.argument("mjcf", type=click.Path(path_type=Path))
+@click.argument("mjcf", type=click.Path(path_type=Path), required=False)
 @click.option(
     "--take",
     multiple=True,
@@ -55,7 +55,7 @@ from pupper_analysis.cli.shared import (
 @shared.verbose_option
 def command(
     urdf: Path,
-    mjcf: Path,
+    mjcf: Path | None,
     take: tuple[str, ...],
     partial: bool,
     dry_run: bool,
@@ -87,6 +87,7 @@ def command(
     Exit status: 0 the files agree (with --dry-run: would agree), 1 differences remain, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present.document import Report
+    from pupper_analysis.pupper.named_robots import is_variant, refuse_unknown_variant
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.sync.document import sync_document
     from pupper_analysis.tools.sync.models import sync_models
@@ -95,7 +96,11 @@ def command(
         refuse_idle("--dry-run", "backup")
     if not take:
         refuse_alone(("--take",), "partial", "backup")
-    urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
+    if mjcf is not None:
+        urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
+    elif not is_variant(urdf):
+        refuse_unknown_variant(str(urdf))
+        raise command.make_missing_error(click.get_current_context(), "mjcf")
     names, folders = parse_name_map(pairs), shared.parse_packages(packages)
     tolerances = change_tolerances(Tolerances(), changes)
 

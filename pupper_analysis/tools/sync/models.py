@@ -25,6 +25,9 @@ from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.objects import require_path
+from pupper_analysis.models.published import find_file
+from pupper_analysis.pupper.named_robots import find_model_pair
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import SERVO_GAIN_KINDS, Difference
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -87,8 +90,8 @@ class Sync(Result):
 @check_arguments
 @silence_mujoco()
 def sync_models(
-    urdf: str | Path,
-    mjcf: str | Path,
+    urdf: str | Path | VariantSpec,
+    mjcf: str | Path | VariantSpec | None = None,
     *,
     take: str | Sequence[str] = (),
     partial: bool = False,
@@ -108,8 +111,10 @@ def sync_models(
     the chosen file does not state, remain in any case.
 
     Args:
-        urdf: Path of the URDF.
-        mjcf: Path of the MJCF.
+        urdf: Path of the URDF; name of a published robot; or a base model of the package, such as
+            ``"v3"``, for its URDF.
+        mjcf: Path of the MJCF; name of a published robot; or a base model of the package, for its
+            MJCF. By default the MJCF of the base model ``urdf``.
         take: File whose values are taken: ``"urdf"`` (the MJCF is changed) or ``"mjcf"``, for all
             differences or some (``"mjcf:mass"``, ``"urdf:link base: mass"``, ``"mjcf:3"``).
             Differences that are not named remain; a value that is not stated replaces nothing.
@@ -128,13 +133,16 @@ def sync_models(
 
     Raises:
         ModelError: If a file cannot be read, or the files cannot be matched.
-        ConfigurationError: If a choice is not valid or matches no difference, or a model is the
-            text of a file.
+        ConfigurationError: If a choice is not valid or matches no difference, or a model has no
+            file: a robot in memory, a text, or a scaled variant.
+        VariantError: If a model is probably a misspelled variant name.
         OutputError: If a file cannot be written, or has uncommitted changes.
     """
-    require_path("urdf", urdf)
-    require_path("mjcf", mjcf)
-    files = Files(Path(urdf), Path(mjcf), dict(names or {}), dict(packages or {}))
+    urdf_file, mjcf_file = find_model_pair(urdf, mjcf)
+    require_path("urdf", urdf_file)
+    require_path("mjcf", mjcf_file)
+    paths = find_file(urdf_file, packages), find_file(mjcf_file, packages)
+    files = Files(*paths, dict(names or {}), dict(packages or {}))
     tolerances = tolerances or Tolerances()
     comparison = _compare_files(files, tolerances)
     choices = choose_files(comparison.differences, take)

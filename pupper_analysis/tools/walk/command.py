@@ -121,8 +121,8 @@ def command(
     from pupper_analysis.tools.walk.policy import Policy
 
     checked_command = parse_walking_command(command_text)
-    loaded_policy = Policy.load(policy, contract)
     source = which.select_robot(words) or "v3"
+    loaded_policy = Policy.load(policy, contract)
     robot = load_walking_robot(source, style, everything=everything)
     arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
