@@ -348,6 +348,7 @@ def make_path_result(**changes: Any) -> Any:
         foot_slip={"FR": 0.0011, "RL": 0.0023},
         passed=True,
         failures=(),
+        joint_error_unit="rad",
     )
     fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
     verdict = judge_stance(

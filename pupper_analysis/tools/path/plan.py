@@ -24,6 +24,7 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
@@ -159,6 +160,8 @@ class StancePath(Tabular):
     Attributes:
         stances: Solved stances.
         joint_names: Names of the joints, in actuator order.
+        units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
+            in place of N m.
         feet: Names of the contact points.
         time: Shape (n,); from 0, evenly spaced. Each stance is a sample.
         qpos: Shape (n, nq); configurations.
@@ -189,6 +192,7 @@ class StancePath(Tabular):
 
     stances: tuple[Stand, ...]
     joint_names: tuple[str, ...]
+    units: tuple[str, ...]
     feet: tuple[str, ...]
     time: Array = field(metadata={"unit": "s"})
     qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
@@ -223,11 +227,11 @@ class StancePath(Tabular):
         }
 
     def joint_positions(self) -> Array:
-        """Return the joint positions of all n samples of the path, shape (n, nu) [rad]."""
+        """Return the joint positions of all n samples of the path, shape (n, nu) [rad, m]."""
         return self.qpos[:, self.qpos.shape[1] - len(self.joint_names) :]
 
     def to_csv(self, path: str | Path, *, force: bool = False) -> None:
-        """Write time [s], joint positions [rad] and motor torques [N m] of a path as CSV.
+        """Write time, joint positions and motor torques of a path as CSV, with units in the header.
 
         Args:
             path: Output file.
@@ -237,8 +241,9 @@ class StancePath(Tabular):
         Raises:
             OutputError: If the file cannot be written, or would replace other content.
         """
-        header = ["time (s)", *(f"q {name} (rad)" for name in self.joint_names)]
-        header += [f"tau {name} (N m)" for name in self.joint_names]
+        units = dict(zip(self.joint_names, self.units, strict=True))
+        header = ["time (s)", *(f"q {name} ({unit})" for name, unit in units.items())]
+        header += [f"tau {name} ({'N' if unit == 'm' else 'N m'})" for name, unit in units.items()]
         rows = np.column_stack([self.time, self.joint_positions(), self.torques])
         with write_atomically(Path(path), PATH_TABLE, force=force) as file:
             file.write(csv_text([header, *rows.tolist()]).encode())
@@ -320,6 +325,7 @@ def stance_path(
     return StancePath(
         stances=geometry.stances,
         joint_names=robot.joint_names,
+        units=joint_units(robot),
         feet=robot.contact_points,
         time=time,
         qpos=np.array([place.qpos for place in geometry.places]),

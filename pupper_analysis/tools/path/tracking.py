@@ -345,7 +345,7 @@ def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
 
 
 JOINT_TOLERANCE = 0.1
-"""Position error of a joint [rad] from which a simulated path counts as not tracked. Chosen, not
+"""Position error of a joint [rad, m] from which a simulated path counts as not tracked. Chosen, not
 tuned."""
 
 TORQUE_TOLERANCE = 0.05
@@ -376,6 +376,7 @@ class PathTracking(Result):
         kp: Shape (nu,); servo stiffness.
         kd: Shape (nu,); servo damping.
         joint_error: Largest deviation of a joint position from the path.
+        joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
         height_error: Largest deviation of the height of the base.
         orientation_error: Largest angle between the orientation of the base and of the path, in
             the checked states. This error, ``torque_error`` and ``foot_slip`` are infinite if the
@@ -392,7 +393,8 @@ class PathTracking(Result):
     timestep: float = field(metadata={"unit": "s"})
     kp: Array = field(metadata={"unit": "N m/rad"})
     kd: Array = field(metadata={"unit": "N m s/rad"})
-    joint_error: float = field(metadata={"unit": "rad"})
+    joint_error: float = field(metadata={"unit": "rad or m"})
+    joint_error_unit: str
     height_error: float = field(metadata={"unit": "m"})
     orientation_error: float = field(metadata={"unit": "rad"})
     torque_error: float = field(metadata={"unit": "1"})
@@ -464,9 +466,9 @@ def track_path(
         failures.append(diagnose("joint-too-fast", subject=fastest, share=share))
     if not torque_error <= TORQUE_TOLERANCE:
         failures.append(diagnose("motor-torque-off-path", error=torque_error))
+    worst = int(np.nan_to_num(np.abs(deviation), nan=np.inf).max(axis=0).argmax())
+    unit = joint_unit(robot, robot.joint_names[worst])
     if not joint_error < JOINT_TOLERANCE:
-        worst = int(np.nan_to_num(np.abs(deviation), nan=np.inf).max(axis=0).argmax())
-        unit = joint_unit(robot, robot.joint_names[worst])
         failures.append(diagnose("joint-off-path", error=Quantity(joint_error, unit)))
     return PathTracking(
         passed=not failures,
@@ -476,6 +478,7 @@ def track_path(
         kp=plan.drive.kp,
         kd=plan.drive.kd,
         joint_error=joint_error,
+        joint_error_unit=unit,
         height_error=float(np.abs(simulated[:, 2] - plan.qpos[:, 2]).max()),
         orientation_error=tilt,
         torque_error=torque_error,

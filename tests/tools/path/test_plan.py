@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from functools import cache
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from pupper_analysis.robot.configuration import UP
 from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 from pupper_analysis.tools.path.tracking import track_path
+from tests.support.legged import quadruped
 from tests.support.variants import load
 
 Task = pa.StandTask
@@ -252,6 +254,23 @@ def test_csv_contains_time_positions_and_torques_of_a_path(tmp_path: Path) -> No
     np.testing.assert_array_equal(table, wanted)
     with pytest.raises(pa.OutputError):
         path.to_csv(tmp_path / "new" / "path.csv" / "path.csv")
+
+
+def test_units_of_slides_are_metres_and_newtons(tmp_path: Path) -> None:
+    """The knees are slides, the hips (roll, pitch) are hinges."""
+    slide = r'\1 type="slide" axis="0 0 1" range="-0.1 0.1"'
+    text = quadruped(tmp_path, floor=True, actuators="position", keyframe="").mjcf.read_text()
+    text = re.sub(r'(name="\w+_knee") axis="0 1 0" range="-2.6 -0.4"', slide, text)
+    robot = pa.load_robot(text)
+    task = pa.StandTask(height=robot.stand_height)
+    path = stance_path(robot, [task, task], 1.0, rate=20.0)
+    path.to_csv(tmp_path / "path.csv")
+    header = (tmp_path / "path.csv").read_text().splitlines()[0]
+    assert "q FL_knee (m)" in header
+    assert "tau FL_knee (N)" in header
+    assert "q FL_roll (rad)" in header
+    assert "tau FL_roll (N m)" in header
+    path.to_csv(tmp_path / "path.csv")  # the file is recognised as an earlier table
 
 
 WALL = pa.Contact(pa.Plane((0.1, 0.0, 0.0), (-1.0, 0.0, 0.0)))
