@@ -498,7 +498,7 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
 
 
 def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
-    """Return the element that sets an attribute: the element itself, or a default class.
+    """Return the element that sets an attribute: the element itself, or one in a default class.
 
     The default class is the class of the element, or the ``childclass`` of a body above it. A class
     inherits from the enclosing classes.
@@ -758,7 +758,7 @@ _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryErr
 
 
 def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
-    """Return the MJCF file of a root element; ``refusal`` is set if MuJoCo does not compile it.
+    """Return the MJCF file of a root element; ``refusal`` is set if it cannot be compiled.
 
     Raises:
         ModelError: If the root element is not ``<mujoco>``, an include or an attribute is not
@@ -848,7 +848,9 @@ def _compile_file(
     index: Mapping[tuple[str, str], XmlNode],
     make_spec: Callable[[], tuple[mujoco.MjSpec, list[Diagnostic]]],
 ) -> MjcfFile:
-    """Return the MJCF file of a new spec, compiled; ``refusal`` is set if MuJoCo does not compile.
+    """Return the MJCF file of a new spec, compiled.
+
+    ``refusal`` is set if MuJoCo does not compile the spec, or a number of the model is not valid.
 
     Args:
         tree: Elements of the file.

@@ -133,5 +133,5 @@ def source_name(path: Path, line: int | None = None) -> str:
 
 
 def one_line(text: object) -> str:
-    """Return a text with all white space replaced by single spaces."""
+    """Return a text in one line: white space between words becomes a single space each."""
     return " ".join(str(text).split())

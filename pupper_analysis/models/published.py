@@ -171,7 +171,7 @@ def find_packages(package: str, folder: Path, packages: Mapping[str, Path]) -> l
         package: Name of the package.
         folder: This folder and the folders above are searched, then ``ROS_PACKAGE_PATH`` and
             ``AMENT_PREFIX_PATH``.
-        packages: {ROS package: its folder}, which have priority.
+        packages: {ROS package: its folder}; nothing else is searched for these packages.
     """
     if package in packages:
         return [packages[package]]

@@ -162,7 +162,7 @@ def _transform_origin(element: object, matrix: Array) -> Array:
 
 def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | None:
     """Return radius and length [m] if the collision shape of a link is a capsule along the axis."""
-    shapes = list(_yield_primitives(link))
+    shapes = list(_yield_collision_shapes(link))
     cylinders = [(geometry.cylinder, pose) for geometry, pose in shapes if geometry.cylinder]
     spheres = [(geometry.sphere, pose) for geometry, pose in shapes if geometry.sphere]
     if len(cylinders) != 1 or len(spheres) != 2:
@@ -180,8 +180,8 @@ def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | Non
     return cylinder.radius, cylinder.length
 
 
-def _yield_primitives(link: yourdfpy.Link) -> Iterator[tuple[yourdfpy.Geometry, Array]]:
-    """Yield the collision shapes of a link with the poses."""
+def _yield_collision_shapes(link: yourdfpy.Link) -> Iterator[tuple[yourdfpy.Geometry, Array]]:
+    """Yield the geometry of each collision shape of a link, and its pose (4, 4) in the link."""
     for collision in link.collisions:
         yield collision.geometry, _read_origin(collision)
 

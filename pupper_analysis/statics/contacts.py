@@ -172,6 +172,8 @@ class Contacts:
     def balance(self, transposed: Array, load: Array) -> Balance:
         """Return the equations of equilibrium between a load, contacts and motors.
 
+        Prescribed normal forces (`stated`) add an equation each.
+
         Args:
             transposed: Transposed Jacobian, shape (nv, 3 n + 6 w + 3 g), from
                 ``transposed_jacobian``; possibly after `Configuration.transfer_to_motors`.

@@ -568,7 +568,7 @@ def compare_files(
 
 
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
-    """Return mistakes that explain several differences each.
+    """Return mistakes in a file that explain several differences, or a different inertia, each.
 
     The mistakes are found by the first installed tool that has a module ``causes``; without such a
     tool the result is empty.

@@ -203,7 +203,7 @@ def _find_base_pose(
     shown = _find_pose_of_joints(first, second, tolerances)
     if shown is not None:
         has_mass = bool(first.bodies[first.base].mass and second.bodies[second.base].mass)
-        if has_mass and body == 0 and _are_names_exchanged(first, second, tolerances):
+        if has_mass and body == 0 and _do_joints_coincide(first, second, tolerances):
             moved_body, _ = _base_deviation(with_base(first, shown), second, tolerances)
             return None if moved_body > 0 else shown
         return shown
@@ -274,10 +274,10 @@ def _find_pose_of_joints(
     return pose if is_moved else None
 
 
-def _are_names_exchanged(
+def _do_joints_coincide(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> bool:
-    """Return True if each joint on the base has the position and axis of a joint with any name."""
+    """Return True if the joints on the base have equal positions and axes, under any names."""
     names = first.children(first.base)
     anchors, axes = _list_anchors_and_axes(first, names)
     other_anchors, other_axes = _list_anchors_and_axes(second, names)

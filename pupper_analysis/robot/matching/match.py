@@ -684,7 +684,10 @@ def drop_other_objects(
 
 
 def _remove_mass(body: mujoco.MjsBody) -> None:
-    """Set the mass of a mocap body to zero; a fixed base would include this mass."""
+    """Set the masses of a mocap body and of its descendants to zero, in place.
+
+    A fixed base would include these masses.
+    """
     for part in [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
         part.mass, part.inertia = 0.0, np.zeros(3)
         for geom in part.geoms:
