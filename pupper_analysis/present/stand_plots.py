@@ -13,6 +13,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.stance.whole_body import SolvedPosture
 from pupper_analysis.statics.equilibrium import Equilibrium
 
 if TYPE_CHECKING:
@@ -26,23 +27,42 @@ _ROW_HEIGHT = 0.22
 def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
     """Draw skeleton, contact forces, CoM and support polygon of a stand, in two panels.
 
-    The views are oblique and from above.
+    The views are oblique and from above. A stand without feet, the posture of a robot with a fixed
+    base, is drawn without forces.
 
     Raises:
-        ConfigurationError: If the robot is missing, is not the robot of the stand, or stands on no
-            foot.
+        ConfigurationError: If the robot is missing, or is not the robot of the stand.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    from pupper_analysis.present.figures.pose import make_pose_figure
+    from pupper_analysis.present.figures.pose import make_pose_figure, make_skeleton_figure
 
     robot = robot or stand.own_robot
     if robot is None:
         raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=name_kind(stand)))
     robot = stand.check(robot)
     if not stand.stance_feet:
-        raise ConfigurationError("robot", diagnose("plot-without-feet", robot=robot.name))
+        return tuple(make_skeleton_figure(robot, stand.qpos, create_figure).axes)
     statics = stand_statics(robot, stand)
     return tuple(make_pose_figure(robot, stand, statics, create_figure).axes)
+
+
+@draw_result.register(SolvedPosture)
+def draw_posture(posture: SolvedPosture, robot: Robot | None = None) -> tuple[Axes, ...]:
+    """Draw the stand of a posture, or else the skeleton of the posture without forces.
+
+    Raises:
+        ConfigurationError: If the robot is missing, or is not the robot of the posture.
+        StaticsInfeasibleError: If the posture is that of a stand, and no contact forces balance the
+            stand.
+    """
+    from pupper_analysis.present.figures.pose import make_skeleton_figure
+
+    robot = robot or posture.robot
+    if robot is None:
+        raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=name_kind(posture)))
+    if posture.stand is not None and posture.stand.stance_feet:
+        return draw_stand(posture.stand, robot)
+    return tuple(make_skeleton_figure(robot, posture.qpos, create_figure).axes)
 
 
 @draw_result.register(StandVerification)

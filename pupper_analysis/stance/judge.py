@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 from weakref import ref
 
 import numpy as np
@@ -50,6 +50,15 @@ _ERROR_BY_CONSTRAINT = {
 
 _UNPICKLED = ("_statics", "_robot")
 """Attributes of a stand that are not pickled: a robot is large, and statics are fast to compute."""
+
+
+@runtime_checkable
+class Posed(Protocol):
+    """Result with a configuration: for example a `Stand` or a ``SolvedPosture``."""
+
+    @property
+    def qpos(self) -> Array:
+        """Configuration, shape (nq,)."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

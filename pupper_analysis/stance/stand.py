@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError, UnknownNameError
@@ -21,7 +22,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
-from pupper_analysis.stance.judge import Stand, attach_robot
+from pupper_analysis.stance.judge import Posed, Stand, attach_robot
 from pupper_analysis.stance.problem import Goal, has_redundant_joints, make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import (
@@ -47,18 +48,20 @@ def solve_stand(
     robot: Robot,
     task: StandTask | None = None,
     *,
+    start: Posed | ArrayLike | None = None,
     explain: bool = True,
 ) -> Stand:
     """Solve a stand task within the joint limits.
 
-    PlaCo solves a sequence of QPs on the floating base. The initial guesses are the task's
-    ``ik_seed``, home, the middle of the joint ranges, and then the IK branches of the legs
-    (`stance.branches`). With a free CoM or redundant joints, a nonlinear program of all constraints
+    PlaCo solves a sequence of QPs on the floating base. The initial guesses are ``start``, home,
+    the middle of the joint ranges, and then the IK branches of the legs (`stance.branches`). With a free CoM or redundant joints, a nonlinear program of all constraints
     follows (`stance.programme`).
 
     Args:
         robot: Robot with a floating base.
         task: Stand task. Default: the nominal stand.
+        start: Initial guess: a stand, a ``SolvedPosture``, or a configuration, shape (nq,). The
+            joint positions are used, and select the IK branch. Default: ``ik_seed`` of the task.
         explain: If the stance is unreachable, compute the smallest foot error, the requirements to
             relax, and their smallest change. Takes about a second, longer with a free CoM. If
             False, the reported foot errors are results of the IK, and may be larger.
@@ -75,6 +78,10 @@ def solve_stand(
         StanceUnreachableError: If the stance is unreachable. The error contains the foot errors [m]
             and the requirements to relax.
     """
+    if start is not None:
+        config = Configuration(robot, start.qpos if isinstance(start, Posed) else start)
+        seed = config.qpos[robot.nq - robot.nu :]
+        task = replace(task or StandTask(), ik_seed=tuple(seed.tolist()))
     owner, robot = robot, with_contacts(robot, task.contacts) if task is not None else robot
     with borrow(robot, SearchContext) as context:
         stand = solve_goal(context, make_goal(robot, task, {}), explain=explain)

@@ -178,7 +178,7 @@ def solve_posture(
     robot: Robot,
     tasks: Iterable[PostureTask],
     *,
-    start: Stand | ArrayLike | None = None,
+    start: Stand | SolvedPosture | ArrayLike | None = None,
     contacts: Iterable[str] | None = None,
 ) -> SolvedPosture:
     """Solve for a configuration that satisfies tasks within the joint limits.
@@ -196,7 +196,8 @@ def solve_posture(
         robot: Robot without closed loops and couplings.
         tasks: Tasks, for example ``pa.stance.PositionTask("hand", (0.3, 0, 0.4))``.
         start: Initial configuration (nq,), or a stand, whose contacts are kept and whose joint
-            margin applies. Default: ``robot.home``.
+            margin applies; of a solved posture, the stand or else ``qpos``. Default:
+            ``robot.home``.
         contacts: Contact points that keep their positions of ``start``, for a free base. Default:
             those of the stand, or ``robot.bearing_points``; with none, the base moves freely. A
             robot with a fixed base has none.
@@ -217,6 +218,8 @@ def solve_posture(
         check_type("tasks", task, PostureTask)
     if not requested:
         raise ConfigurationError("tasks", diagnose("no-posture-task"))
+    if isinstance(start, SolvedPosture):
+        start = start.stand if start.stand and robot.floating else start.qpos
     stand = start if isinstance(start, Stand) else None
     if stand is not None and contacts is not None:
         raise ConfigurationError("contacts", diagnose("stand-has-contacts"))

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.results import Result
+from tests.support.arm import load_arm
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed(Result):
+    """Result without a document."""
+
+    value: float
 
 
 @pytest.fixture(autouse=True)
@@ -87,14 +98,30 @@ def test_plot_of_statics_has_a_bar_per_motor_with_its_utilisation() -> None:
 
 
 def test_missing_robot_and_result_without_plot_are_refused() -> None:
-    robot, stand = load("v3"), stand_of("v3")
+    stand = stand_of("v3")
     assert len(stand.plot()) == 2  # a solved stand references its robot
     plt.close("all")
     with pytest.raises(pa.ConfigurationError, match=r"result\.plot\(robot\)"):
         pickle.loads(pickle.dumps(stand)).plot()
     with pytest.raises(pa.ConfigurationError):
         stand.plot(load("original"))
-    posture = pa.solve_posture(robot, [pa.stance.CoMTask((0, 0, 0.1))], start=stand)
-    with pytest.raises(pa.ConfigurationError, match="SolvedPosture has no plot"):
-        posture.plot()
+    with pytest.raises(pa.ConfigurationError, match="Fixed has no plot"):
+        Fixed(1.0).plot()
     assert not plt.get_fignums()
+
+
+def test_plot_of_a_posture_is_that_of_its_stand_or_its_links(tmp_path: Path) -> None:
+    """Reference: CoM [m] of the posture, and the joint axes of MuJoCo's kinematics [m]."""
+    robot, stand = load("v3"), stand_of("v3")
+    posture = pa.solve_posture(robot, [pa.stance.CoMTask((0, 0, 0.1))], start=stand)
+    assert "forces up to" in posture.plot()[0].get_title(loc="left")
+    arm = load_arm(tmp_path)
+    posture = pa.solve_posture(arm, [pa.stance.JointsTask({arm.joint_names[0]: 0.3})])
+    axes = posture.plot()
+    data = arm.compute_kinematics(posture.qpos)
+    drawn = np.concatenate([line.get_xydata() for line in axes[1].lines])
+    for x, y, _ in data.xanchor:
+        assert np.linalg.norm(drawn / 1e3 - [-y, x], axis=1).min() < 1e-9
+    with pytest.raises(pa.ConfigurationError, match=r"result\.plot\(robot\)"):
+        pickle.loads(pickle.dumps(posture)).plot()
+    assert len(posture.stand.plot(arm)) == 2

@@ -106,6 +106,21 @@ def test_com_moves_above_kept_feet_and_statics_apply() -> None:
     assert total[2] == pytest.approx(robot.weight)
 
 
+def test_posture_is_the_start_of_stands_and_postures() -> None:
+    """Reference: joint positions of the posture, and the nominal stand [m, rad]."""
+    robot, stand = load("v3"), stand_of("v3")
+    posture = pa.solve_posture(robot, [CoMTask((0, 0, 0.1))], start=stand)
+    again = pa.solve_posture(robot, [CoMTask((0, 0, 0.1))], start=posture)
+    np.testing.assert_allclose(again.qpos, posture.qpos, atol=1e-9)
+    assert again.stand is not None
+    for start in (posture, posture.stand, posture.qpos):
+        found = pa.solve_stand(robot, start=start)
+        np.testing.assert_allclose(found.qpos, stand.qpos, atol=1e-8)
+        assert found.task.ik_seed == tuple(posture.qpos[7:])
+    with pytest.raises(pa.ConfigurationError, match="qpos"):
+        pa.solve_stand(robot, start=posture.qpos[1:])
+
+
 def test_axis_points_at_a_point_in_mujoco() -> None:
     """Reference: MuJoCo's rotation matrix and position of the base; an axis aligned with a
     direction is compared with the normalised direction.

@@ -242,6 +242,67 @@ def make_pose_figure(
     return figure
 
 
+def make_skeleton_figure(
+    robot: Robot, qpos: ArrayLike, create: Callable[..., Figure] = Figure
+) -> Figure:
+    """Draw the joints and links of a robot in a configuration, without forces, in two panels.
+
+    Each line connects a joint, or the frame of a body at the end of a chain, with the next joint
+    towards the base. The views are oblique and from above.
+
+    Args:
+        robot: Robot.
+        qpos: Configuration in MuJoCo's coordinates, shape (nq,).
+        create: Creates the empty figure, as for ``drawing.make_page_figure``.
+    """
+    segments = _list_links(robot, qpos)
+    title, height = f"{robot.name}: joints and links", 0.6 * drawing.PAGE_WIDTH
+    figure = drawing.make_page_figure(title, height, create=create)
+    for place, (projection, side) in zip((0.08, 0.6), _PROJECTIONS, strict=True):
+        axes = figure.add_axes((place, 0.12, 0.46 if place < 0.5 else 0.36, 0.74))
+        for segment in segments:
+            axes.plot(*(projection @ segment.T) * 1e3, color=_NEAR_COLOUR, lw=3, zorder=2)
+            axes.plot(*(projection @ segment[1]) * 1e3, "o", color="white",
+                      mec=drawing.BLACK_COLOUR, mew=0.8, ms=5, zorder=3)  # fmt: skip
+        drawing.title_panel(axes, side)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_xlabel("horizontal (mm)" if place < 0.5 else "-y (mm)")
+        axes.set_ylabel("vertical in the view (mm)" if place < 0.5 else "x (mm)")
+    return figure
+
+
+def _list_links(robot: Robot, qpos: ArrayLike) -> list[Array]:
+    """Return the lines between successive joints of a robot, each of shape (2, 3) [m].
+
+    The first point of a line is the joint nearer to the base. The chain of the base begins at the
+    base frame.
+    """
+    model, data = robot.mj_model, robot.compute_kinematics(qpos)
+    base = model.body(robot.mj_base).id
+    jointed = {
+        body
+        for body in range(1, model.nbody)
+        if body != base and model.body_jntnum[body] and model.body_rootid[body] ==
+        model.body_rootid[base]
+    }  # fmt: skip
+    parents = {int(model.body_parentid[body]) for body in range(1, model.nbody)}
+    lines = []
+    for body in range(1, model.nbody):
+        if body not in jointed and (body in parents or body == base):
+            continue
+        ancestor = int(model.body_parentid[body])
+        while ancestor not in jointed and ancestor not in (base, 0):
+            ancestor = int(model.body_parentid[ancestor])
+        if ancestor == 0 and base != 0:
+            continue  # another object
+        ends = [
+            data.xanchor[model.body_jntadr[place]] if place in jointed else data.xpos[place]
+            for place in (ancestor, body)
+        ]
+        lines.append(np.array(ends))
+    return lines
+
+
 def _draw_stand(
     axes: Axes, projection: Array, lines: Skeleton, stand: Stand, seen: StandingScene
 ) -> None:
