@@ -153,7 +153,11 @@ ANIMATION_KIND: Final = Kind("animation", _is_animation, suffixes=(".gif", ".mp4
 """Animation of this package: GIF or MP4."""
 
 STAND_TABLE: Final = Kind(
-    "table of a stand", match_prefix("joint,position (rad),torque (N m),"), suffixes=(".csv",)
+    "table of a stand",
+    match_prefix(
+        "joint,position (rad),torque (N m),", "joint,position (rad or m),torque (N m or N),"
+    ),
+    suffixes=(".csv",),
 )
 """CSV file with positions and torques of the joints in a stand."""
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import pupper_analysis as pa
+from pupper_analysis.present.documents.loads import get_display_scales
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import random_legged
@@ -144,7 +145,7 @@ def _compare_page(found: Agreement, page: Page, stance: dict[str, Any]) -> None:
         (
             "position",
             _column_cells(tables["Motor torques"], "position"),
-            np.degrees(stance["joint_positions"]).tolist(),
+            (get_display_scales(stance["units"]) * stance["joint_positions"]).tolist(),
         ),
         ("height", [whole["height of the base"]], [1e3 * stance["stand"]["task"]["height"]]),
         ("com", [whole["com margin"]], [1e3 * stance["stand"]["com_margin"]]),

@@ -276,6 +276,7 @@ def stance(**changes: Any) -> Any:
         "stand": Stub(**{**vars(STAND), **SUNK}),
         "verification": run(0.0, passed=True),
         "joint_positions": np.array([0.6543, -0.7654]),
+        "units": ("rad", "rad"),
         "statics": loads(0.0),
         "min_max_torque": loads(-0.05),
         "limits": np.array([3.1, 4.2]),

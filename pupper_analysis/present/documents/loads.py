@@ -14,6 +14,10 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.units import READ_IN
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
@@ -88,6 +92,7 @@ def load_blocks(
     verification: StandVerification,
     limits: Sequence[float],
     origins: Iterable[EffortStatement | None],
+    units: Sequence[str],
     more: Mapping[doc.Column, Sequence[float]],
 ) -> list[doc.Block]:
     """Create the tables and the plot of motor torques and contact forces.
@@ -96,9 +101,10 @@ def load_blocks(
         statics: Equilibrium with minimum tangential forces.
         min_max_torque: Equilibrium with the smallest peak utilisation.
         verification: Simulation with feed-forward.
-        limits: Effort limits, shape (nu,) [N m].
+        limits: Effort limits, shape (nu,) [N m, N].
         origins: Origin of each joint's limit: the attribute of a file that states the limit; None
             for a joint without limit.
+        units: Unit of each joint position, shape (nu,): rad, or m for a slide.
         more: Further columns, {column: values of shape (nu,)}.
     """
     source = (
@@ -110,6 +116,7 @@ def load_blocks(
     notes = (
         text("torque-distributions", peak=peak),
         text("limit-origins", origins=origins_text(origins)),
+        *describe_slides(statics.joint_names, units),
     )
     compared = {
         doc.Column(text("simulated"), "N m"): verification.joint_torques.tolist(),
@@ -122,6 +129,26 @@ def load_blocks(
         torque_plot(statics, verification.joint_torques.tolist(), limits),
         _make_contact_table(statics, verification),
     ]
+
+
+def get_display_scales(units: Iterable[str]) -> NDArray[np.float64]:
+    """Return the factors, shape (nu,), from joint positions [rad, m] to printed ones [deg, mm].
+
+    Args:
+        units: Units of the positions, rad or m, shape (nu,).
+    """
+    return np.array([READ_IN[unit][0] for unit in units])
+
+
+def describe_slides(names: Iterable[str], units: Iterable[str]) -> list[doc.Words]:
+    """Create the note on a table that names the slides and their units; empty without a slide.
+
+    Args:
+        names: Names of the joints.
+        units: Unit of each joint position, rad or m.
+    """
+    slides = [name for name, unit in zip(names, units, strict=True) if unit == "m"]
+    return [text("units-of-slides", joints=", ".join(slides))] if slides else []
 
 
 def _format_fraction(value: float) -> str:

@@ -83,6 +83,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
             analysis.verification,
             [joint.effort for joint in analysis.joints],
             [joint.effort_origin for joint in analysis.joints],
+            ["m" if joint.is_sliding else "rad" for joint in analysis.joints],
             {doc.Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
         ),
         *simulation_blocks(analysis),

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Quantity
-from pupper_analysis.base.units import READ_IN
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import (
+    describe_slides,
+    get_display_scales,
     limit_cell,
     origins_text,
     torque_plot,
@@ -167,13 +168,7 @@ def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
         },
     )
     notes: list[doc.Words] = [text("limit-origins", origins=origins_text(hold.limit_origins))]
-    if "m" in hold.units:
-        slides = [
-            name
-            for name, unit in zip(hold.posture.joint_names, hold.units, strict=True)
-            if unit == "m"
-        ]
-        notes.append(text("units-of-slides", joints=", ".join(slides)))
+    notes += describe_slides(hold.posture.joint_names, hold.units)
     return replace(table, notes=tuple(notes))
 
 
@@ -199,15 +194,6 @@ def _make_tool_table(hold: Hold) -> doc.Table:
         doc.Column(text("length"), "mm"),
     )
     return doc.Table(text("tool-of-link", tool=doc.Name(hold.tool.name)), columns, tuple(rows))
-
-
-def get_display_scales(units: Iterable[str]) -> NDArray[np.float64]:
-    """Return the factors, shape (nu,), from joint positions [rad, m] to printed ones [deg, mm].
-
-    Args:
-        units: Units of the positions, rad or m, shape (nu,).
-    """
-    return np.array([READ_IN[unit][0] for unit in units])
 
 
 def _make_worst_table(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:

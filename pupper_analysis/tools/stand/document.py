@@ -16,7 +16,7 @@ from pupper_analysis.prepare.causes import STIFFNESS_FACTOR
 from pupper_analysis.prepare.passes import PassRun
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
-from pupper_analysis.present.documents.loads import load_blocks, view_block
+from pupper_analysis.present.documents.loads import get_display_scales, load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
     ground_text,
@@ -112,6 +112,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     """
     run = stance.verification
     stand = stance.stand
+    positions = get_display_scales(stance.units) * stance.joint_positions
     blocks = [
         view_block(robot, stand, stance.statics, list_motions([run])),
         *load_blocks(
@@ -120,7 +121,8 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             run,
             stance.limits.tolist(),
             stance.limit_origins,
-            {doc.Column(text("position"), "°"): np.degrees(stance.joint_positions).tolist()},
+            stance.units,
+            {doc.Column(text("position"), "°"): positions.tolist()},
         ),
         stand_table(stand, stance.statics),
         simulated_table(run),

@@ -30,6 +30,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_contacts, stand_statics
@@ -45,7 +46,9 @@ class Stance(Tabular):
 
     Attributes:
         name: Name of the robot.
-        joint_positions: (nu,) joint positions of ``stand``, in actuator order (rad).
+        joint_positions: (nu,) joint positions of ``stand``, in actuator order (rad, m).
+        units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
+            in place of N m.
         limits: (nu,) effort limits, the smallest that both files state (N m); infinite without a
             stated limit.
         limit_origins: (nu,) statement in the files of each limit; None without a stated limit.
@@ -67,7 +70,8 @@ class Stance(Tabular):
     """
 
     name: str
-    joint_positions: Array = field(metadata={"unit": "rad"})
+    joint_positions: Array = field(metadata={"unit": "rad or m"})
+    units: tuple[str, ...]
     limits: Array = field(metadata={"unit": "N m"})
     limit_origins: tuple[EffortStatement | None, ...]
     stand: Stand
@@ -102,7 +106,9 @@ class Stance(Tabular):
         Raises:
             OutputError: If the file cannot be written, or exists and is not such a table.
         """
-        units = ("", " (rad)", " (N m)", " (N m)", "", " (N m)")
+        has_slides = "m" in self.units
+        position, torque = (" (rad or m)", " (N m or N)") if has_slides else (" (rad)", " (N m)")
+        units = ("", position, torque, torque, "", torque)
         columns = self._columns()
         header = [name + unit for name, unit in zip(columns, units, strict=True)]
         rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
@@ -173,6 +179,7 @@ def study_stance(
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),
+        units=joint_units(robot),
         limits=robot.effort_limits,
         limit_origins=tuple(limit.origin for limit in robot.efforts),
         stand=held,

@@ -59,6 +59,29 @@ def test_the_table_of_joints_is_a_file_and_a_dataframe(
 
 
 @pytest.mark.slow
+def test_positions_of_slides_are_in_millimetres_and_in_the_file_in_metres(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: the knees, which are slides, in the configuration of the JSON result."""
+    slide = r'\1 type="slide" axis="0 0 1" range="-0.1 0.1"'
+    text = quadruped(tmp_path, floor=True, actuators="position", keyframe="").mjcf.read_text()
+    (tmp_path / "slides.xml").write_text(
+        re.sub(r'(name="\w+_knee") axis="0 1 0" range="-2.6 -0.4"', slide, text)
+    )
+    table, result = tmp_path / "joints.csv", tmp_path / "result.json"
+    options = ("--csv", str(table), "--json", str(result), "-v")
+    for _ in range(2):  # the second run recognises the table, and replaces it
+        _, out, err = run_command(capfd, "stand", str(tmp_path / "slides.xml"), *options)
+        assert not err
+    assert table.read_text().startswith("joint,position (rad or m),torque (N m or N),")
+    knee = json.loads(result.read_text())["stand"]["qpos"][9]
+    assert abs(knee) > 1e-3
+    (row,) = [line.split() for line in out.splitlines() if line.startswith("FL_knee ")]
+    assert float(row[-1]) == pytest.approx(1e3 * knee, abs=0.01)
+    assert "Of joints that slide (FL_knee, FR_knee, RL_knee, RR_knee) read mm" in out
+
+
+@pytest.mark.slow
 def test_options_of_gains_margins_and_scales_are_applied(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
