@@ -255,7 +255,9 @@ class _ConfigReader:
         Raises:
             ModelError: At the first key or value that is missing or not valid.
         """
-        self.check_table(self.top, (), _TOP_KEYS)
+        # A tool reads its own table.
+        tools = dict.fromkeys(find_tool_modules("guard"), _TABLE_VALUE)
+        self.check_table(self.top, (), {**_TOP_KEYS, **tools})
         entries = self.top.get("pair", [])
         if not entries:
             raise ModelError(self.path, diagnose("config-without-pair"))

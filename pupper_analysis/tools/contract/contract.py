@@ -6,50 +6,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import islice
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
-from pupper_analysis.base.errors import (
-    ConfigurationError,
-    InputError,
-    ModelError,
-    PupperAnalysisError,
-)
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.objects import require_path
-from pupper_analysis.models.places import make_input_error
 from pupper_analysis.models.published import PACKAGE_PREFIX, find_file, is_published_name
 from pupper_analysis.pupper.named_robots import find_model_pair, is_variant, refuse_unknown_variant
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.tools.contract.facts import Fact, Request, Role, Source, load_readers
+from pupper_analysis.tools.contract.facts import Fact, Role
 from pupper_analysis.tools.contract.findings import (
     Disagreement,
     Pose,
     add_height_effects,
     find_disagreements,
+    find_lost_quantities,
+    note_servo_damping,
 )
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
 from pupper_analysis.tools.contract.readers.models import match_joint_names, read_model_file
-
-MAX_FOLDER_FILES = 500
-"""Largest number of files that are read from a folder. Chosen, to bound the time."""
-
-_SKIPPED_FOLDERS = (
-    "node_modules",
-    "site-packages",
-    "build",
-    "install",
-    "log",
-    "logs",
-    "thirdparty",
-    "__pycache__",
+from pupper_analysis.tools.contract.reading import (
+    check_source,
+    make_names_distinct,
+    read_folder,
+    read_sources,
+    split_arguments,
 )
-"""Folders of installed or generated files; not searched."""
+
+PARSED, SIMULATED, TRACED = "parsed", "simulated", "traced"
+"""Levels of evidence of a verdict: numbers were only read; the robot was also simulated; the policy
+was also compared with a recorded trace."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +78,12 @@ class Contract(Result):
         facts: All numbers, with file and line.
         findings: Disagreements, the most severe first.
         poses: Stand of the robot in the default pose of each source, with the gains of the source.
+        unread: Sources and quantities that were not compared, with the reason.
         notes: Assumptions, and content that could not be read.
-        passed: True if every disagreement is less severe than ``fail_on``.
+        evidence: ``parsed`` if the numbers were only read; ``simulated`` if the robot was also
+            simulated in a default pose.
+        passed: True if every disagreement is less severe than ``fail_on``, and everything was
+            compared or ``fail_on`` is ``error``.
     """
 
     model: str
@@ -97,7 +92,9 @@ class Contract(Result):
     facts: tuple[Fact, ...]
     findings: tuple[Disagreement, ...]
     poses: tuple[Pose, ...]
+    unread: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
+    evidence: str
     passed: bool
 
 
@@ -129,36 +126,44 @@ def read_contract(
         ConfigurationError: If no model is passed, or an argument is invalid, for example a scaled
             variant, which has no files.
         VariantError: If a source is probably a misspelled variant name.
-        ModelError: If a source cannot be read, contains no joint of the robot, or if a trainer's
-            file contains several configurations and no name is passed. The message states the
-            place and the valid choices.
+        ModelError: If a file does not exist, or if no source but the models can be used: a file
+            cannot be read, contains no joint of the robot, or contains several configurations of a
+            trainer and no name is passed. The message states the place and the valid choices.
     """
     if fail_on not in list(map(str, Severity)):
         message = diagnose("one-of", names=[str(severity) for severity in Severity])
         raise ConfigurationError("fail_on", message)
-    requests, folders = _split_arguments(_find_model_files(sources))
-    read = [
-        source
-        for request in requests
-        for source in _select_configurations(request, _read_file(request))
-    ]
+    requests, folders = split_arguments(_find_model_files(sources))
+    read, errors = read_sources(requests)
     models = [source for source in read if source.role is Role.MODEL]
     if not models:
         raise ConfigurationError("sources", diagnose("contract-without-model"))
     # The joint order is that of the MJCF if there is one: trainers and engines use this order.
     models.sort(key=lambda source: source.path.suffix.lower() not in (".xml", ".mjcf"))
     names, notes = match_joint_names(models, names or {})
-    joints = RobotJoints(read_model_file(models[0].path), models[0].order, names)
+    joints = RobotJoints.from_model(read_model_file(models[0].path), models[0].order, names)
     for folder in folders:
-        folder_sources, folder_notes = _read_folder(folder, read, joints)
+        folder_sources, folder_notes = read_folder(folder, read, joints)
         read += folder_sources
         notes += folder_notes
-    first, *rest = _make_names_distinct(
+    first, *rest = make_names_distinct(
         [models[0], *(source for source in read if source is not models[0])]
     )
-    placed = [assign_joints(source, joints, rest) for source in (first, *rest)]
-    for placed_source in placed:
-        notes += _check_source(placed_source, first)
+    placed = list[PlacedSource]()
+    for source in (first, *rest):
+        placed_source = assign_joints(source, joints, rest)
+        try:
+            notes += check_source(placed_source, first)
+        except ModelError as error:
+            errors.append(error)
+            continue
+        placed.append(placed_source)
+    others = [one for one in placed if one.source.role is not Role.MODEL]
+    if errors and not others:
+        raise errors[0]
+    unread = [diagnose("contract-unread", file=error.source, why=error.cause) for error in errors]
+    unread += find_lost_quantities(placed)
+    notes = [note for note in notes if note not in unread] + note_servo_damping(placed)
     placed.sort(key=lambda source: list(Role).index(source.source.role))
     poses = tuple[Pose, ...]()
     if stand:
@@ -172,6 +177,7 @@ def read_contract(
     worst = Severity(fail_on).rank
     facts = tuple(fact for placed_source in placed for fact in placed_source.facts.values())
     passed = all(finding.severity.rank > worst for finding in findings)
+    passed = passed and not (unread and worst >= Severity.WARNING.rank)
     return Contract(
         str(first.path),
         first.order,
@@ -179,63 +185,11 @@ def read_contract(
         facts,
         findings,
         poses,
+        tuple(unread),
         tuple(notes),
+        SIMULATED if any(pose.stays is not None for pose in poses) else PARSED,
         passed,
     )
-
-
-def _check_source(placed_source: PlacedSource, model: Source) -> list[Diagnostic]:
-    """Return the notes on a source.
-
-    Raises:
-        ModelError: If the source states neither a number for a joint of the robot nor a joint
-            order, and is not a network that states the number of joints without names.
-    """
-    stated_facts = [
-        fact for fact in placed_source.facts.values() if fact.joint and not fact.implied
-    ]
-    source_names = [
-        *placed_source.unknown,
-        *(statement.joint for statement in placed_source.source.statements if statement.joint),
-    ]
-    # A network without joint names still states the number of joints.
-    is_unnamed_network = any(not fact.joint for fact in placed_source.facts.values()) and not (
-        source_names or placed_source.notes
-    )
-    if not (stated_facts or any(placed_source.order) or is_unnamed_network):
-        names = tuple(dict.fromkeys(source_names))[:4]
-        message = diagnose(
-            "contract-no-joint", model=model.name, names=names, joints=model.order[:4]
-        )
-        raise ModelError(placed_source.source.path, next(iter(placed_source.notes), message))
-    unknown = (
-        [
-            diagnose(
-                "contract-names-unknown",
-                file=placed_source.source.name,
-                names=placed_source.unknown,
-            )
-        ]
-        if placed_source.unknown
-        else []
-    )
-    return [*placed_source.source.notes, *placed_source.notes, *unknown]
-
-
-def _make_names_distinct(read: Sequence[Source]) -> list[Source]:
-    """Return the sources with distinct names: equal names get parent folders as a prefix."""
-    renamed = []
-    for source in read:
-        own_parts = source.path.absolute().parts
-        all_parts = [peer.path.absolute().parts for peer in read if peer.name == source.name]
-        other_parts = [parts for parts in all_parts if parts != own_parts]
-        num_parts = next(
-            num_parts
-            for num_parts in range(1, len(own_parts) + 1)
-            if own_parts[-num_parts:] not in [parts[-num_parts:] for parts in other_parts]
-        )
-        renamed.append(replace(source, name="/".join((*own_parts[-num_parts:-1], source.name))))
-    return renamed
 
 
 def _find_model_files(sources: Sequence[str | Path | VariantSpec]) -> list[str | Path]:
@@ -254,114 +208,11 @@ def _find_model_files(sources: Sequence[str | Path | VariantSpec]) -> list[str |
     return found
 
 
-def _split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
-    """Separate files (with the name of a configuration) from folders."""
-    folders, files = [], list[tuple[Path, str]]()
-    for source in sources:
-        path, name = Path(source), ""
-        if not path.exists() and ":" in path.name:
-            file, _, name = str(source).rpartition(":")
-            path = Path(file)
-        if path.is_dir():
-            folders.append(path)
-        else:
-            files.append((path, name))
-    return [Request(path, name, tuple(folders)) for path, name in files], folders
-
-
-def _read_file(request: Request) -> list[Source]:
-    """Read a file with all readers for the suffix."""
-    ending = request.path.suffix.lower()
-    able = [reader for reader in load_readers() if ending in reader.FILE_SUFFIXES]
-    if not able:
-        known = sorted({suffix for reader in load_readers() for suffix in reader.FILE_SUFFIXES})
-        raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
-    try:
-        return [source for reader in able for source in reader.read(request)]
-    except InputError as error:
-        raise make_input_error(Path(error.path), error) from error
-    except RecursionError as error:
-        raise ModelError(request.path, diagnose("contract-too-deep")) from error
-
-
-def _select_configurations(request: Request, sources: Sequence[Source]) -> list[Source]:
-    """Select the configurations (named sets of values) of a file that are compared.
-
-    Of configurations with the same content, one is kept. In a file of a training program, a
-    configuration is also dropped if another one contains all of its values.
-
-    Raises:
-        ModelError: If a file of a training program has several configurations left, or if no
-            configuration is found.
-    """
-    kept = list({source.content: source for source in reversed(sources)}.values())[::-1]
-    if kept and kept[0].role is Role.TRAINER:
-        statement_sets = [frozenset(source.content[0]) for source in kept]
-        kept = [
-            one
-            for number, one in enumerate(kept)
-            if not any(
-                statement_sets[number] < each or (statement_sets[number] == each and other < number)
-                for other, each in enumerate(statement_sets)
-            )
-        ]
-        if len(kept) > 1:
-            names = [source.name.rpartition(":")[2] for source in kept]
-            message = diagnose("contract-several", names=names, file=request.path.name)
-            raise ModelError(request.path, message)
-    if not kept and request.name:
-        raise ModelError(request.path, diagnose("contract-name-unknown", name=request.name))
-    if not kept:
-        raise ModelError(request.path, diagnose("contract-states-nothing"))
-    return kept
-
-
-def _read_folder(
-    folder: Path, read: Sequence[Source], joints: RobotJoints
-) -> tuple[list[Source], list[Diagnostic]]:
-    """Read the deployments in a folder that name joints of this robot; Python modules are not read.
-
-    A deployment is kept if it names all joints, or if the order consists of joints of the robot.
-    Other deployments are counted in a note, as are files that cannot be read.
-    """
-    known_paths = {source.path.absolute() for source in read}
-    fitting, num_rejected, refused = list[Source](), 0, list[str]()
-    for path in _list_source_files(folder):
-        try:
-            sources = [] if path.absolute() in known_paths else _read_file(Request(path))
-        except PupperAnalysisError:
-            refused.append(path.name)
-            continue
-        for source in sources:
-            by_name = assign_joints(source, joints, ())
-            every = set(by_name.names.values()) == set(joints.order)
-            fits = every or (by_name.how == "named" and all(by_name.order))
-            num_rejected += not fits
-            fitting += [source] if fits else []
-    notes = [diagnose("contract-folder", file=str(folder), count=len(fitting), left=num_rejected)]
-    if refused:
-        notes.append(diagnose("contract-folder-refused", count=len(refused), names=refused[:5]))
-    return fitting, notes
-
-
-def _list_source_files(folder: Path) -> Iterator[Path]:
-    """Yield up to `MAX_FOLDER_FILES` possible deployment files below a folder, sorted by path."""
-    found = (
-        path
-        for path in sorted(folder.rglob("*"))
-        if path.suffix.lower() in (".yaml", ".yml", ".json", ".onnx")
-        and not any(
-            part[0] == "." or part in _SKIPPED_FOLDERS for part in path.relative_to(folder).parts
-        )
-    )
-    return islice(found, MAX_FOLDER_FILES)
-
-
 def _summarise_source(placed_source: PlacedSource) -> SourceRead:
     """Return name, role, joint order and observations of a source."""
     source, seen = (
         placed_source.source,
-        tuple(name for name, _, _ in placed_source.source.observations),
+        tuple(term.name for term in placed_source.source.observations),
     )
     return SourceRead(
         source.name,

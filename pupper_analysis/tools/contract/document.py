@@ -21,7 +21,7 @@ from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.contract import Contract
 from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, find_quantity_kind
-from pupper_analysis.tools.contract.findings import Disagreement
+from pupper_analysis.tools.contract.findings import Disagreement, make_unread_finding
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
 """{severity of a disagreement: emphasis in a document}."""
@@ -46,15 +46,22 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         sources=len(contract.sources),
     )
     has_findings = bool(contract.findings)
-    agree = text("contract-agree-but" if has_findings else "contract-agree")
+    agree = text("contract-agree-but" if has_findings or contract.unread else "contract-agree")
+    is_incomplete = all(finding.severity is Severity.NOTE for finding in contract.findings)
+    differ = text("contract-incomplete" if contract.unread and is_incomplete else "contract-differ")
     return doc.Document(
         text("contract"),
         doc.Name(Path(contract.model).name),
         tuple(_list_blocks(contract)),
         passed=contract.passed,
-        verdict=agree if contract.passed else text("contract-differ"),
-        warned=contract.passed and has_findings,
-        findings=(message, *_describe_first(contract)),
+        verdict=agree if contract.passed else differ,
+        warned=contract.passed and (has_findings or bool(contract.unread)),
+        findings=(
+            message,
+            *map(doc.diagnostic_text, contract.unread),
+            *_describe_first(contract),
+        ),
+        details=(text(f"contract-evidence-{contract.evidence}"),),
         next_step=doc.NextStep("stand", (contract.model,), robot_typed=False),
         notes=tuple(map(doc.diagnostic_text, contract.notes)),
     )
@@ -218,14 +225,44 @@ def _tabulate_facts(
             )
     columns = [_make_column("joint" if facts[0].joint else "contract-setting")]
     columns += [doc.Column(doc.Name(name), unit) for name in names]
-    places = {name: next(fact.place for fact in facts if fact.source == name) for name in names}
     notes = (
         join_words(
-            text("contract-first-place", source=name, place=Path(place).name)
-            for name, place in places.items()
+            text("contract-places", source=name, places=doc.Name(_list_places(facts, name)))
+            for name in names
         ),
+        *_explain_origins(facts),
     )
     return doc.Table(title, tuple(columns), tuple(rows), notes, detail=True)
+
+
+def _list_places(facts: Sequence[Fact], source: str) -> str:
+    """Return the file and the lines of a source's numbers, such as ``deploy.yaml:3-5, 9``."""
+    places = dict.fromkeys(fact.place for fact in facts if fact.source == source)
+    parts = [Path(place).name.rpartition(":") for place in places]
+    lines = sorted({int(line) for _, _, line in parts if line.isdecimal()})
+    if not lines:
+        return ", ".join(Path(place).name for place in places)
+    ranges = list[list[int]]()
+    for line in lines:
+        if ranges and line == ranges[-1][1] + 1:
+            ranges[-1][1] = line
+        else:
+            ranges.append([line, line])
+    shown = ", ".join(f"{low}" if low == high else f"{low}-{high}" for low, high in ranges)
+    return f"{parts[0][0]}:{shown}"
+
+
+_ORIGIN_MARKS = {"default": "d", "derived": "c", "assumed": "a"}
+"""{origin of a number: letter behind the number}; a stated number has none."""
+
+
+def _explain_origins(facts: Sequence[Fact]) -> Iterable[doc.Words]:
+    """Yield the meaning of each letter behind the numbers of a table, with the frameworks."""
+    for origin, letter in _ORIGIN_MARKS.items():
+        bases = {fact.basis for fact in facts if fact.origin == origin}
+        if bases:
+            names = ", ".join(sorted(filter(None, bases)))
+            yield text(f"contract-origin-{origin}", letter=letter, basis=doc.Name(names))
 
 
 def _make_cell(fact: Fact | None, mark: str, stated: Sequence[float]) -> doc.Cell:
@@ -239,7 +276,9 @@ def _make_cell(fact: Fact | None, mark: str, stated: Sequence[float]) -> doc.Cel
     if fact.value is None:
         return text("contract-no-constant", expression=fact.expression)
     other = next((value for value in stated if value != fact.value), fact.value)
-    return doc.Number(format_pair(fact.value, other, ".5g")[0], fact.value, mark)
+    shown = format_pair(fact.value, other, ".5g")[0]
+    letter = _ORIGIN_MARKS.get(fact.origin)
+    return doc.Number(f"{shown} {letter}" if letter else shown, fact.value, mark)
 
 
 def _tabulate_observations(contract: Contract) -> doc.Table:
@@ -265,12 +304,14 @@ def make_contract_annotations(contract: Contract) -> list[Annotation]:
             ANNOTATION_LEVELS[finding.severity],
             f"{finding.probable_mistake or finding.kind}: "
             f"{', '.join(finding.joints[:3]) or finding.kind}",
-            f"{finding.message} [{finding.places[1 - number]}]",
+            f"{finding.message} [{finding.places[1 - number]}]"
+            if len(finding.places) > 1
+            else finding.message,
             place,
             about=finding.kind,
             rule=f"contract/{finding.kind.replace(' ', '-')}",
             diagnostic=finding.diagnostic,
         )
-        for finding in contract.findings
+        for finding in (*map(make_unread_finding, contract.unread), *contract.findings)
         for place, number in {place: n for n, place in enumerate(finding.places)}.items()
     ]

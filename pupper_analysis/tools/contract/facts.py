@@ -34,6 +34,21 @@ configurations that were measured have 4,000 values; a module of a training libr
 10,000 evaluated expressions."""
 
 
+class Origin(StrEnum):
+    """Origin of a number."""
+
+    STATED = "stated"
+    """The file states the number."""
+    DEFAULT = "default"
+    """Default of a framework; the file states another value or none at another place."""
+    DERIVED = "derived"
+    """Computed from other numbers of the file."""
+    ASSUMED = "assumed"
+    """The file states the number, but not for which joint: the joint order is assumed."""
+    UNKNOWN = "unknown"
+    """No file states the number."""
+
+
 class Role(StrEnum):
     """Role of a source. If two sources disagree, the earlier role is the reference."""
 
@@ -47,8 +62,7 @@ class Role(StrEnum):
 FIELD_TABLE: Final[Mapping[str, Any]] = tomllib.loads(
     Path(__file__).with_name("fields.toml").read_text("utf-8")
 )
-"""Content of ``fields.toml``: quantities and their keys in each format.
-"""
+"""Content of ``fields.toml``: quantities, and names of concepts in each format."""
 
 KEY_ALIASES: Final[Mapping[str, list[str]]] = FIELD_TABLE["names"]
 """{concept, such as joint names: keys that files of different formats use, the preferred first}. A
@@ -99,15 +113,6 @@ def find_quantity_kind(quantity: str) -> QuantityKind:
     return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
 
-FORMAT_KEYS: Final[Mapping[str, Mapping[str, str]]] = {
-    form: {
-        key: name for name, row in FIELD_TABLE["quantities"].items() for key in row.get(form, ())
-    }
-    for form in ("table", "settings", "actuator")
-}
-"""{format: {key in this format: quantity}}."""
-
-
 @dataclass(frozen=True)
 class Statement:
     """Number in a source, not yet assigned to a joint of the robot.
@@ -122,7 +127,10 @@ class Statement:
         count: Length of the list that ``index`` refers to.
         decimals: Decimals of the number as written; None for a computed number.
         expression: Text of an expression that is not constant.
-        implied: Whether the number is a default of the library, or derived from another statement.
+        origin: Origin of the number.
+        basis: Framework and version of a default; empty for another origin.
+        is_part: Whether ``joint`` is a part of joint names, unless it is the name of a joint.
+        is_rest: Whether the number is that of all joints that no other key selects.
     """
 
     quantity: str
@@ -133,7 +141,39 @@ class Statement:
     count: int = 0
     decimals: int | None = None
     expression: str = ""
-    implied: bool = False
+    origin: Origin = Origin.STATED
+    basis: str = ""
+    is_part: bool = False
+    is_rest: bool = False
+
+
+@dataclass(frozen=True)
+class ObservedTerm:
+    """Term of a policy's observation, such as joint positions, in a source.
+
+    Attributes:
+        name: Name in the source, or the name of the term's function.
+        scales: Factor, or a factor per element; None if the source states none that is known.
+        place: File and line.
+        history: Number of time steps of the term in an observation; 0 if not stated.
+        clip: Lower and upper bound before scaling; None if not stated.
+    """
+
+    name: str
+    scales: tuple[float, ...] | None
+    place: Place
+    history: int = 0
+    clip: tuple[float, float] | None = None
+
+    @property
+    def scale(self) -> float | None:
+        """First factor; None if the scale is unknown."""
+        return self.scales[0] if self.scales else None
+
+    @property
+    def common_name(self) -> str:
+        """Name of the term that is the same for all libraries (`OBSERVATION_ALIASES`)."""
+        return OBSERVATION_ALIASES.get(self.name, self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +188,9 @@ class Fact(Result):
         unit: Unit of ``value``.
         place: ``file:line``.
         expression: Text of an expression that is not constant.
-        implied: Whether the number is a default of the library, or derived from another statement.
+        origin: ``stated``, ``default`` (of a framework), ``derived`` (from other numbers) or
+            ``assumed`` (the joint order of the list).
+        basis: Framework and version of a default; empty for another origin.
         decimals: Decimals of the number as written; None for a computed number.
     """
 
@@ -159,8 +201,14 @@ class Fact(Result):
     unit: str
     place: str
     expression: str
-    implied: bool
+    origin: str
+    basis: str = ""
     decimals: int | None = None
+
+    @property
+    def implied(self) -> bool:
+        """Whether the number is a framework's default, or derived from another number."""
+        return self.origin in (Origin.DEFAULT, Origin.DERIVED)
 
     @property
     def number(self) -> float:
@@ -183,7 +231,7 @@ class Source:
             stated.
         motor_names: Joint names in the robot's order of motors; empty if not stated.
         breadth_first: Whether the trainer sorts joints by depth in the tree.
-        observations: Observations of the policy, in order: (name, scale, place).
+        observations: Observations of the policy, in order.
         notes: Content that could not be read.
     """
 
@@ -196,7 +244,7 @@ class Source:
     motors: tuple[int, ...] = ()
     motor_names: tuple[str, ...] = ()
     breadth_first: bool = False
-    observations: tuple[tuple[str, float | None, Place], ...] = ()
+    observations: tuple[ObservedTerm, ...] = ()
     notes: tuple[Diagnostic, ...] = ()
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:
@@ -217,7 +265,8 @@ class Source:
             find_quantity_kind(statement.quantity).unit,
             statement.place.path,
             statement.expression,
-            statement.implied,
+            str(statement.origin),
+            statement.basis,
             statement.decimals,
         )
 
@@ -229,7 +278,7 @@ class Source:
         the policy. Sources with equal content count once.
         """
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
-        observations = [(name, scale) for name, scale, _ in self.observations]
+        observations = [(term.name, term.scales, term.history) for term in self.observations]
         return tuple(statements), self.order, self.motors, tuple(observations)
 
 

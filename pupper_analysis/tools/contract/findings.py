@@ -137,7 +137,11 @@ def find_disagreements(
     for quantity in dict.fromkeys(quantities):
         kind = find_quantity_kind(quantity)
         if kind.severity is not None:
-            disagreements += _compare_quantity(quantity, kind, placed, ("", *model.order))
+            joints = ("", *model.order)
+            if quantity == "damping":
+                servo_joints = {joint for _, joint in _find_servo_damping(placed)}
+                joints = tuple(joint for joint in joints if joint not in servo_joints)
+            disagreements += _compare_quantity(quantity, kind, placed, joints)
             if kind.mirrored:
                 disagreements += _compare_sides(quantity, kind, placed, model)
     offsets = {finding.joints for finding in disagreements if finding.kind == "default angle"}
@@ -147,6 +151,89 @@ def find_disagreements(
         if finding.kind != "action offset" or finding.joints not in offsets
     ]
     return tuple(sorted(kept, key=lambda one: one.severity.rank))
+
+
+def _find_servo_damping(placed: Sequence[PlacedSource]) -> list[tuple[PlacedSource, str]]:
+    """List (model, joint) for each joint damping that represents the kd of a servo.
+
+    Another source states this number as kd, and the model states no kd for the joint. Such a
+    damping is no passive damping, and is not compared with the damping of other models.
+    """
+    return [
+        (source, joint)
+        for source in placed
+        if source.source.role is Role.MODEL
+        for (quantity, joint), fact in source.facts.items()
+        if quantity == "damping"
+        and fact.number > 0
+        and ("kd", joint) not in source.facts
+        and any(
+            facts_agree(fact, replace(kd, quantity="damping"))
+            for other in placed
+            if other.source.role is not Role.MODEL
+            and (kd := other.facts.get(("kd", joint))) is not None
+        )
+    ]
+
+
+def note_servo_damping(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
+    """Return a note for each model whose joint damping represents the kd of the servos."""
+    joints: dict[str, list[str]] = {}
+    for source, joint in _find_servo_damping(placed):
+        joints.setdefault(source.source.name, []).append(joint)
+    return [
+        diagnose("contract-damping-is-kd", file=file, joints=tuple(names))
+        for file, names in joints.items()
+    ]
+
+
+def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
+    """List the quantities of a source that are not compared although another source states them.
+
+    A list may not be assigned to joints, or keys may match no joint of the robot.
+    """
+    lost = list[Diagnostic]()
+    for source in placed:
+        stated = {
+            key
+            for other in placed
+            if other is not source
+            for key, fact in other.facts.items()
+            if find_quantity_kind(key[0]).severity is not None and fact.value is not None
+        }
+        lost += [
+            message
+            for quantity, message in source.unread.items()
+            if any(key[0] == quantity for key in stated)
+        ]
+        for quantity, keys in source.unplaced.items():
+            missing = [
+                joint
+                for what, joint in stated
+                if what == quantity and (quantity, joint) not in source.facts
+            ]
+            if missing and source.source.role is not Role.MODEL:
+                message = diagnose(
+                    "contract-quantity-lost",
+                    file=source.source.name,
+                    what=Term(quantity) if quantity in QUANTITIES else quantity,
+                    joints=tuple(sorted(missing)),
+                    names=keys,
+                    sources=source.source.path,
+                )
+                lost.append(message)
+    return lost
+
+
+def make_unread_finding(message: Diagnostic) -> Disagreement:
+    """Return a source or quantity that was not compared as a finding, for lists of findings.
+
+    A source is an error, since none of its numbers was compared; a quantity is a warning.
+    """
+    whole = message.code == "contract-unread"
+    place = str(message.values["file"] if whole else message.sources[0].file)
+    severity = Severity.ERROR if whole else Severity.WARNING
+    return Disagreement("unread", "", (), (place,), (), "", severity, message, (place,))
 
 
 def facts_agree(first: Fact, second: Fact) -> bool:
@@ -196,12 +283,16 @@ def _compare_quantity(
     pairs: dict[tuple[Role, Role, str, str], dict[str, FactPair]] = {}
     for joint in joints:
         stated = (
-            (placed_source.source.role, placed_source.facts.get((quantity, joint)))
+            (placed_source.source, placed_source.facts.get((quantity, joint)))
             for placed_source in placed
         )
-        stating = [(role, fact) for role, fact in stated if fact and fact.value is not None]
-        for role, fact in stating[1:]:
-            first, first_fact = stating[0]
+        stating = [(source, fact) for source, fact in stated if fact and fact.value is not None]
+        for source, fact in stating[1:]:
+            (first_source, first_fact), role = stating[0], source.role
+            first = first_source.role
+            # Several policies of one deployment need not agree.
+            if role is first is Role.DEPLOYMENT and source.path == first_source.path:
+                continue
             bounded = quantity != "effort" or math.isfinite(max(first_fact.number, fact.number))
             if bounded and not facts_agree(first_fact, fact):
                 key = (first, role, first_fact.source, fact.source)
@@ -505,7 +596,7 @@ def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreeme
                 second=second.name,
             )
             sides = [
-                source.make_fact(Statement("observations", None, source.observations[0][2]))
+                source.make_fact(Statement("observations", None, source.observations[0].place))
                 for source in (first, second)
             ]
             yield _make_disagreement(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pupper_analysis.tools.contract.contract import read_contract
-from pupper_analysis.tools.contract.findings import Disagreement
+from pupper_analysis.tools.contract.findings import Disagreement, make_unread_finding
 
 
 def guard(
@@ -24,6 +24,7 @@ def guard(
         names: {joint name in a source: joint name in the MJCF, or in the URDF without an MJCF}.
 
     Returns:
-        Disagreements, the most severe first.
+        Sources and quantities that were not compared, then disagreements, the most severe first.
     """
-    return read_contract(*models, *sources, names=names, stand=False).findings
+    contract = read_contract(*models, *sources, names=names, stand=False)
+    return (*map(make_unread_finding, contract.unread), *contract.findings)

@@ -12,16 +12,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.sides import find_mirror_pairs
-from pupper_analysis.models.stated.model import RobotModel
+from pupper_analysis.models.stated.model import HINGE_JOINT, RobotModel
 from pupper_analysis.robot.matching.pairs import match_without_affixes
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.facts import (
-    OBSERVATION_ALIASES,
     QUANTITIES,
     Fact,
+    Origin,
     Role,
     Source,
     Statement,
@@ -42,6 +45,8 @@ class PlacedSource:
         names: {name in the source: joint}.
         unknown: Names that match no joint of the robot.
         notes: Assumptions.
+        unread: {quantity: reason} of lists that are not assigned to joints.
+        unplaced: {quantity: keys that match no joint}.
     """
 
     source: Source
@@ -51,6 +56,8 @@ class PlacedSource:
     names: Mapping[str, str] = field(default_factory=dict)
     unknown: tuple[str, ...] = ()
     notes: tuple[Diagnostic, ...] = ()
+    unread: Mapping[str, Diagnostic] = field(default_factory=dict)
+    unplaced: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -58,23 +65,66 @@ class RobotJoints:
     """Joints of the model that defines the order.
 
     Attributes:
-        model: Model of the robot.
         order: Names of the moving joints, limb by limb (`list_depth_first`).
+        depths: {joint: depth of the driven link in the tree}.
+        axes: {hinge: axis in the base frame at zero joint angles, shape (3,)}.
         user_names: {name in a source: joint}, passed by the user.
     """
 
-    model: RobotModel
     order: tuple[str, ...]
+    depths: Mapping[str, int]
+    axes: Mapping[str, NDArray[np.float64]]
     user_names: Mapping[str, str]
+
+    @staticmethod
+    def from_model(
+        model: RobotModel, order: tuple[str, ...], user_names: Mapping[str, str]
+    ) -> RobotJoints:
+        """Create the joints of a robot's file.
+
+        Args:
+            model: Content of the file.
+            order: Names of the moving joints, limb by limb.
+            user_names: {name in a source: joint}, passed by the user.
+        """
+        joints = {name: model.joints[name] for name in list_depth_first(model)}
+        depths = {name: len(list(model.ancestors(joint.child))) for name, joint in joints.items()}
+        axes = {
+            name: np.asarray(joint.axis, dtype=np.float64)
+            for name, joint in joints.items()
+            if joint.kind == HINGE_JOINT
+        }
+        return RobotJoints(order, depths, axes, user_names)
+
+    @staticmethod
+    def from_robot(robot: Robot, user_names: Mapping[str, str] | None = None) -> RobotJoints:
+        """Create the joints of a loaded robot, in the order of its MJCF.
+
+        Args:
+            robot: Robot.
+            user_names: {name in a source: joint}, passed by the user.
+        """
+        model, places = robot.mj_model, robot.mj_convention.qpos_index[-robot.nu :]
+        data = robot.compute_kinematics(robot.make_qpos(np.zeros(robot.nu)))
+        base = data.xmat[model.body(robot.mj_base).id].reshape(3, 3)
+        ids = {int(model.jnt_qposadr[joint]): joint for joint in range(model.njnt)}
+        depths, axes = dict[str, int](), dict[str, NDArray[np.float64]]()
+        for name, place in zip(robot.joint_names, places, strict=True):
+            joint, depth = ids[int(place)], 0
+            body = int(model.jnt_bodyid[joint])
+            while body:
+                body, depth = int(model.body_parentid[body]), depth + 1
+            depths[name] = depth
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE.value:
+                axes[name] = base.T @ data.xaxis[joint]
+        by_place = dict(zip(places.tolist(), robot.joint_names, strict=True))
+        order = tuple(by_place[place] for place in sorted(by_place))
+        return RobotJoints(order, depths, axes, user_names or {})
 
     @property
     def joints_by_depth(self) -> tuple[str, ...]:
         """Names of the moving joints, sorted by depth in the tree, as in Isaac Lab."""
-        ancestors = {
-            name: list(self.model.ancestors(joint.child))
-            for name, joint in self.model.joints.items()
-        }
-        return tuple(sorted(list_depth_first(self.model), key=lambda name: len(ancestors[name])))
+        return tuple(sorted(self.order, key=self.depths.__getitem__))
 
     def match_names(self, names: Sequence[str]) -> dict[str, str]:
         """Match names in a source to the joints of the robot.
@@ -105,12 +155,11 @@ class RobotJoints:
             1 if mirrored postures have equal angles, -1 if opposite angles, 0 if the axes are no
             mirror images or a joint is not a hinge.
         """
-        first, second = (self.model.joints[name] for name in (first_name, second_name))
-        cosine = float(np.dot(np.multiply(first.axis, (-1, 1, -1)), second.axis))
-        are_mirrored_hinges = (
-            first.kind == second.kind == "hinge" and abs(cosine) >= _MIN_MIRROR_COSINE
-        )
-        return 0 if not are_mirrored_hinges else 1 if cosine > 0 else -1
+        first, second = self.axes.get(first_name), self.axes.get(second_name)
+        if first is None or second is None:
+            return 0
+        cosine = float(np.dot(np.multiply(first, (-1, 1, -1)), second))
+        return 0 if abs(cosine) < _MIN_MIRROR_COSINE else 1 if cosine > 0 else -1
 
 
 _MIN_MIRROR_COSINE = 0.95
@@ -137,29 +186,47 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
         Facts about joints of the robot, the joint order with its origin, and unmatched names.
     """
     patterns = dict.fromkeys(statement.joint for statement in source.statements if statement.joint)
+    # Parts of names of gains (legged_gym) are never names of joints; angles may have either.
+    parts = {one.joint for one in source.statements if one.is_part}
+    angles = {one.joint for one in source.statements if one.quantity == "default angle"}
     plain_names = [
-        pattern for pattern in patterns if _PLAIN_NAME.fullmatch(pattern) or not is_pattern(pattern)
+        pattern
+        for pattern in patterns
+        if (_PLAIN_NAME.fullmatch(pattern) or not is_pattern(pattern))
+        and (pattern not in parts or pattern in angles)
     ]
     names = list(dict.fromkeys((*source.order, *plain_names)))
     matched = model.match_names(names)
     order, how, assumed = _determine_order(source, model, others, matched)
     reverse = {joint: name for name, joint in matched.items()}
     observation_scales = {
-        f"observation {OBSERVATION_ALIASES.get(name, name)}": (scale, place)
-        for name, scale, place in source.observations
-        if scale is not None
+        f"observation {term.common_name}": (term.scale, term.place)
+        for term in source.observations
+        if term.scale is not None
     }
     facts = {
         (quantity, ""): source.make_fact(Statement(quantity, *scale_and_place))
         for quantity, scale_and_place in observation_scales.items()
     }
     unread: dict[str, int] = {}
+    unplaced: dict[str, tuple[str, ...]] = {}
+    rest_facts = set[tuple[str, str]]()
     for statement in source.statements:
         if statement.index is not None:
             # A list of another length cannot be assigned to joints.
             assigned = list(filter(None, order[statement.index : statement.index + 1]))
             if statement.count != len(order):
                 unread[statement.quantity], assigned = statement.count, []
+            if how == "assumed" and statement.origin is Origin.STATED:
+                statement = replace(statement, origin=Origin.ASSUMED)
+        elif statement.is_part and (
+            statement.joint not in matched or statement.quantity not in _ANGLE_QUANTITIES
+        ):
+            assigned = [
+                joint
+                for joint in model.order
+                if statement.joint in joint or statement.joint in reverse.get(joint, joint)
+            ]
         elif statement.joint in matched or not statement.joint:
             assigned = [matched.get(statement.joint, "")]
         else:
@@ -169,9 +236,19 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
                 if matches_name(statement.joint, joint)
                 or matches_name(statement.joint, reverse.get(joint, joint))
             ]
-        facts |= {
-            (statement.quantity, joint): source.make_fact(statement, joint) for joint in assigned
-        }
+        if statement.joint and not assigned:
+            keys = (*unplaced.get(statement.quantity, ()), statement.joint)
+            unplaced[statement.quantity] = keys
+        keys_of_joints = {(statement.quantity, joint) for joint in assigned}
+        rest_facts = (
+            rest_facts | keys_of_joints if statement.is_rest else rest_facts - keys_of_joints
+        )
+        facts |= {key: source.make_fact(statement, key[1]) for key in keys_of_joints}
+    # A number of "all other joints" is that of the joints that the source controls.
+    controlled = {joint for quantity, joint in facts if quantity == "kp"}
+    facts = {
+        key: fact for key, fact in facts.items() if key not in rest_facts or key[1] in controlled
+    }
     time_step, decimation = (facts.get((quantity, "")) for quantity in ("time step", "decimation"))
     if time_step and decimation and time_step.number * decimation.number:
         decimation = replace(
@@ -179,21 +256,29 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
             quantity="policy step",
             unit=time_step.unit,
             decimals=None,
+            origin=str(Origin.DERIVED),
             value=time_step.number * decimation.number,
         )
         facts.setdefault(("policy step", ""), decimation)
-    notes = [
-        diagnose(
+    lists = {
+        quantity: diagnose(
             "contract-list-unread",
             file=source.name,
-            what=Term(quantity),
+            what=Term(quantity) if quantity in QUANTITIES else quantity,
             count=count,
             joints=len(order) or len(model.order),
+            sources=source.path,
         )
         for quantity, count in unread.items()
-    ]
-    unknown = tuple(name for name in names if name not in matched)
-    return PlacedSource(source, facts, order, how, matched, unknown, (*assumed, *notes))
+    }
+    unknown = tuple(
+        name
+        for name in names
+        if name not in matched
+        and not (name in parts and any(name in joint for joint in model.order))
+    )
+    notes = (*assumed, *lists.values())
+    return PlacedSource(source, facts, order, how, matched, unknown, notes, lists, unplaced)
 
 
 def list_observations(source: Source) -> list[str]:
@@ -201,8 +286,12 @@ def list_observations(source: Source) -> list[str]:
 
     Names of a library are replaced by common names (`OBSERVATION_ALIASES`).
     """
-    return [OBSERVATION_ALIASES.get(name, name) for name, _, _ in source.observations]
+    return [term.common_name for term in source.observations]
 
+
+_ANGLE_QUANTITIES = ("default angle", "action offset")
+"""Quantities whose keys in a trainer's table are names of joints, if such joints exist, otherwise
+parts of names: legged_gym has names, booster_gym has parts."""
 
 _PLAIN_NAME = re.compile(r"[\w/\- ]+")
 """Pattern of a text that is the name of a joint, not a regular expression for several joints."""

@@ -165,12 +165,21 @@ def test_configuration_without_pairs_is_refused(folder: Path) -> None:
         read_config(write_config(folder, "# nothing\n"))
 
 
+def test_table_of_a_tool_is_accepted(folder: Path) -> None:
+    entry = '\n[[contract.key]]\nquantity = "kp"\nnames = ["gain"]\n'
+    (pair, *_) = read_config(write_config(folder, f"{LEAST}{entry}")).pairs
+    assert pair.name
+    with pytest.raises(ModelError, match="contract"):
+        read_config(write_config(folder, f"contract = 3\n{LEAST}"))
+
+
 def test_page_of_configuration_lists_exactly_the_valid_keys(folder: Path) -> None:
     values: dict[str, set[str]] = {"the file": set(), "a pair": set(), "both": set()}
     with (ROOT / "docs/data/config-keys.csv").open(newline="") as table:
         for row in csv.DictReader(table):
             values[row["of"]] |= {name.strip() for name in row["key"].split(",")}
-    assert values["the file"] | values["both"] == set(config._TOP_KEYS)
+    guards = find_tool_modules("guard")
+    assert values["the file"] | values["both"] == {*config._TOP_KEYS, *guards}
     assert values["a pair"] | values["both"] == {*config._PAIR_KEYS, *find_tool_modules("guard")}
     page = (ROOT / "docs/how-to/check.md").read_text()
     (example,) = re.findall(r"```toml\n(.*?)```", page, re.S)

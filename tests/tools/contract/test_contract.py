@@ -4,6 +4,7 @@ mistakes are found with both lines.
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -56,7 +57,7 @@ def test_isaac_lab_lists_are_ordered_by_depth_if_left_and_right_agree(
     path.write_text(text.replace(format_list(ANGLES), format_list(range(12))))
     found = contract(sources["isaac_cfg.py"], path)
     assert not [one for one in found.facts if one.source == path.name and "angle" in one.quantity]
-    assert any(one.code == "contract-list-unread" for one in found.notes)
+    assert any(one.code == "contract-list-unread" for one in found.unread)
 
 
 def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
@@ -335,8 +336,10 @@ def test_list_of_another_length_is_not_assigned_to_joints(
         assert found.findings == ()
         assert not [one for one in found.facts if one.quantity == "kp"
                     and one.source.startswith(name)]  # fmt: skip
-        (note,) = [one for one in found.notes if one.code == "contract-list-unread"]
-        assert note.values["count"] == len(given)
+        (warning,) = found.unread
+        assert (warning.code, warning.severity) == ("contract-list-unread", "warning")
+        assert warning.values["count"] == len(given)
+        assert not found.passed
 
 
 def test_contract_without_a_model_is_refused(sources: dict[str, Path]) -> None:
@@ -385,14 +388,32 @@ def test_regular_expressions_with_exponential_time_are_left_out(
     assert note.values["names"] == (pattern,)
 
 
-def test_refusal_of_an_mjcf_states_the_message_of_mujoco(tmp_path: Path) -> None:
-    path = tmp_path / "robot.xml"
+def test_mjcf_that_mujoco_cannot_compile_is_compared_by_its_joints(tmp_path: Path) -> None:
+    """The note contains MuJoCo's message. Reference: the numbers in the text of the file."""
+    path, deploy = tmp_path / "robot.xml", tmp_path / "deploy.yaml"
     path.write_text(
-        '<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/></body></worldbody>\n'
+        '<mujoco><worldbody><body><joint name="hip" range="-30 30" armature="0.01"/>'
+        '<geom size="0.1"/></body></worldbody>\n'
         '<contact><exclude body1="a" body2="b"/></contact></mujoco>'
     )
-    with pytest.raises(ModelError, match=r"robot\.xml:2: MuJoCo cannot compile it.*'a'"):
-        contract(path)
+    deploy.write_text("joint_names: [hip]\njoint_upper_limits: [0.7]\n")
+    found = read_contract(path, deploy, stand=False)
+    (finding,) = found.findings
+    assert (finding.kind, finding.values) == ("upper limit", (0.7, pytest.approx(math.pi / 6)))
+    (note,) = [one for one in found.notes if one.code == "contract-text-alone"]
+    assert "'a'" in str(note)
+    stated = {fact.quantity: fact.value for fact in found.facts if fact.source == "robot.xml"}
+    assert stated["armature"] == 0.01
+
+
+def test_mjcf_with_an_invalid_joint_is_refused_with_the_message_of_mujoco(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="hip" axis="0 0 0"/><geom size="0.1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    with pytest.raises(ModelError, match="MuJoCo cannot compile it"):
+        read_contract(path, stand=False)
 
 
 PLAYGROUND = """

@@ -7,7 +7,10 @@ moving joint, each with its line. The joint order is limb by limb, as in MuJoCo.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import mujoco
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
@@ -22,7 +25,14 @@ from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import group_actuators_by_joint, read_actuator_law
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.robot.matching.match import match_models
-from pupper_analysis.tools.contract.facts import QUANTITIES, Request, Role, Source, Statement
+from pupper_analysis.tools.contract.facts import (
+    QUANTITIES,
+    Origin,
+    Request,
+    Role,
+    Source,
+    Statement,
+)
 from pupper_analysis.tools.contract.orders import list_depth_first
 
 FILE_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", ".usdz")
@@ -35,10 +45,10 @@ def read(request: Request) -> Iterator[Source]:
     Parameters are, for example, effort limits and servo gains. The order is depth first, limb by
     limb. Nothing is yielded for a model without moving joints.
     """
-    model = read_model_file(request.path)
+    model, notes = read_model_file(request.path), list[Diagnostic]()
     if isinstance(model, MjcfModel) and model.refusal is not None:
-        problem, place = model.refusal
-        raise make_file_error(place or Place(request.path), problem)
+        problem, _ = model.refusal
+        notes.append(diagnose("contract-text-alone", file=request.path.name, why=problem))
     compiled = model.mj_model if isinstance(model, MjcfModel) else None
     ids = {} if compiled is None else group_actuators_by_joint(compiled)
     drives = {compiled.joint(one).name: two for one, two in ids.items()} if compiled else {}
@@ -57,7 +67,14 @@ def read(request: Request) -> Iterator[Source]:
             ]
     order = list_depth_first(model)
     if order:
-        yield Source(request.path.name, request.path, Role.MODEL, tuple(statements), order=order)
+        yield Source(
+            request.path.name,
+            request.path,
+            Role.MODEL,
+            tuple(statements),
+            order=order,
+            notes=tuple(notes),
+        )
 
 
 def _list_joint_statements(
@@ -88,13 +105,53 @@ _RANGE_ATTRIBUTES = ("ctrlrange", "forcerange")
 
 
 def read_model_file(path: Path) -> RobotModel:
-    """Read the values that a URDF, MJCF or file of a registered format states, as a model."""
+    """Read the values that a URDF, MJCF or file of a registered format states, as a model.
+
+    Of an MJCF that MuJoCo does not compile, joints and actuators are read.
+
+    Raises:
+        ModelError: If the file cannot be read.
+    """
     reader = reader_of(path)
     with silence_mujoco():
         if reader is not None:
             return reader.read_model(reader.read_file(path))
         file = read_model(path)
-        return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
+        if isinstance(file, UrdfFile):
+            return read_urdf_model(file)
+        model = read_mjcf_model(file)
+        return model if model.links else _read_refused_mjcf(model)
+
+
+def _read_refused_mjcf(model: MjcfModel) -> MjcfModel:
+    """Return the joints and actuators of an MJCF that MuJoCo does not compile.
+
+    The file is compiled without dangling references, contacts, sensors, keyframes, constraints and
+    meshes, with a minimum mass of each body. None of these affects the numbers of joints.
+
+    Raises:
+        ModelError: If MuJoCo does not compile the rest either: the error about the file.
+    """
+    assert model.refusal is not None
+    problem, place = model.refusal
+    spec = model.file.spec.copy()
+    for element in (*spec.pairs, *spec.excludes, *spec.sensors, *spec.keys, *spec.equalities):
+        spec.delete(element)
+    for geom in [one for one in spec.geoms if one.type == mujoco.mjtGeom.mjGEOM_MESH]:
+        spec.delete(geom)
+    spec.compiler.boundmass = spec.compiler.boundinertia = _MIN_REFUSED_INERTIA
+    spec.compiler.balanceinertia = True
+    try:
+        with silence_mujoco():
+            file = replace(model.file, spec=spec, refusal=None, as_it_is=None)
+            return replace(read_mjcf_model(file), refusal=model.refusal)
+    except (ValueError, RuntimeError, TypeError) as error:
+        raise make_file_error(place or Place(model.file.path), problem) from error
+
+
+_MIN_REFUSED_INERTIA = 1e-6
+"""Minimum mass [kg] and inertia [kg m^2] of bodies of a file that MuJoCo does not compile. Chosen:
+only numbers of joints and actuators are read from such a file."""
 
 
 def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
@@ -113,7 +170,8 @@ def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator
         ratio = (
             bool(name) and model.file.find_attribute("actuator", name, ("dampratio",)) is not None
         )
-        yield Statement("kd", kd, place, joint, implied=ratio)
+        origin = Origin.DERIVED if ratio else Origin.STATED
+        yield Statement("kd", kd, place, joint, origin=origin)
 
 
 def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:

@@ -9,27 +9,29 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pupper_analysis.tools.contract import python_values as py
 from pupper_analysis.tools.contract.facts import (
-    FORMAT_KEYS,
     KEY_ALIASES,
     Node,
+    Origin,
     Request,
     Role,
     Source,
     Statement,
 )
+from pupper_analysis.tools.contract.keys import load_key_rules
 from pupper_analysis.tools.contract.readers import tables
 
 FILE_SUFFIXES = (".py",)
 """Suffixes of the files that this reader of training configurations reads."""
 
-_ACTUATOR_QUANTITIES = FORMAT_KEYS["actuator"]
-"""{field of an actuator configuration: quantity}."""
+_MJLAB, _ISAAC_LAB = "mjlab 1.6", "Isaac Lab 2.0"
+"""Frameworks, with the versions whose defaults were read."""
 
 
 def read(request: Request) -> Iterator[Source]:
@@ -77,10 +79,51 @@ def read(request: Request) -> Iterator[Source]:
         for statement in node.make_statements("action scale")
         if not request.name
     ]
+    if not selected and not flat_sources:
+        flat_sources += _read_constants(request, evaluator, own_names)
     for source in selected or flat_sources:
         stated = {statement.quantity for statement in source.statements}
         added_scales = scales if "action scale" not in stated and "kp" in stated else []
         yield replace(source, statements=(*source.statements, *added_scales))
+
+
+def _read_constants(
+    request: Request, evaluator: py.Evaluator, own_names: dict[str, Node]
+) -> Iterator[Source]:
+    """Yield the constants of a file without tables as a source: of a deployment or a simulation.
+
+    Constants are those of the module, of its classes, and those that a method assigns to ``self``.
+    """
+    table = {
+        name.lower(): _make_constant_table(evaluator, node)
+        for name, node in own_names.items()
+        if not name.startswith("__")
+    }
+    if table:
+        place = next(iter(table.values())).place
+        request = replace(request, name="")  # names have already been selected
+        yield from tables.read_document(request, Node(table, replace(place, line=None)))
+
+
+def _make_constant_table(evaluator: py.Evaluator, node: Node) -> Node:
+    """Return a class as a table {name: constant or nested table}; other values unchanged."""
+    if not isinstance(node.value, py.ClassValue):
+        return node
+    table = dict[str, Node]()
+    for name, part in node.value.fields.items():
+        if isinstance(part.value, py.FunctionValue) and isinstance(
+            part.value.node, ast.FunctionDef
+        ):
+            for statement in ast.walk(part.value.node):
+                if isinstance(statement, ast.Assign) and len(statement.targets) == 1:
+                    target = statement.targets[0]
+                    if isinstance(target, ast.Attribute) and isinstance(target.value, ast.Name):
+                        with suppress(py.NotConstantError):
+                            value = evaluator.evaluate(statement.value, part.value.around)
+                            table.setdefault(target.attr.lower(), value)
+        else:
+            table[name.lower()] = _make_constant_table(evaluator, part)
+    return replace(node, value=table)
 
 
 def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
@@ -193,7 +236,10 @@ def _list_robot_statements(robot: Node) -> Iterator[Statement]:
     angles = robot.get("init_state", "joint_pos")
     first_wins = robot.value.kind == "EntityCfg"
     if isinstance(angles.value, dict):
-        yield Statement("default angle", 0.0, angles.place, ".*", implied=True)
+        basis = _MJLAB if first_wins else _ISAAC_LAB
+        yield Statement(
+            "default angle", 0.0, angles.place, ".*", origin=Origin.DEFAULT, basis=basis
+        )
         entries = list(angles.value.items())
         for pattern, node in reversed(entries) if first_wins else entries:
             # mjlab uses the first pattern that matches the start of a name, Isaac Lab full matches.
@@ -202,8 +248,8 @@ def _list_robot_statements(robot: Node) -> Iterator[Statement]:
     for actuator in _list_actuators(robot):
         base = actuator.get("base_cfg")
         inner = base if base.is_present else actuator
-        for word, quantity in _ACTUATOR_QUANTITIES.items():
-            node = inner.get(word)
+        for rule in load_key_rules("actuator", robot.place.file):
+            node, quantity = inner.get(*rule.path), rule.quantity
             if quantity == "friction" and not first_wins and node.number:
                 quantity = "friction coefficient"
             if isinstance(node.value, list):  # the joint of each element is not known
@@ -219,6 +265,8 @@ def _list_action_statements(action: Node, angles: list[Statement]) -> Iterator[S
     patterns = action.find_first("patterns").texts
     yield from action.get("scale").make_statements("action scale", patterns)
     if action.get("use_default_offset").value in (None, True):
-        yield from (replace(angle, quantity="action offset", implied=True) for angle in angles)
+        for angle in angles:
+            origin = Origin.DERIVED if angle.origin is Origin.STATED else angle.origin
+            yield replace(angle, quantity="action offset", origin=origin)
     else:
         yield from action.get("offset").make_statements("action offset", patterns)

@@ -1,25 +1,25 @@
-"""Reader of YAML and JSON: deployments of Unitree robots, ROS 2 controllers, MoveIt, RTNeural.
+"""Reader of YAML and JSON: deployments, trainers' tables, ROS 2 controllers, MoveIt, RTNeural.
 
 Input is a file; outputs are `Source` objects with joint order, motor map, numbers of joints and
-observations. `fields.toml` contains the keys of each format. Other readers use `read_table` for
-tables in their formats.
+observations. ``keys.toml`` contains the keys. Numbers of a policy may be spread over several nested
+tables (`_split_document`). Other readers use `read_table` for tables in their formats.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.inputs import read_text
 from pupper_analysis.models.places import Place
 from pupper_analysis.tools.contract.facts import (
     FIELD_TABLE,
-    FORMAT_KEYS,
     KEY_ALIASES,
     OBSERVATION_ALIASES,
     Node,
+    ObservedTerm,
+    Origin,
     Request,
     Role,
     Source,
@@ -27,15 +27,83 @@ from pupper_analysis.tools.contract.facts import (
     find_quantity_kind,
     read_yaml_nodes,
 )
+from pupper_analysis.tools.contract.keys import KeyRule, load_key_rules
 
 FILE_SUFFIXES = (".yaml", ".yml", ".json")
 """Suffixes of the files that this reader of tables reads."""
 
-_TABLE_KEYS = {
-    **FORMAT_KEYS["table"],
-    **{f"{name}_scale": f"observation {name}" for name in KEY_ALIASES["scales"]},
-}
-"""{key in a YAML or JSON table: quantity of the contract}, including scales of observations."""
+_MAX_TABLE_DEPTH = 4
+"""Largest depth of nested tables that are searched for numbers of joints. Chosen, not tuned."""
+
+
+@dataclass(frozen=True)
+class _View:
+    """Tables of a document that belong to one source; keys are searched in this order.
+
+    Attributes:
+        key: Keys of the source in the document, joined by ``/``; empty for the document.
+        tables: Tables with keys in lower case.
+        rules: Keys of quantities.
+    """
+
+    key: str
+    tables: tuple[Node, ...]
+    rules: tuple[KeyRule, ...]
+
+    @property
+    def place(self) -> Place:
+        """Place of the first table."""
+        return self.tables[0].place
+
+    def get(self, *path: str) -> Node:
+        """Return the value of a path of keys in the first table that has it; None without."""
+        found = (table.get(*path) for table in self.tables)
+        return next((node for node in found if node.is_present), Node(None, self.place))
+
+    def find_first(self, names: str) -> Node:
+        """Return the value of the first key that is present for a concept (`KEY_ALIASES`)."""
+        found = (self.get(*alias.split(".")) for alias in KEY_ALIASES[names])
+        return next((node for node in found if node.is_present), Node(None, self.place))
+
+    @property
+    def states_joints(self) -> bool:
+        """True if a table states joint names or a number per joint."""
+        return bool(self.find_first("joints").texts) or self.states_numbers
+
+    @property
+    def states_numbers(self) -> bool:
+        """True if a table states a number per joint."""
+        return bool(self._find_joint_values())
+
+    def _find_joint_values(self) -> dict[str, Node]:
+        """Return {quantity and group of joints: value} of the numbers of joints in the tables."""
+        return {
+            f"{rule.quantity} {rule.joints}": node
+            for rule in self.rules
+            if not find_quantity_kind(rule.quantity).is_setting
+            and rule.accepts(node := self.get(*rule.path))
+            and any(statement.value is not None for statement in rule.list_statements(node))
+        }
+
+    def conflicts_with(self, other: _View) -> bool:
+        """Return True if both state different values or lists of joint names for the same thing."""
+        first, second = self._find_joint_values(), other._find_joint_values()
+        first["names"], second["names"] = self.find_first("joints"), other.find_first("joints")
+        return any(
+            first[key].is_present and second[key].is_present and first[key] is not second[key]
+            for key in first.keys() & second.keys()
+        )
+
+
+def _lower_keys(node: Node) -> Node:
+    """Return a table with the keys of all nested tables in lower case."""
+    if not isinstance(node.value, dict):
+        return node
+    # Keys that are names of joints keep their case: numbers have no nested tables.
+    lowered = {str(key): _lower_keys(value) for key, value in node.value.items()}
+    is_leaf = not any(isinstance(value.value, dict | list) for value in lowered.values())
+    names = lowered if is_leaf else {key.lower(): value for key, value in lowered.items()}
+    return replace(node, value=names)
 
 
 def read(request: Request) -> Iterator[Source]:
@@ -59,29 +127,79 @@ def read(request: Request) -> Iterator[Source]:
             ]
             yield from read_table(request, request.path.name, document, Role.POLICY, sizes)
         else:
-            yield from _read_document(request, document)
+            yield from read_document(request, document)
 
 
-def _read_document(request: Request, document: Node) -> Iterator[Source]:
-    """Yield a source for a table, and for each nested table, with joint names or joint values.
+def read_document(
+    request: Request, document: Node, role: Role = Role.DEPLOYMENT
+) -> Iterator[Source]:
+    """Yield the sources of a document with nested tables.
 
-    Joint values are, for example, gains or limits. Nested tables are robots in files of rl_sar, and
-    nodes in files of ROS 2. If the request has a name, only the table with this name is read.
+    Nested tables are, for example, robots in files of rl_sar, controllers, and nodes in files of
+    ROS 2. If the request has a name, only the table with this name is read.
+
+    Args:
+        request: Request with the path of the file.
+        document: Table {key: value or table}.
+        role: Role of the sources; `Role.DRIVER` for nodes of ROS 2.
     """
     rate = document.get("controller_manager", "ros__parameters", "update_rate")
+    nodes = {key: node.get("ros__parameters") for key, node in document.table.items()}
+    for key, parameters in nodes.items():
+        if isinstance(parameters.value, dict) and request.name in ("", key):
+            extra_keys = {"update_rate": rate} if rate.is_present else {}
+            table = Node({**parameters.value, **extra_keys}, parameters.place)
+            yield from read_table(request, f"{request.path.name}:{key}", table, Role.DRIVER)
+    others = {key: node for key, node in document.table.items() if not nodes[key].is_present}
+    lowered = _lower_keys(replace(document, value=others))
     # Tables inside a trainer's settings are not sources.
-    parts = {} if is_trainer_config(document) else document.value
-    for key, node in {"": document, **parts}.items():
-        parameters = node.get("ros__parameters")
-        table, role = (
-            (parameters, Role.DRIVER) if parameters.is_present else (node, Role.DEPLOYMENT)
-        )
-        if isinstance(table.value, dict) and request.name in ("", key):
-            extra_keys = {"update_rate": rate} if parameters.is_present and rate.is_present else {}
-            name = f"{request.path.name}:{key}" if key else request.path.name
-            yield from read_table(
-                request, name, Node({**table.value, **extra_keys}, table.place), role
-            )
+    is_trainer = is_trainer_config(document)
+    whole = _View("", (lowered,), load_key_rules("table", request.path))
+    for view in [whole] if is_trainer else _split_document(whole, 0):
+        if request.name in ("", view.key, view.key.rpartition("/")[2]):
+            name = f"{request.path.name}:{view.key}" if view.key else request.path.name
+            yield from _read_view(request, name, view, role, ())
+
+
+def _split_document(own: _View, depth: int) -> list[_View]:
+    """Group the nested tables of a table into sources.
+
+    Tables form one source unless two of them state the same quantity of joints, as in a file with
+    several controllers. Tables for standing up and trainers' configurations are not merged. If only
+    some of such controllers run a policy, the others are for standing, too.
+
+    Args:
+        own: The table, with keys in lower case.
+        depth: Number of tables that contain this table.
+    """
+    (node,) = own.tables
+    if depth >= _MAX_TABLE_DEPTH:
+        return [own]
+    views, separate = list[_View](), list[_View]()
+    for name, child in node.table.items():
+        if not isinstance(child.value, dict) or name in KEY_ALIASES["unsearched"]:
+            continue
+        part = _View(f"{own.key}/{name}" if own.key else str(name), (child,), own.rules)
+        if is_trainer_config(child):
+            separate.append(part)
+            continue
+        children = _split_document(part, depth + 1)
+        (separate if name in KEY_ALIASES["starting"] else views).extend(children)
+    stating = [view for view in views if view.states_joints]
+    settings = [table for view in views if not view.states_joints for table in view.tables]
+    pairs = [(a, b) for number, a in enumerate(stating) for b in (own, *stating[:number])]
+    if not any(a.conflicts_with(b) for a, b in pairs):
+        tables = [table for view in stating for table in view.tables]
+        is_single = len(stating) == 1 and not own.states_joints
+        key = stating[0].key if is_single else own.key
+        return [_View(key, (node, *tables, *settings), own.rules), *separate]
+    running = [view for view in stating if view.find_first("policy").is_present]
+    kept = running or stating
+    if own.states_numbers:
+        return [replace(own, tables=(node, *settings)), *kept, *separate]
+    direct = {name: child for name, child in node.table.items() if not child.table}
+    inherited = replace(node, value=direct)
+    return [*(replace(view, tables=(*view.tables, inherited)) for view in kept), *separate]
 
 
 def read_table(
@@ -98,33 +216,47 @@ def read_table(
         role: Role of the source; ``TRAINER`` instead if the table configures a trainer.
         sizes: Statements from elsewhere, such as the sizes of a network.
     """
-    table = Node({str(key).lower(): node for key, node in table.value.items()}, table.place)
-    joint_names, motors = table.find_first("joints"), table.find_first("motors")
+    lowered = Node({str(key).lower(): node for key, node in table.table.items()}, table.place)
+    view = _View("", (lowered,), load_key_rules("table", request.path))
+    yield from _read_view(request, name, view, role, sizes)
+
+
+def _read_view(
+    request: Request, name: str, view: _View, role: Role, sizes: Sequence[Statement]
+) -> Iterator[Source]:
+    """Yield the tables of a view as a source; see `read_table`."""
+    root = view.tables[0]
+    joint_names, motors = view.find_first("joints"), view.find_first("motors")
     indices = _read_motor_numbers(motors)
     notes = (
         [diagnose("contract-motors-unread", file=name)] if motors.is_present and not indices else []
     )
-    is_standing_table = name.rpartition(":")[2].lower() in KEY_ALIASES["starting"]
+    is_standing_table = name.rpartition(":")[2].rpartition("/")[2] in KEY_ALIASES["starting"]
     statements = [
         *sizes,
-        *_list_table_statements(table, joint_names.texts, indices, is_standing_table),
+        *_list_table_statements(view, joint_names.texts, indices, is_standing_table),
     ]
-    for action in _list_position_tables(table.get("actions")):
-        statements += _list_flat_statements("action scale", action.get("scale"))
-        statements += _list_flat_statements("action offset", action.get("offset"))
-    statements += read_settings(table) if is_trainer_config(table) else ()
+    action_tables = _list_position_tables(view.get("actions"))
+    for rule in (KeyRule("action scale", ("scale",)), KeyRule("action offset", ("offset",))):
+        for action in action_tables:
+            statements += rule.list_statements(action.get(*rule.path))
+    statements += read_settings(root) if is_trainer_config(root) else ()
     if not (
         sizes
         or joint_names.texts
         or any(not find_quantity_kind(statement.quantity).is_setting for statement in statements)
     ):
         return
-    rate, repeat = table.get("update_rate"), table.get("repeat_action")
+    rate, repeat = view.get("update_rate"), view.get("repeat_action")
     if rate.number and repeat.number:
-        statements.append(Statement("policy step", repeat.number / rate.number, repeat.place))
-    observation_names = table.get("observation_names")
-    named_terms = ((term, None, observation_names.place) for term in observation_names.texts)
-    role = Role.TRAINER if is_trainer_config(table) else role
+        step = repeat.number / rate.number
+        statements.append(Statement("policy step", step, repeat.place, origin=Origin.DERIVED))
+    observation_names = view.get("observation_names")
+    named_terms = (
+        ObservedTerm(term.strip(), None, observation_names.place)
+        for term in observation_names.texts
+    )
+    role = Role.TRAINER if is_trainer_config(root) else role
     yield Source(
         name,
         request.path,
@@ -133,7 +265,7 @@ def read_table(
         order=joint_names.texts,
         order_place=joint_names.place,
         motors=tuple(indices),
-        observations=(*named_terms, *list_observation_terms(table.get("observations"))),
+        observations=(*named_terms, *list_observation_terms(view.get("observations"))),
         notes=tuple(notes),
     )
 
@@ -150,15 +282,15 @@ def _read_motor_numbers(motors: Node) -> list[int]:
 
 
 def _list_table_statements(
-    table: Node, order: Sequence[str], motors: list[int], is_standing_table: bool
+    view: _View, order: Sequence[str], motors: list[int], is_standing_table: bool
 ) -> Iterator[Statement]:
-    """Yield a statement for each value in a table, such as a joint's gain or default angle.
+    """Yield a statement for each value in tables, such as a joint's gain or default angle.
 
     Args:
-        table: Table with keys in lower case.
-        order: Joint names that the table lists; empty if the table lists no names.
+        view: Tables with keys in lower case.
+        order: Joint names that the tables list; empty if they list no names.
         motors: Motor index of each joint; empty if not stated.
-        is_standing_table: True if gains, efforts and default angles of the table are for standing
+        is_standing_table: True if gains, efforts and default angles of the tables are for standing
             up, not for the policy. Such values are skipped.
     """
     valid_names = set(order) | {"", ".*"}
@@ -166,29 +298,25 @@ def _list_table_statements(
     is_complete = sorted(motors) == list(range(len(motors)))
     # Source: rl_sar, ReadYaml: the robot's table is for standing up; the policy's table overrides.
     is_for_standing = is_standing_table or (
-        table.get("fixed_kp").is_present and not table.get("rl_kp").is_present
+        view.get("fixed_kp").is_present and not view.get("rl_kp").is_present
     )
-    keys = {
-        word: quantity
-        for word, quantity in _TABLE_KEYS.items()
-        if not (is_for_standing and quantity in ("effort", "default angle", "kp", "kd"))
-    }
-    for word, quantity in keys.items():
-        for statement in _list_flat_statements(quantity, table.get(word)):
-            if word in ("stiffness", "damping") and is_complete and statement.index in motors:
+    for rule in view.rules:
+        if is_for_standing and rule.quantity in ("effort", "default angle", "kp", "kd"):
+            continue
+        node = view.get(*rule.path)
+        for statement in rule.list_statements(node) if rule.accepts(node) else ():
+            if (
+                rule.path[-1] in ("stiffness", "damping")
+                and is_complete
+                and statement.index in motors
+            ):
                 statement = replace(statement, index=motors.index(statement.index or 0))
             # A text is the name of a parameter, not a number of a joint.
-            if statement.value is not None and (statement.joint in valid_names or not order):
+            is_selection = statement.is_part or bool(rule.joints)
+            if statement.value is not None and (
+                statement.joint in valid_names or is_selection or not order
+            ):
                 yield statement
-
-
-def _list_flat_statements(quantity: str, node: Node) -> Iterable[Statement]:
-    """Return the statements (values with their places in the file) of a quantity.
-
-    A list that only contains another list, such as [[1, 2]], is read as the inner list.
-    """
-    inner = node.items[0] if len(node.items) == 1 else node
-    return (inner if isinstance(inner.value, list) else node).make_statements(quantity)
 
 
 def _list_position_tables(node: Node) -> list[Node]:
@@ -200,21 +328,36 @@ def _list_position_tables(node: Node) -> list[Node]:
     ]
 
 
-def list_observation_terms(terms: Node) -> Iterator[tuple[str, float | None, Place]]:
-    """Yield (name, scale, place) of each observation term that is a table or has a function.
+def list_observation_terms(terms: Node) -> Iterator[ObservedTerm]:
+    """Yield each observation term that is a table or has a function.
 
     The name is the name of the term's function if listed in `OBSERVATION_ALIASES`, otherwise the
-    key. The scale is 1 for a function without a stated scale, and None if the scale is unknown.
+    key. The scale is 1 for a function without a stated scale, and None if the scale is unknown. The
+    number of steps in the history is that of the group of terms, if stated, otherwise the term's.
     """
+    group_history = terms.get("history_length").number
     for name, term in terms.table.items():
         func, scale = term.get("func"), term.get("scale")
         function_name = str(func.value).rpartition(".")[2]
         if func.is_present or isinstance(term.value, dict):
-            number = scale.items[0].number if scale.items else 1.0 if func.is_present else None
-            yield (
-                function_name if function_name in OBSERVATION_ALIASES else name,
-                number,
+            numbers = tuple(item.number for item in scale.items)
+            known = tuple(number for number in numbers if number is not None)
+            scales = known if numbers and len(known) == len(numbers) else None
+            if not numbers and func.is_present:
+                scales = (1.0,)
+            bounds = [item.number for item in term.get("clip").items]
+            clip = (
+                (bounds[0], bounds[1])
+                if len(bounds) == 2 and bounds[0] is not None and bounds[1] is not None
+                else None
+            )
+            history = group_history or term.get("history_length").number or 0.0
+            yield ObservedTerm(
+                function_name if function_name in OBSERVATION_ALIASES else str(name),
+                scales,
                 term.place,
+                int(history),
+                clip,
             )
 
 
@@ -249,19 +392,18 @@ def read_settings(root: Node) -> Iterator[Statement]:
 
     ``root`` is the top of the configuration.
     """
-    for path, quantity in FORMAT_KEYS["settings"].items():
-        parts = FIELD_TABLE["quantities"][quantity].get("parts", False)
-        for statement in root.get(*path.split(".")).make_statements(quantity):
-            if parts and statement.joint != ".*":
-                # A gain applies to all joints whose names contain the key.
-                yield replace(statement, joint=f".*{re.escape(statement.joint)}.*")
-            elif statement.value or quantity != "armature":
+    for rule in load_key_rules("trainer", root.place.file):
+        node = root.get(*rule.path)
+        for statement in rule.list_statements(node) if rule.accepts(node) else ():
+            # legged_gym leaves the armature of the URDF if the configuration has 0.
+            if statement.value or rule.quantity != "armature":
                 yield statement
-            if quantity == "default angle":
-                yield replace(statement, quantity="action offset", implied=True)
+            if rule.quantity == "default angle":
+                yield replace(statement, quantity="action offset", origin=Origin.DERIVED)
     scale, hips = (root.get("control", word) for word in ("action_scale", "hip_scale_reduction"))
     if hips.number is not None and scale.number:
         # Source: walk-these-ways, LeggedRobot._compute_torques: first joint of each leg.
-        yield Statement("action scale", scale.number * hips.number, hips.place, r".*hip.*")
+        product = scale.number * hips.number
+        yield Statement("action scale", product, hips.place, r".*hip.*", origin=Origin.DERIVED)
     for word, node in root.get("normalization", "obs_scales").table.items():
         yield from node.make_statements(f"observation {word}")

@@ -1,0 +1,198 @@
+"""Table of the keys with which files of trainers, deployments and drivers name quantities.
+
+``keys.toml`` contains the keys; a ``pupper-analysis.toml`` may add keys. A `KeyRule` is a quantity,
+a path of keys, and the shape of the value. `KeyRule.list_statements` reads a value.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError, ModelError
+from pupper_analysis.base.inputs import is_input, read_toml
+from pupper_analysis.models.places import Place, make_file_error, make_input_error
+from pupper_analysis.tools.contract.facts import (
+    QUANTITIES,
+    Node,
+    Origin,
+    Statement,
+)
+
+CONFIG_NAME: Final = "pupper-analysis.toml"
+"""File with keys of the user, ``[[contract.key]]``."""
+
+_FORMS: Final = ("table", "trainer", "actuator")
+"""Values of ``of``: formats in which a key is searched."""
+
+_SHAPES: Final = ("", "number", "list", "table")
+"""Values of ``shape``; empty for any shape."""
+
+_MATCHES: Final = ("name", "part")
+"""Values of ``match``: how the keys of a table {joint: number} select joints."""
+
+
+@dataclass(frozen=True)
+class KeyRule:
+    """Key of a quantity in a format.
+
+    Attributes:
+        quantity: Quantity, or ``observation NAME``.
+        path: Keys of nested tables, in lower case.
+        form: Format: ``table``, ``trainer`` or ``actuator``.
+        shape: Required shape of the value: ``number``, ``list`` or ``table``; empty for any.
+        match: Whether keys of a table are names or patterns (``name``), or parts of names
+            (``part``).
+        rest: Key of all other joints; empty without.
+        joints: Regular expressions of the joints to which a number belongs; all joints if empty.
+        inverse: Whether the value is the reciprocal of the quantity.
+    """
+
+    quantity: str
+    path: tuple[str, ...]
+    form: str = "table"
+    shape: str = ""
+    match: str = "name"
+    rest: str = ""
+    joints: tuple[str, ...] = ()
+    inverse: bool = False
+
+    def accepts(self, node: Node) -> bool:
+        """Return True if the shape of a value is that of the rule."""
+        value = node.value
+        shape = "list" if isinstance(value, list) else "table" if node.table else "number"
+        return node.is_present and self.shape in ("", shape)
+
+    def list_statements(self, node: Node) -> Iterator[Statement]:
+        """Yield the statements of a value: a number, a list, or a table {joint: number}.
+
+        A list that only contains another list, such as [[1, 2]], is read as the inner list.
+        """
+        inner = node.items[0] if len(node.items) == 1 else node
+        node = inner if isinstance(inner.value, list) else node
+        statements = list(node.make_statements(self.quantity, self.joints))
+        if self.match == "part":
+            # The key of the other joints comes first: of several statements the last counts.
+            statements.sort(key=lambda statement: statement.joint.lower() != self.rest)
+        for statement in statements:
+            key, value, origin = statement.joint, statement.value, statement.origin
+            is_rest = bool(self.rest) and key.lower() == self.rest
+            if self.inverse and value is not None:
+                value, origin = 1.0 / value if value > 0 else None, Origin.DERIVED
+            yield replace(
+                statement,
+                joint=".*" if is_rest else key,
+                is_part=self.match == "part" and key not in ("", ".*") and not is_rest,
+                is_rest=is_rest,
+                value=value,
+                origin=origin,
+            )
+
+
+@cache
+def _load_builtin_rules() -> tuple[KeyRule, ...]:
+    """Return the rules of ``keys.toml``."""
+    path = Path(__file__).with_name("keys.toml")
+    entries = tomllib.loads(path.read_text("utf-8"))["key"]
+    return tuple(rule for entry in entries for rule in _make_rules(entry, path))
+
+
+def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
+    """Return the rules of a format; those of the user, which have precedence, are the last.
+
+    The user's rules are in the first ``pupper-analysis.toml`` in the folder of the source or the
+    folders above, otherwise in the current folder or the folders above.
+
+    Args:
+        form: Format: ``table``, ``trainer`` or ``actuator``.
+        source: File to which the rules are applied.
+
+    Raises:
+        ModelError: If an entry of the user's file is not valid.
+    """
+    rules = _load_builtin_rules()
+    for folder in (source.absolute().parent, Path.cwd()):
+        paths = (parent / CONFIG_NAME for parent in (folder, *folder.parents))
+        path = next((path for path in paths if is_input(path)), None)
+        if path is not None:
+            rules += _read_user_rules(path, path.stat().st_mtime_ns)
+            break
+    return tuple(rule for rule in rules if rule.form == form)
+
+
+@lru_cache(maxsize=8)
+def _read_user_rules(path: Path, _time: int) -> tuple[KeyRule, ...]:
+    """Return the rules of a user's file; the time of its change is part of the cache's key."""
+    try:
+        _, values = read_toml(path)
+    except InputError as error:
+        raise make_input_error(path, error) from error
+    table = values.get("contract", {})
+    entries = table.get("key", []) if isinstance(table, dict) else []
+    if not isinstance(entries, list):
+        raise ModelError(path, diagnose("contract-key-entry", problem="[[contract.key]]", known=()))
+    return tuple(rule for entry in entries for rule in _make_rules(entry, path))
+
+
+def _make_rules(entry: Any, path: Path) -> Iterator[KeyRule]:
+    """Yield a rule for each name of an entry.
+
+    Raises:
+        ModelError: If the entry is not valid.
+    """
+    if not isinstance(entry, Mapping):
+        raise _make_entry_error(path, "[[contract.key]]")
+    known = ("quantity", "names", "of", "shape", "match", "rest", "joints", "inverse")
+    for key in entry:
+        if key not in known:
+            raise _make_entry_error(path, key, known)
+    quantity, names = entry.get("quantity"), entry.get("names")
+    is_known = isinstance(quantity, str) and (
+        quantity in QUANTITIES or quantity.startswith("observation ")
+    )
+    if not is_known:
+        raise _make_entry_error(path, f"quantity = {quantity!r}", tuple(QUANTITIES))
+    if not _is_text_list(names) or not names:
+        raise _make_entry_error(path, f"names = {names!r}")
+    choices = {"of": _FORMS, "shape": _SHAPES, "match": _MATCHES}
+    chosen = {key: entry.get(key, values[0]) for key, values in choices.items()}
+    for key, values in choices.items():
+        if chosen[key] not in values:
+            raise _make_entry_error(path, f"{key} = {chosen[key]!r}", tuple(filter(None, values)))
+    rest, joints, inverse = (
+        entry.get("rest", ""),
+        entry.get("joints", []),
+        entry.get("inverse", False),
+    )
+    if not isinstance(rest, str) or not _is_text_list(joints) or not isinstance(inverse, bool):
+        raise _make_entry_error(
+            path, f"rest = {rest!r}, joints = {joints!r}, inverse = {inverse!r}"
+        )
+    for name in names:
+        yield KeyRule(
+            str(quantity),
+            tuple(name.lower().split(".")),
+            chosen["of"],
+            chosen["shape"],
+            chosen["match"],
+            rest.lower(),
+            tuple(joints),
+            inverse,
+        )
+
+
+def _is_text_list(value: Any) -> bool:
+    """Return True for a list of texts that are not empty."""
+    return isinstance(value, list) and all(isinstance(item, str) and item for item in value)
+
+
+def _make_entry_error(path: Path, problem: str, known: Sequence[str] = ()) -> ModelError:
+    """Return the error about an entry of the table of keys, with the valid values."""
+    return make_file_error(
+        Place(path), diagnose("contract-key-entry", problem=problem, known=tuple(known))
+    )

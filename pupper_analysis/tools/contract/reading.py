@@ -1,0 +1,212 @@
+"""Reading of the sources of a contract, which `contract` and `walk` share.
+
+`split_arguments` separates files from folders; `read_sources` reads files with all readers for
+their suffix. If other files can be used, the errors of a file are returned, not raised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, check_input
+from pupper_analysis.models.places import make_input_error
+from pupper_analysis.tools.contract.facts import Request, Role, Source, load_readers
+from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
+
+MAX_FOLDER_FILES = 500
+"""Largest number of files that are read from a folder. Chosen, to bound the time."""
+
+_SKIPPED_FOLDERS = (
+    "node_modules",
+    "site-packages",
+    "build",
+    "install",
+    "log",
+    "logs",
+    "thirdparty",
+    "__pycache__",
+)
+"""Folders of installed or generated files; not searched."""
+
+
+def read_sources(requests: Sequence[Request]) -> tuple[list[Source], list[ModelError]]:
+    """Read files, and return their sources, and the errors of files that cannot be used.
+
+    Raises:
+        ModelError: If a file does not exist, or if no file can be used: the first error.
+    """
+    read, errors = list[Source](), list[ModelError]()
+    for request in requests:
+        try:
+            check_input(request.path, MAX_FILE_BYTES)
+        except InputError as error:
+            raise make_input_error(request.path, error) from error
+        try:
+            read += select_configurations(request, read_file(request))
+        except ModelError as error:
+            errors.append(error)
+    if errors and not read:
+        raise errors[0]
+    return read, errors
+
+
+def make_names_distinct(read: Sequence[Source]) -> list[Source]:
+    """Return the sources with distinct names: equal names get parent folders as a prefix."""
+    renamed = []
+    for source in read:
+        own_parts = source.path.absolute().parts
+        all_parts = [peer.path.absolute().parts for peer in read if peer.name == source.name]
+        other_parts = [parts for parts in all_parts if parts != own_parts]
+        num_parts = next(
+            num_parts
+            for num_parts in range(1, len(own_parts) + 1)
+            if own_parts[-num_parts:] not in [parts[-num_parts:] for parts in other_parts]
+        )
+        renamed.append(replace(source, name="/".join((*own_parts[-num_parts:-1], source.name))))
+    return renamed
+
+
+def split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
+    """Separate files (with the name of a configuration) from folders."""
+    folders, files = [], list[tuple[Path, str]]()
+    for source in sources:
+        path, name = Path(source), ""
+        if not path.exists() and ":" in path.name:
+            file, _, name = str(source).rpartition(":")
+            path = Path(file)
+        if path.is_dir():
+            folders.append(path)
+        else:
+            files.append((path, name))
+    return [Request(path, name, tuple(folders)) for path, name in files], folders
+
+
+def read_file(request: Request) -> list[Source]:
+    """Read a file with all readers for the suffix."""
+    ending = request.path.suffix.lower()
+    able = [reader for reader in load_readers() if ending in reader.FILE_SUFFIXES]
+    if not able:
+        known = sorted({suffix for reader in load_readers() for suffix in reader.FILE_SUFFIXES})
+        raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
+    try:
+        return [source for reader in able for source in reader.read(request)]
+    except InputError as error:
+        raise make_input_error(Path(error.path), error) from error
+    except RecursionError as error:
+        raise ModelError(request.path, diagnose("contract-too-deep")) from error
+
+
+def select_configurations(request: Request, sources: Sequence[Source]) -> list[Source]:
+    """Select the configurations (named sets of values) of a file that are compared.
+
+    Of configurations with the same content, one is kept. In a file of a training program, a
+    configuration is also dropped if another one contains all of its values.
+
+    Raises:
+        ModelError: If a file of a training program has several configurations left, or if no
+            configuration is found.
+    """
+    kept = list({source.content: source for source in reversed(sources)}.values())[::-1]
+    if kept and kept[0].role is Role.TRAINER:
+        statement_sets = [frozenset(source.content[0]) for source in kept]
+        kept = [
+            one
+            for number, one in enumerate(kept)
+            if not any(
+                statement_sets[number] < each or (statement_sets[number] == each and other < number)
+                for other, each in enumerate(statement_sets)
+            )
+        ]
+        if len(kept) > 1:
+            names = [source.name.rpartition(":")[2] for source in kept]
+            message = diagnose("contract-several", names=names, file=request.path.name)
+            raise ModelError(request.path, message)
+    if not kept and request.name:
+        raise ModelError(request.path, diagnose("contract-name-unknown", name=request.name))
+    if not kept:
+        raise ModelError(request.path, diagnose("contract-states-nothing"))
+    return kept
+
+
+def read_folder(
+    folder: Path, read: Sequence[Source], joints: RobotJoints
+) -> tuple[list[Source], list[Diagnostic]]:
+    """Read the deployments in a folder that name joints of this robot; Python modules are not read.
+
+    A deployment is kept if it names all joints, or if the order consists of joints of the robot.
+    Other deployments are counted in a note, as are files that cannot be read.
+    """
+    known_paths = {source.path.absolute() for source in read}
+    fitting, num_rejected, refused = list[Source](), 0, list[str]()
+    for path in _list_source_files(folder):
+        try:
+            sources = [] if path.absolute() in known_paths else read_file(Request(path))
+        except PupperAnalysisError:
+            refused.append(path.name)
+            continue
+        for source in sources:
+            by_name = assign_joints(source, joints, ())
+            every = set(by_name.names.values()) == set(joints.order)
+            fits = every or (by_name.how == "named" and all(by_name.order))
+            num_rejected += not fits
+            fitting += [source] if fits else []
+    notes = [diagnose("contract-folder", file=str(folder), count=len(fitting), left=num_rejected)]
+    if refused:
+        notes.append(diagnose("contract-folder-refused", count=len(refused), names=refused[:5]))
+    return fitting, notes
+
+
+def _list_source_files(folder: Path) -> Iterator[Path]:
+    """Yield up to `MAX_FOLDER_FILES` possible deployment files below a folder, sorted by path."""
+    found = (
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() in (".yaml", ".yml", ".json", ".onnx")
+        and not any(
+            part[0] == "." or part in _SKIPPED_FOLDERS for part in path.relative_to(folder).parts
+        )
+    )
+    return islice(found, MAX_FOLDER_FILES)
+
+
+def check_source(placed_source: PlacedSource, model: Source) -> list[Diagnostic]:
+    """Return the notes on a source.
+
+    Raises:
+        ModelError: If the source states neither a number for a joint of the robot nor a joint
+            order, and is not a network that states the number of joints without names.
+    """
+    stated_facts = [
+        fact for fact in placed_source.facts.values() if fact.joint and not fact.implied
+    ]
+    source_names = [
+        *placed_source.unknown,
+        *(statement.joint for statement in placed_source.source.statements if statement.joint),
+    ]
+    # A network without joint names still states the number of joints.
+    is_unnamed_network = any(not fact.joint for fact in placed_source.facts.values()) and not (
+        source_names or placed_source.notes
+    )
+    if not (stated_facts or any(placed_source.order) or is_unnamed_network):
+        names = tuple(dict.fromkeys(source_names))[:4]
+        message = diagnose(
+            "contract-no-joint", model=model.name, names=names, joints=model.order[:4]
+        )
+        raise ModelError(placed_source.source.path, next(iter(placed_source.notes), message))
+    unknown = (
+        [
+            diagnose(
+                "contract-names-unknown",
+                file=placed_source.source.name,
+                names=placed_source.unknown,
+            )
+        ]
+        if placed_source.unknown
+        else []
+    )
+    return [*placed_source.source.notes, *placed_source.notes, *unknown]

@@ -1,0 +1,327 @@
+"""Keys of deployments of other families: small files with the keys of public repositories, for v3.
+
+References: the numbers written into the files.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.contract import Contract, read_contract
+from tests.tools.contract.sources import ANGLES, JOINTS, MJCF, URDF, format_list, write_all
+
+LEG_PARTS = {"_1": 0.26, "_3": -0.52}
+
+PARTS_TRAINER = """
+init_state:
+  default_joint_angles: {"r_1": 0.26, "l_1": -0.26, "r_3": -0.52, "l_3": 0.52, "default": 0.0}
+control:
+  stiffness: {"leg": 5.0}
+  damping: {"leg": 0.25}
+  action_scale: 0.75
+  decimation: 10
+sim:
+  dt: 0.002
+normalization:
+  dof_vel: 0.1
+"""
+
+SPREAD_DEPLOYMENT = f"""
+common:
+  dt: 0.002
+  stiffness: {format_list([5.0] * 12)}
+  damping: {format_list([0.25] * 12)}
+  default_qpos: {format_list(ANGLES)}
+policy:
+  num_actions: 12
+  normalization: {{dof_vel: 0.1}}
+  control: {{action_scale: 0.75, decimation: 10}}
+prepare:
+  stiffness: {format_list([350.0] * 12)}
+  damping: {format_list([7.5] * 12)}
+  default_qpos: {format_list([0.1] * 12)}
+"""
+
+LIMITS_BY_NAME = "joint_effort_limit:\n" + "".join(f"  {name}: 3.0\n" for name in JOINTS)
+
+CONTROLLERS = f"""
+control_frequecy: 500
+joint_list: {format_list(JOINTS)}
+controllers:
+  pd_stand:
+    joint_list: {format_list(JOINTS)}
+    init_state: {format_list([0.0] * 12)}
+    stiffness: {format_list([300.0] * 12)}
+    damping: {format_list([5.0] * 12)}
+  rl_walk:
+    joint_list: {format_list(JOINTS[::-1])}
+    init_state: {format_list(ANGLES[::-1])}
+    stiffness: {format_list([5.0] * 12)}
+    damping: {format_list([0.25] * 12)}
+    walk_step_conf: {{action_scale: 0.75, decimation: 10}}
+    onnx_conf: {{policy_file: walk.onnx, actions_size: 12}}
+"""
+
+CONSTANTS = f"""
+JOINT_NAME = {JOINTS!r}
+MOTOR_DIR = {[1, -1] * 6!r}
+DEFAULT_ANGLE = {ANGLES!r}
+CONTROL_HZ = 50
+
+
+class control:
+    stiffness = {{"leg": 5.0}}
+    damping = {{"leg": 0.25}}
+    action_scale = 0.75
+    decimation = 10
+    dt = 0.002
+"""
+
+RUNNER = f"""
+import numpy as np
+
+
+class Cfg:
+    class sim:
+        dt = 0.002
+        decimation = 10
+        action_scale = 0.75
+        num_action = 12
+
+
+class MujocoRunner:
+    def start(self):
+        self.default_dof_pos = np.array({ANGLES!r})
+"""
+
+GROUPS = f"""
+Cfg:
+  init_state:
+    joint_names: {format_list(JOINTS)}
+    default_joint_angle: {{{", ".join(f"{n}: {a}" for n, a in zip(JOINTS, ANGLES, strict=True))}}}
+  control:
+    hip_gain: 5.0
+    knee_gain: 5.0
+    action_scale_pos: 0.75
+    decimation: 10
+"""
+
+NEW_KEYS = """
+[[contract.key]]
+quantity = "kp"
+names = ["hip_gain"]
+joints = [".*_1", ".*_2"]
+[[contract.key]]
+quantity = "kp"
+names = ["knee_gain"]
+joints = [".*_3"]
+"""
+
+
+def compare(folder: Path, name: str, text: str, *more: Path) -> Contract:
+    path = folder / name
+    path.write_text(text)
+    return read_contract(URDF, *more, path, stand=False)
+
+
+def values(found: Contract, name: str, quantity: str) -> dict[str, float | None]:
+    return {
+        fact.joint: fact.value
+        for fact in found.facts
+        if fact.source.startswith(name) and fact.quantity == quantity
+    }
+
+
+@pytest.fixture
+def trainer(tmp_path: Path) -> Path:
+    return write_all(tmp_path)["gym_cfg.py"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "text", "stated"),
+    [
+        ("T1.yaml", SPREAD_DEPLOYMENT, ("default angle", "kp", "kd", "action scale")),
+        ("x1.yaml", CONTROLLERS, ("default angle", "kp", "kd", "action scale")),
+        ("parameters.py", CONSTANTS, ("default angle", "kp", "kd", "action scale", "sign")),
+        ("sim2sim.py", RUNNER, ("default angle", "action scale")),
+        ("real.yaml", LIMITS_BY_NAME, ("effort",)),
+    ],
+)
+def test_keys_of_other_families_are_read_and_agree(
+    tmp_path: Path, trainer: Path, name: str, text: str, stated: tuple[str, ...]
+) -> None:
+    found = compare(tmp_path, name, text, trainer)
+    assert [one.message for one in found.findings] == []
+    assert found.passed
+    for quantity in stated:
+        assert set(values(found, name, quantity)) == set(JOINTS), quantity
+    if "kp" in stated:
+        assert set(values(found, name, "kp").values()) == {5.0}
+    if "action scale" in stated:
+        assert values(found, name, "policy step") == {"": pytest.approx(0.02)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "text", "old", "new", "kind"),
+    [
+        ("T1.yaml", SPREAD_DEPLOYMENT, "action_scale: 0.75", "action_scale: 0.5", "action scale"),
+        ("T1.yaml", SPREAD_DEPLOYMENT, "decimation: 10", "decimation: 5", "policy step"),
+        ("T1.yaml", SPREAD_DEPLOYMENT, "dof_vel: 0.1", "dof_vel: 0.05", "observation dof_vel"),
+        ("T1.yaml", SPREAD_DEPLOYMENT, "0.26, 0.0, -0.52", "0.26, 0.0, -0.6", "default angle"),
+        ("x1.yaml", CONTROLLERS, "action_scale: 0.75", "action_scale: 0.5", "action scale"),
+        ("parameters.py", CONSTANTS, "-0.52", "0.52", "default angle"),
+        ("sim2sim.py", RUNNER, "action_scale = 0.75", "action_scale = 0.25", "action scale"),
+        ("real.yaml", LIMITS_BY_NAME, "_2: 3.0", "_2: 2.0", "effort"),
+    ],
+)
+def test_slip_in_files_of_other_families_is_found(
+    tmp_path: Path, name: str, text: str, old: str, new: str, kind: str
+) -> None:
+    trainer = tmp_path / "train.yaml"
+    trainer.write_text(PARTS_TRAINER)
+    assert old in text
+    found = compare(tmp_path, name, text.replace(old, new, 1), trainer)
+    assert {one.kind for one in found.findings if one.probable_mistake != "mirror"} >= {kind}
+    (place,) = {
+        one.places[0 if kind == "effort" else 1] for one in found.findings if one.kind == kind
+        and one.probable_mistake != "mirror"
+    }  # fmt: skip
+    assert str(tmp_path / name) in place
+
+
+def test_parts_of_names_select_joints_and_the_rest_has_a_default(tmp_path: Path) -> None:
+    """As in booster_gym: the key is a part of the name; "default" is for the other joints."""
+    found = compare(tmp_path, "train.yaml", PARTS_TRAINER)
+    assert values(found, "train.yaml", "default angle") == dict(zip(JOINTS, ANGLES, strict=True))
+    text = PARTS_TRAINER.replace('{"leg": 5.0}', '{"front": 5.0}')
+    partly = values(compare(tmp_path, "train.yaml", text), "train.yaml", "default angle")
+    # The rest is that of the joints with gains: the middle joints of the hind legs have none.
+    assert set(JOINTS) - set(partly) == {"leg_back_r_2", "leg_back_l_2"}
+
+
+def test_gains_for_standing_are_not_compared(tmp_path: Path, trainer: Path) -> None:
+    for name, text in (("T1.yaml", SPREAD_DEPLOYMENT), ("x1.yaml", CONTROLLERS)):
+        found = compare(tmp_path, name, text, trainer)
+        gains = {fact.value for fact in found.facts if fact.quantity == "kp"}
+        assert gains == {5.0}
+
+
+def test_policies_of_one_file_are_compared_with_the_trainer_only(
+    tmp_path: Path, trainer: Path
+) -> None:
+    other = CONTROLLERS.partition("  rl_walk:")[2].replace("5.0", "7.0")
+    text = f"{CONTROLLERS}  rl_run:{other}"
+    assert compare(tmp_path, "x1.yaml", text).findings == ()
+    found = compare(tmp_path, "x1.yaml", text, trainer)
+    assert {one.sources[1] for one in found.findings} == {"x1.yaml:controllers/rl_run"}
+
+
+def test_keys_of_a_user_are_read_from_the_configuration(tmp_path: Path, trainer: Path) -> None:
+    """Groups of joints, which no built-in entry has; without the entries no gain is read."""
+    assert not values(compare(tmp_path, "params.yaml", GROUPS, trainer), "params.yaml", "kp")
+    (tmp_path / "pupper-analysis.toml").write_text(NEW_KEYS)
+    found = compare(tmp_path, "params.yaml", GROUPS, trainer)
+    assert values(found, "params.yaml", "kp") == dict.fromkeys(JOINTS, 5.0)
+    assert found.findings == ()
+    changed = compare(tmp_path, "params.yaml", GROUPS.replace("knee_gain: 5", "knee_gain: 9"))
+    assert {joint for joint, kp in values(changed, "params.yaml", "kp").items() if kp == 9.0} == {
+        joint for joint in JOINTS if joint.endswith("_3")
+    }
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ('quantity = "stiff"\nnames = ["a"]', "stiff"),
+        ('quantity = "kp"\nnames = "a"', "names"),
+        ('quantity = "kp"\nnames = ["a"]\nmatch = "all"', "match"),
+        ('quantity = "kp"\nnames = ["a"]\ngroup = ["b"]', "group"),
+    ],
+)
+def test_invalid_entry_of_the_configuration_is_refused(
+    tmp_path: Path, entry: str, message: str
+) -> None:
+    (tmp_path / "pupper-analysis.toml").write_text(f"[[contract.key]]\n{entry}\n")
+    with pytest.raises(ModelError, match=message):
+        compare(tmp_path, "params.yaml", GROUPS)
+
+
+def test_keys_of_no_joint_are_a_warning_if_another_source_states_the_joints(
+    tmp_path: Path, trainer: Path
+) -> None:
+    """A compared quantity that vanishes is not passed over."""
+    angles = "".join(f"  thigh{number}: {angle}\n" for number, angle in enumerate(ANGLES))
+    text = f"joint_names: {format_list(JOINTS)}\nkps: {format_list([5.0] * 12)}\n"
+    found = compare(tmp_path, "real.yaml", f"{text}torque_limits: {format_list([3.0] * 12)}\n")
+    assert found.passed
+    limits = "joint_effort_limit:\n" + angles
+    lost = compare(tmp_path, "real.yaml", limits + f"kps: {format_list([5.0] * 12)}\n", trainer)
+    (warning,) = lost.unread
+    assert (warning.code, warning.severity) == ("contract-quantity-lost", "warning")
+    assert "thigh0" in str(warning)
+    assert not lost.passed
+
+
+def test_unreadable_source_is_named_and_the_others_are_compared(
+    tmp_path: Path, trainer: Path
+) -> None:
+    bad = tmp_path / "notes.yaml"
+    bad.write_text("made: today\n")
+    found = compare(tmp_path, "T1.yaml", SPREAD_DEPLOYMENT.replace("0.75", "0.5"), trainer, bad)
+    assert {one.kind for one in found.findings} == {"action scale"}
+    (warning,) = found.unread
+    assert warning.code == "contract-unread"
+    assert "notes.yaml" in str(warning)
+    sound = compare(tmp_path, "T1.yaml", SPREAD_DEPLOYMENT, trainer, bad)
+    assert (sound.findings, sound.passed) == ((), False)
+    with pytest.raises(ModelError, match="states no number of joints"):
+        read_contract(URDF, bad, stand=False)
+
+
+def test_joint_damping_of_an_mjcf_that_is_the_kd_is_not_passive_damping(tmp_path: Path) -> None:
+    """As in TienKung-Lab: the MJCF has torque motors, and the trainer's kd as joint damping."""
+    joints = "".join(
+        f'<body><joint name="{name}" axis="0 1 0" damping="2"/><geom size="0.1"/></body>'
+        for name in ("hip", "knee")
+    )
+    motors = "".join(f'<motor joint="{name}"/>' for name in ("hip", "knee"))
+    mjcf, urdf = tmp_path / "robot.xml", tmp_path / "robot.urdf"
+    mjcf.write_text(
+        f"<mujoco><worldbody>{joints}</worldbody><actuator>{motors}</actuator></mujoco>"
+    )
+    links = "".join(f'<link name="{name}_link"/>' for name in ("base", "hip", "knee"))
+    tree = "".join(
+        f'<joint name="{name}" type="continuous"><parent link="base_link"/>'
+        f'<child link="{name}_link"/><axis xyz="0 1 0"/><dynamics damping="0"/></joint>'
+        for name in ("hip", "knee")
+    )
+    urdf.write_text(f'<robot name="r">{links}{tree}</robot>')
+    deploy = tmp_path / "deploy.yaml"
+    deploy.write_text("joint_names: [hip, knee]\nkd: [2.0, 2.0]\n")
+    found = read_contract(mjcf, urdf, deploy, stand=False)
+    assert found.findings == ()
+    assert "contract-damping-is-kd" in {note.code for note in found.notes}
+    deploy.write_text("joint_names: [hip, knee]\nkd: [2.0, 3.0]\n")
+    (finding,) = read_contract(mjcf, urdf, deploy, stand=False).findings
+    assert (finding.kind, finding.joints) == ("damping", ("knee",))
+
+
+def test_origin_of_each_number_is_stated(tmp_path: Path) -> None:
+    """Stated, derived, framework's default and assumed order."""
+    sources = write_all(tmp_path)
+    found = read_contract(
+        MJCF, sources["mjlab_cfg.py"], sources["gym_cfg.py"], sources["deploy.yaml"], stand=False
+    )
+    origins = {(f.source.partition(":")[0], f.quantity, f.joint): f for f in found.facts}
+    default = origins["mjlab_cfg.py", "default angle", "leg_front_r_2"]
+    assert (default.origin, default.basis) == ("default", "mjlab 1.6")
+    assert origins["mjlab_cfg.py", "default angle", "leg_front_r_1"].origin == "stated"
+    assert origins["mjlab_cfg.py", "action offset", "leg_front_r_1"].origin == "derived"
+    assert origins["gym_cfg.py", "policy step", ""].origin == "derived"
+    assert origins["deploy.yaml", "kp", "leg_front_r_1"].origin == "assumed"
+    assert found.evidence == "parsed"
