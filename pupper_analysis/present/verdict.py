@@ -224,6 +224,8 @@ def judged_document(
     failures: Iterable[Words] = (),
     word: Words | None = None,
     limit: Words | None = None,
+    limits: Iterable[Words] = (),
+    causes: Iterable[Words] = (),
     number_first: bool = False,
     notes: Iterable[Words] = (),
     next_step: NextStep | None = None,
@@ -245,6 +247,8 @@ def judged_document(
         word: Verdict in one or two words. Default: the word of the judge's verdict.
         limit: Cause that limits the number, or the number that belongs to it, such as the base
             height; None if there is none.
+        limits: Several such texts, in place of ``limit``.
+        causes: Causes of a bad verdict, which follow its first reason.
         number_first: True if the number also precedes the reasons of a bad verdict, because it is
             the answer to the question: the largest payload is 0.
         notes: Assumptions, findings and omissions.
@@ -252,8 +256,8 @@ def judged_document(
     """
     first, more = split_verdict_lines(judged.verdict)
     number, *others = answer
-    limits = () if limit is None else (limit,)
-    reasons = () if judged.passed else (*first, *failures)
+    limits = tuple(limits) if limit is None else (limit,)
+    reasons = () if judged.passed else (*first[:1], *causes, *first[1:], *failures)
     if number_first and reasons:
         reasons, findings = (number, *reasons), (*limits, *others)
     else:

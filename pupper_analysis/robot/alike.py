@@ -1,4 +1,4 @@
-"""Detection of a limb without a foot among limbs with the same structure.
+"""Limbs with the same structure: a limb without a foot among them, classes of their joints.
 
 Limbs with the same types of joints, and with similar masses or dimensions, usually have the same
 function. If at least half of these limbs end in a foot and one limb does not, the file of that limb
@@ -7,6 +7,7 @@ probably contains a wrong value or lacks a shape.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,3 +157,54 @@ def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
             )
         )
     return tuple(messages)
+
+
+def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
+    """Group driven joints at the same place in similar limbs, with equal gains and effort limits.
+
+    Args:
+        robot: Robot.
+        kp: Stiffness, shape (nu,) [N m/rad].
+        kd: Damping, shape (nu,) [N m s/rad].
+
+    Returns:
+        Indices of the joints of each group, groups in the order of their first joint.
+    """
+    siblings, names = sibling_joints(robot), robot.joint_names
+    values = np.stack([kp, kd, robot.effort_limits])
+    groups: list[list[int]] = []
+    for index in np.flatnonzero(robot.mj_convention.actuator_index >= 0).tolist():
+        for group in groups:
+            if names[group[0]] in siblings.get(names[index], ()) and np.array_equal(
+                values[:, group[0]], values[:, index]
+            ):
+                group.append(index)
+                break
+        else:
+            groups.append([index])
+    return groups
+
+
+def name_joints(names: Sequence[str]) -> str:
+    """Return one name for several joints, for example ``leg_*_1``; the name of a single joint.
+
+    The common beginning and end of the names, cut at underscores, are joined by ``*``. Without a
+    common part, the first two names and the number of further names are listed.
+    """
+    if len(names) == 1:
+        return names[0]
+    begin = _common_beginning(names)
+    begin = begin[: begin.rfind("_") + 1]
+    end = _common_beginning([name[len(begin) :][::-1] for name in names])
+    end = end[: end.rfind("_") + 1][::-1]
+    if begin or end:
+        return f"{begin}*{end}"
+    return f"{names[0]}, {names[1]}" + (f" +{len(names) - 2}" if len(names) > 2 else "")
+
+
+def _common_beginning(names: Sequence[str]) -> str:
+    """Return the characters with which all names begin."""
+    common = 0
+    while all(len(name) > common and name[common] == names[0][common] for name in names):
+        common += 1
+    return names[0][:common]

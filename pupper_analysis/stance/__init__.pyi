@@ -9,7 +9,7 @@ from .posture_tasks import PositionTask as PositionTask
 from .posture_tasks import RelativePositionTask as RelativePositionTask
 from .posture_tasks import SelfClearanceTask as SelfClearanceTask
 from .sag.steady_state import SteadyState as SteadyState
-from .sag.steady_state import minimum_stiffness as minimum_stiffness
+from .sag.stiffness import minimum_stiffness as minimum_stiffness
 from .soft_ground import solve_stand_as_simulated as solve_stand_as_simulated
 from .soft_ground import solve_stand_on_soft_ground as solve_stand_on_soft_ground
 from .stand import stand_statics as stand_statics

@@ -70,6 +70,7 @@ def test_stance_document_states_why_a_stance_fails() -> None:
         unsettled=problem("why"),
         verdict=judge_stance(run(0.0, passed=False), None, SERVOS),
         minimum_stiffness=None,
+        servos=None,
         presses=(),
     )
     text = " ".join(print_words(stance_document(failing)))

@@ -21,6 +21,7 @@ from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.present.document import Document, Name, Report, text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.compare.compare import FilesCompared
+from pupper_analysis.simulation.servo_bounds import ServoBounds, ServoClass
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Outcome, Question, Verdict, judge_stance
 from pupper_analysis.stance.task import StandTask
@@ -269,6 +270,19 @@ SUNK = {"depths": {"FR": 0.00311, "RL": 0.00422}, "qpos": np.array([0.0, 0.0, 0.
 """Fields of a stand on soft ground."""
 
 
+SERVO_BOUNDS = ServoBounds(
+    classes=(
+        ServoClass("hip", ("hip",), 4.31, 5.1291, 0.0711, 1.3509),
+        ServoClass("knee", ("knee",), 4.31, 5.1291, 0.0711, 1.3509),
+    ),
+    least_kp_factor=1.19,
+    holding_kp_factor=1.31,
+    largest_kd_factor=19.0,
+    timestep=0.0037,
+    integrator="implicitfast",
+)
+
+
 def stance(**changes: Any) -> Any:
     """Return a stance result; ``changes`` replace fields."""
     fields: dict[str, Any] = {
@@ -290,6 +304,8 @@ def stance(**changes: Any) -> Any:
         ),
         "unsettled": None,
         "minimum_stiffness": 4.567,
+        "servos": SERVO_BOUNDS,
+        "sagging": Stub(stays=False),
         "passed": False,
         "presses": (),
     }

@@ -3,8 +3,8 @@
 `steady_state` follows a path of equilibria from the stand (`HomotopyPath`). Feed-forward is the
 part of the servo commands that balances the load in advance; its removed fraction grows from 0 to 1
 in steps. Then pinned feet creep for a given time. The result contains the height loss, torques,
-contact forces, and the reasons for which the robot does not stay there. `minimum_stiffness` finds
-the smallest kp without such reasons.
+contact forces, and the reasons for which the robot does not stay there. ``stiffness.py`` finds the
+smallest kp without such reasons.
 
 An equilibrium is stable if its stiffness is positive in each motion that the feet permit.
 """
@@ -27,7 +27,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
+from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.joints import joint_ranges
@@ -39,7 +39,7 @@ from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.posture import LIMIT_TOLERANCE
 from pupper_analysis.stance.sag.equilibrium import (
     GROUND_NORMAL,
-    EquilibriumScales,
+    Anchor,
     Feet,
     SagEquilibrium,
     Solution,
@@ -333,6 +333,21 @@ class HomotopyPath:
             left -= step
             self._euler_step = 2 * step
 
+    def reset_creep(self, anchors: dict[str, Anchor]) -> None:
+        """Set the touching contacts, and undo the creep of all contacts.
+
+        Args:
+            anchors: {touching contact: pose at the first contact}.
+        """
+        system = self.system
+        system.anchors, system.crept, system.yielding = dict(anchors), {}, {}
+        self.crept, self._euler_step = 0.0, math.inf
+
+    def remove_feedforward(self) -> None:
+        """Command the joint positions at the end of the path; the equilibrium is not solved."""
+        self.share = 1.0
+        self._set_command(1.0)
+
     def _feet_about_to_slide(self) -> list[str]:
         """Return the feet whose tangential force is close to the limit of their friction.
 
@@ -432,10 +447,6 @@ MAX_CREEP_LOSS_RATIO = 0.002
 """Predicted height loss by creep within ``HOLD_DURATION`` [base heights in the stand] below which
 creep is not integrated. Measured on a quadruped 2 % above its minimum stiffness: creep ends the
 equilibrium after 5 s, with a ratio of 0.025."""
-
-HIGHEST_KP = 2500.0
-"""Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`:
-2000 times the kp of Pupper v3. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -547,14 +558,34 @@ def steady_state(
     """
     robot = with_contacts(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, seconds)
-    robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
-    path = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
+    path = make_homotopy_path(robot, stand, kp, feet, exact=feedforward)
     pose = follow_to_end(path, feedforward=feedforward, seconds=seconds)
     if pose.failures or math.isinf(lasts := simulate_creep(path, pose)):
         return pose
     return replace(
         pose, lasts=lasts, failures=(diagnose("creep-ends-it", after=Quantity(lasts, "s")),)
     )
+
+
+def make_homotopy_path(
+    robot: Robot, stand: Stand, kp: ArrayLike | None, feet: Feet, *, exact: bool = False
+) -> HomotopyPath:
+    """Create the path of equilibria of a stand, at its start: with the full feed-forward.
+
+    Args:
+        robot: Robot, with the contacts of the stand.
+        stand: Stand.
+        kp: Stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        feet: Slip law, as in `steady_state`.
+        exact: Argument of `SagEquilibrium.solve` for the first equilibrium.
+
+    Raises:
+        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NoEquilibriumError: If the stand has no equilibrium on soft ground.
+    """
+    robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
+    return HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=exact)
 
 
 def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
@@ -660,55 +691,6 @@ def release_margin(path: HomotopyPath) -> float:
     return float(min(margins, default=math.inf) / robot.usual_weight)
 
 
-@check_arguments
-def minimum_stiffness(
-    robot: Robot, stand: Stand, *, feet: Feet = "pinned", tolerance: float = 0.01
-) -> float:
-    """Find the smallest uniform kp with which a robot stands without feed-forward, by bisection.
-
-    The robot stands if `steady_state` has no failures (for example, a swing foot on the ground, or
-    creep that ends the equilibrium within 12 s) and, on a free base, keeps more than half of the
-    stand's height.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        feet: Slip law, as in `steady_state`.
-        tolerance: Relative tolerance of the result, in (0, 1).
-
-    Returns:
-        kp [N m/rad], the upper end of the bracket, with which the robot stands.
-
-    Raises:
-        ConfigurationError: If an argument is invalid, or the robot cannot stand.
-        UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
-        StaticsInfeasibleError: If no contact forces balance the stand.
-        NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
-            ``EquilibriumScales.stiffness``; contains the reason.
-    """
-    if not 0 < tolerance < 1:
-        refused = diagnose("not-between", given=tolerance, low=0, high=1)
-        raise ConfigurationError("tolerance", refused)
-    robot = with_contacts(robot, stand.task.contacts)
-    check_steady_state_request(robot, stand, feet, 0.0)
-
-    def find_failure(kp: float) -> Diagnostic | None:
-        """Return the reason why the robot does not stand with kp [N m/rad]; None if it stands."""
-        return find_sag_failure(robot, stand, kp=kp, feet=feet)
-
-    unit = EquilibriumScales.from_stand(robot, stand).stiffness
-    low, high = 0.0, unit / 4
-    while (problem := find_failure(high)) is not None:
-        low, high = high, 2 * high
-        if high > HIGHEST_KP * unit:
-            raise NoStiffnessError(robot.name, low, problem)
-    while high - low > tolerance * high:
-        middle = (low + high) / 2
-        low, high = (middle, high) if find_failure(middle) else (low, middle)
-    return high
-
-
 def find_sag_failure(
     robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feet: Feet = "pinned"
 ) -> Diagnostic | None:
@@ -727,6 +709,17 @@ def find_sag_failure(
         pose = steady_state(robot, stand, kp=kp, feet=feet)
     except NoEquilibriumError as error:
         return error.diagnostic
+    return describe_sag_failure(robot, stand, pose)
+
+
+def describe_sag_failure(robot: Robot, stand: Stand, pose: SteadyState) -> Diagnostic | None:
+    """Return the reason for which a robot does not stand in an equilibrium; None if it stands.
+
+    Args:
+        robot: Robot, with the contacts of the stand.
+        stand: Stand.
+        pose: Equilibrium without feed-forward.
+    """
     if pose.base_height <= 0.5 * float(stand.qpos[2]) and not (
         robot.is_base_fixed or robot.fixed_parts
     ):

@@ -25,36 +25,34 @@ from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
 )
-from pupper_analysis.robot.alike import sibling_joints
+from pupper_analysis.robot.alike import group_joints, name_joints
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.joints import force_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.stability import HOLD_DURATION
+from pupper_analysis.simulation.controlled_stand import (
+    FACTOR_TOLERANCE,
+    MAX_FACTOR,
+    MAX_POWER,
+    ControlledStand,
+    WorstMode,
+    bisect_factor,
+    find_largest_damping_factor,
+)
 from pupper_analysis.simulation.rollout import StandStart, make_stand_start
 from pupper_analysis.simulation.verdict import find_overloaded_motors
-from pupper_analysis.stance.sag.steady_state import find_sag_failure, minimum_stiffness
+from pupper_analysis.stance.sag.steady_state import find_sag_failure
+from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.gains.loop import ControlledStand, WorstMode
 
 Array = NDArray[np.float64]
 
-_MAX_POWER = 12
-"""Largest exponent of the factors 2^-12 ... 2^12 on the gains that are tried; see `MAX_FACTOR`."""
-
-MAX_FACTOR = 2.0**_MAX_POWER
-"""Largest factor on the gains, and inverse of the smallest, that is tried: 4096. Chosen larger than
-the range of the kp that the tools add to robots, 5 to 2000 N m/rad."""
-
-_FACTOR_TOLERANCE = 0.005
-"""Relative tolerance of the factor on the gains beyond which a mode of the linear model grows; the
-factor is found by bisection. Chosen, not tuned."""
-
 _SIMULATED_TOLERANCE = 0.02
 """Relative tolerance of the bisection for the gains at which simulated stands begin to fail. Larger
-than `_FACTOR_TOLERANCE`, since a simulation takes longer than the linear model. Chosen, not
+than `FACTOR_TOLERANCE`, since a simulation takes longer than the linear model. Chosen, not
 tuned."""
 
 _SIMULATED_RANGE = 2.0
@@ -426,7 +424,7 @@ class _Gains:
         Raises:
             ConfigurationError: If no pair within `MAX_FACTOR` is stable.
         """
-        powers = range(-_MAX_POWER, _MAX_POWER + 1)
+        powers = range(-MAX_POWER, MAX_POWER + 1)
         pairs = sorted(product(powers, powers), key=lambda pair: abs(pair[0]) + abs(pair[1]))
         for stiffness, damping in pairs:
             if self._is_stable(self.scale_gains(2.0**stiffness, 2.0**damping)):
@@ -465,11 +463,11 @@ class _Gains:
         while 1 / MAX_FACTOR <= stable * ratio <= MAX_FACTOR:
             unstable = stable * ratio
             if not self._is_stable(gains(unstable)):
-                return _bisect_factor(
+                return bisect_factor(
                     lambda factor: self._is_stable(gains(factor)),
                     stable,
                     unstable,
-                    _FACTOR_TOLERANCE,
+                    FACTOR_TOLERANCE,
                 )
             stable = unstable
         return None
@@ -500,7 +498,7 @@ class _Gains:
         ratio = 1 / _SIMULATED_RANGE if below else _SIMULATED_RANGE
         simulated = None
         if survives_simulation(factor / ratio) and not survives_simulation(factor * ratio):
-            simulated = _bisect_factor(
+            simulated = bisect_factor(
                 survives_simulation, factor / ratio, factor * ratio, _SIMULATED_TOLERANCE
             )
         return GainBound(factor, simulated, mode.frequency, mode.joints)
@@ -511,17 +509,8 @@ class _Gains:
         Infinite if all tried factors up to `MAX_FACTOR` are stable; NaN if no tried factor is
         stable.
         """
-
-        def with_damping(factor: float) -> _Pair:
-            return self.scale_gains(stiffness, factor)
-
-        powers = sorted(range(-_MAX_POWER, _MAX_POWER + 1), key=abs)
-        stable = (2.0**power for power in powers if self._is_stable(with_damping(2.0**power)))
-        inside = next(stable, None)
-        if inside is None:
-            return math.nan
-        end = self._find_end(with_damping, inside, 2.0)
-        return math.inf if end is None else end
+        kp, _ = self.scale_gains(stiffness, 1.0)
+        return find_largest_damping_factor(self.loop, kp, self.kd)
 
     def recommend_factors(
         self, stiffness: tuple[float | None, float | None], least_kp_alone: float | None
@@ -621,67 +610,3 @@ class _Gains:
 def _scale(gain: float, factor: float | None) -> float | None:
     """Return a gain times a factor; None without a factor."""
     return None if factor is None else gain * factor
-
-
-def _bisect_factor(
-    is_inside: Callable[[float], bool], inside: float, outside: float, tolerance: float
-) -> float:
-    """Bisect the end of an interval of factors on a logarithmic scale; return the inner end.
-
-    ``tolerance`` is relative; ``is_inside`` is True at ``inside`` and False at ``outside``.
-    """
-    while abs(math.log(outside / inside)) > tolerance:
-        middle = math.sqrt(inside * outside)
-        inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
-    return inside
-
-
-def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
-    """Group driven joints at the same place in similar limbs, with equal gains and effort limits.
-
-    Args:
-        robot: Robot.
-        kp: Stiffness, shape (nu,) [N m/rad].
-        kd: Damping, shape (nu,) [N m s/rad].
-
-    Returns:
-        Indices of the joints of each group, groups in the order of their first joint.
-    """
-    siblings, names = sibling_joints(robot), robot.joint_names
-    values = np.stack([kp, kd, robot.effort_limits])
-    groups: list[list[int]] = []
-    for index in np.flatnonzero(robot.mj_convention.actuator_index >= 0).tolist():
-        for group in groups:
-            if names[group[0]] in siblings.get(names[index], ()) and np.array_equal(
-                values[:, group[0]], values[:, index]
-            ):
-                group.append(index)
-                break
-        else:
-            groups.append([index])
-    return groups
-
-
-def name_joints(names: Sequence[str]) -> str:
-    """Return one name for several joints, for example ``leg_*_1``; the name of a single joint.
-
-    The common beginning and end of the names, cut at underscores, are joined by ``*``. Without a
-    common part, the first two names and the number of further names are listed.
-    """
-    if len(names) == 1:
-        return names[0]
-    begin = _common_beginning(names)
-    begin = begin[: begin.rfind("_") + 1]
-    end = _common_beginning([name[len(begin) :][::-1] for name in names])
-    end = end[: end.rfind("_") + 1][::-1]
-    if begin or end:
-        return f"{begin}*{end}"
-    return f"{names[0]}, {names[1]}" + (f" +{len(names) - 2}" if len(names) > 2 else "")
-
-
-def _common_beginning(names: Sequence[str]) -> str:
-    """Return the characters with which all names begin."""
-    common = 0
-    while all(len(name) > common and name[common] == names[0][common] for name in names):
-        common += 1
-    return names[0][:common]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import overload
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from pupper_analysis.present.documents.standing import (
 from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.servo_bounds import ServoBounds
 from pupper_analysis.simulation.verdict import Ending, VerdictCode
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
@@ -127,6 +129,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         stand_table(stand, stance.statics),
         simulated_table(run),
         height_plot([run], float(stand.qpos[2])),
+        *([] if stance.servos is None else [_make_servo_table(stance.servos)]),
     ]
     return judged_document(
         text("stance"),
@@ -137,7 +140,12 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             *_warn_of_model_mismatch(run),
             *_list_findings(stance),
         ),
-        limit=_describe_height(stance),
+        limits=(
+            *_describe_height(stance),
+            *(_describe_soft_servos(stance) if stance.passed else ()),
+            *_describe_servos(stance),
+        ),
+        causes=() if stance.passed else _describe_soft_servos(stance),
         details=(task_text(stance.stand.task), *_list_details(stance)),
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
@@ -229,17 +237,100 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
     )
 
 
-def _describe_height(stance: Stance) -> doc.Words | None:
-    """State the base height [mm] of the stance, or that the base is bolted; None if unknown."""
-    if _is_base_bolted(stance):
-        return text("base-is-bolted")
+def _describe_height(stance: Stance) -> Iterable[doc.Words]:
+    """State the base height [mm] of the stance if it is known, or that the base is bolted."""
     height = stance.stand.task.height
-    if height is None:
-        return None
-    return text(
-        "base-height-of-stance",
-        height=f"{1e3 * height:.1f}",
-        ground=ground_word(stance.stand.depths.values(), stance.verification),
+    if _is_base_bolted(stance):
+        yield text("base-is-bolted")
+    elif height is not None:
+        yield text(
+            "base-height-of-stance",
+            height=f"{1e3 * height:.1f}",
+            ground=ground_word(stance.stand.depths.values(), stance.verification),
+        )
+
+
+def _describe_servos(stance: Stance) -> Iterable[doc.Words]:
+    """State the gains of the servos with their bounds, as factors if the gains of joints differ."""
+    servos = stance.servos
+    if servos is None or not servos.classes:
+        return
+    one, implicit = servos.classes[0], servos.integrator.startswith("implicit")
+    least, most, scales = servos.least_kp_factor, servos.largest_kd_factor, servos.uniform
+    kp, kd = (one.kp, one.kd) if scales else (1.0, 1.0)
+    bounded = most is not None and math.isfinite(most)
+    yield text(
+        "servo-gains" if scales else "servo-factors",
+        kp=f"{one.kp:.3g}",
+        kd=f"{one.kd:.3g}",
+        least="" if least is None else f"{_round_bound(least * kp):g}",
+        most=f"{_round_bound(most * kd):g}" if most is not None and bounded else "",
+        step=f"{1e3 * servos.timestep:.3g}",
+        implicit=servos.integrator if implicit else "",
+    )
+
+
+@overload
+def _round_bound(bound: float) -> float: ...
+
+
+@overload
+def _round_bound(bound: float | None) -> float | None: ...
+
+
+def _round_bound(bound: float | None) -> float | None:
+    """Round a bound of gains to two digits, the accuracy of the estimates; None without a bound."""
+    return None if bound is None else float(f"{bound:.2g}")
+
+
+def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
+    """State the least stiffness of servos that are too soft, and the simulated stiffness."""
+    servos = stance.servos
+    if servos is None or stance.sagging.stays or servos.least_kp_factor is None:
+        return
+    if servos.least_kp_factor <= 1:
+        return
+    factor, least = servos.holding_kp_factor, servos.least_kp_factor
+    kp = servos.classes[0].kp if servos.uniform else 1.0
+    yield text(
+        "servos-below-least-kp" if servos.uniform else "servos-below-least-factor",
+        kp=f"{kp:.3g}",
+        least=f"{least * kp:.3g}",
+        tried="" if factor is None else f"{factor * kp:.3g}",
+    )
+
+
+def _make_servo_table(servos: ServoBounds) -> doc.Table:
+    """Create the table of the gains of joint classes, with their bounds."""
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.Name(one.name),
+            doc.number_cell(one.kp, ".4g"),
+            doc.number_cell(_round_bound(one.least_kp), ".4g"),
+            doc.number_cell(one.kd, ".4g"),
+            doc.number_cell(_round_bound(one.largest_kd), ".4g"),
+        )
+        for one in servos.classes
+    ]
+    stiffness, damping = "N m/rad", "N m s/rad"
+    return doc.Table(
+        text("servo-gains-by-joint"),
+        (
+            doc.Column(text("servo-joints"), left=True),
+            doc.Column(doc.Name("kp"), stiffness),
+            doc.Column(text("least-kp"), stiffness),
+            doc.Column(doc.Name("kd"), damping),
+            doc.Column(text("largest-kd"), damping),
+        ),
+        tuple(rows),
+        (
+            text("servo-bounds-of-factors"),
+            text(
+                "servo-bounds-of-controller",
+                step=f"{1e3 * servos.timestep:.3g}",
+                integrator=doc.Name(servos.integrator),
+            ),
+        ),
     )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Diagnostic
-from pupper_analysis.base.errors import NoEquilibriumError, NoStiffnessError
+from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import STAND_TABLE
 from pupper_analysis.base.progress import report_progress
@@ -28,10 +28,12 @@ from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.prepare.passes import LoadRequest, PassRun, prepare_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.servo_bounds import ServoBounds, bound_servo_gains
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.posture import joint_units
-from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
+from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
+from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_contacts, stand_statics
 from pupper_analysis.stance.task import StandTask
@@ -67,6 +69,8 @@ class Stance(Tabular):
             the stance within the effort limits.
         minimum_stiffness: Smallest uniform kp with which the robot stands without feed-forward
             (N m/rad); None if not requested, or if no tested kp suffices.
+        servos: Present gains of the servos, and bounds of these gains; None if the stand has no
+            linear model.
     """
 
     name: str
@@ -84,6 +88,7 @@ class Stance(Tabular):
     unsettled: Diagnostic | None
     presses: tuple[LargestPress, ...]
     minimum_stiffness: float | None = field(metadata={"unit": "N m/rad"})
+    servos: ServoBounds | None
 
     def _columns(self) -> dict[str, ArrayLike]:
         """Return {column: values} of the table of this stance with a row per joint, SI units."""
@@ -176,6 +181,9 @@ def study_stance(
     report_progress("simulations", 1, _NUM_SIMULATIONS)
     alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, settled=settled)
     report_progress("simulations", 2, _NUM_SIMULATIONS)
+    servos = None
+    with contextlib.suppress(ConfigurationError):  # a diverging step has no linear model
+        servos = bound_servo_gains(robot, held, kp=kp, kd=kd, stands=alone.stays)
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),
@@ -192,6 +200,7 @@ def study_stance(
         unsettled=unsettled,
         presses=largest_presses(robot, held),
         minimum_stiffness=min_kp,
+        servos=servos,
     )
 
 

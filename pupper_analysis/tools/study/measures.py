@@ -34,7 +34,8 @@ from pupper_analysis.robot.tool import Place
 from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.stability import rest_stability
 from pupper_analysis.simulation.verdict import Verdict
-from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
+from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
+from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace

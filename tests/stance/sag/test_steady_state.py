@@ -18,9 +18,9 @@ from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, integra
 from pupper_analysis.stance.sag.steady_state import (
     HomotopyPath,
     find_slipping_points,
-    minimum_stiffness,
     steady_state,
 )
+from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.variants import NAMES, SKELETON_NAMES, load, stand_of
 

@@ -239,3 +239,31 @@ def test_a_limit_of_zero_is_stated_and_a_bolted_base_has_no_height(
     assert status == 0, err
     assert "base bolted to the world" in out
     assert "height" not in out
+
+
+@pytest.mark.slow
+def test_the_second_line_states_the_gains_with_their_bounds(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Reference: least kp 2.44 (bare MuJoCo: 2.25 to 2.38), largest kd 2.6 (2.7 to 3.0)."""
+    status, out, err = run_command(capfd, "stand", "v3")
+    assert status == 0, err
+    assert "kp 5 (needs 2.4), kd 0.1 (at most 2.6)" in out.splitlines()[1]
+    assert max(map(len, out.splitlines())) <= 106
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kp", "status", "verdict"), [("2.3", 0, "HOLDS with gravity compensation"), ("1", 1, "FAILS")]
+)
+def test_servos_below_the_least_stiffness_get_one_that_stands(
+    capfd: pytest.CaptureFixture[str], kp: str, status: int, verdict: str
+) -> None:
+    """Reference: the command with the stated kp stands without gravity compensation."""
+    ended, out, _ = run_command(capfd, "stand", "v3", "--kp", kp)
+    assert (ended, out.startswith(f"{verdict} v3: ")) == (status, True)
+    stated = f"kp {kp} too soft without compensation: stands with "
+    assert stated in out.splitlines()[1]
+    number = out.partition(stated)[2].partition(";")[0]
+    ended, out, _ = run_command(capfd, "stand", "v3", "--kp", number)
+    assert (ended, out.startswith("HOLDS v3: ")) == (0, True)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.simulation.controlled_stand import ControlledStand, _divide_period
 from pupper_analysis.simulation.rollout import StandStart, make_stand_start
-from pupper_analysis.tools.gains.loop import ControlledStand, _divide_period
 from tests.support.variants import load
 
 

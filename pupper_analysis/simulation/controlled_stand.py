@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -97,6 +98,17 @@ amount, because MuJoCo's friction creeps. Measured: v3 creeps by 0.01 mrad in 12
 _MAX_SHIFT = 0.1
 """Displacement of a joint from the stand [rad, m] above which a simulation of the controller has
 failed. Chosen: five times ``_NUDGE_ANGLE``."""
+
+MAX_POWER = 12
+"""Largest exponent of the factors 2^-12 ... 2^12 on the gains that are tried; see `MAX_FACTOR`."""
+
+MAX_FACTOR = 2.0**MAX_POWER
+"""Largest factor on the gains, and inverse of the smallest, that is tried: 4096. Chosen larger than
+the range of the kp that the tools add to robots, 5 to 2000 N m/rad."""
+
+FACTOR_TOLERANCE = 0.005
+"""Relative tolerance of the factor on the gains beyond which a mode of the linear model grows; the
+factor is found by bisection. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,6 +348,45 @@ class ControlledStand:
             elif num_steps - step < _COMPARED_SHARE * num_steps:
                 end_speed = max(end_speed, speed)
         return end_speed < max(_REST_SPEED, _MAX_DECAY_RATIO * half_speed)
+
+
+def find_largest_damping_factor(
+    loop: ControlledStand, kp: Array, kd: Array, *, tolerance: float = FACTOR_TOLERANCE
+) -> float:
+    """Return the largest factor on the damping with which no mode of a controlled stand grows.
+
+    Infinite if all tried factors up to `MAX_FACTOR` are stable; NaN if no tried factor is stable.
+
+    Args:
+        loop: The controlled stand.
+        kp: Stiffness of all joints, shape (nu,) [N m/rad].
+        kd: Damping of all joints to which the factor applies, shape (nu,) [N m s/rad].
+        tolerance: Relative tolerance of the factor.
+    """
+
+    def is_stable(factor: float) -> bool:
+        return loop.is_stable(kp, factor * kd)
+
+    powers = sorted(range(-MAX_POWER, MAX_POWER + 1), key=abs)
+    stable = next((2.0**power for power in powers if is_stable(2.0**power)), math.nan)
+    while stable < MAX_FACTOR:
+        if not is_stable(2 * stable):
+            return bisect_factor(is_stable, stable, 2 * stable, tolerance)
+        stable *= 2
+    return math.nan if math.isnan(stable) else math.inf
+
+
+def bisect_factor(
+    is_inside: Callable[[float], bool], inside: float, outside: float, tolerance: float
+) -> float:
+    """Bisect the end of an interval of factors on a logarithmic scale; return the inner end.
+
+    ``tolerance`` is relative; ``is_inside`` is True at ``inside`` and False at ``outside``.
+    """
+    while abs(math.log(outside / inside)) > tolerance:
+        middle = math.sqrt(inside * outside)
+        inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
+    return inside
 
 
 def _replace_servos(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array) -> None:

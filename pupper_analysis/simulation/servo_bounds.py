@@ -1,0 +1,194 @@
+"""Bounds of the servo gains of a stand: the least stiffness, and the largest damping.
+
+`bound_servo_gains` scales the present gains of all joints by common factors. The least stiffness is
+that without feed-forward (``stance/sag/stiffness.py``); the largest damping is that of an explicit
+PD controller with one command per time step (`ControlledStand`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.errors import NoStiffnessError
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.alike import group_joints, name_joints
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import Servos
+from pupper_analysis.simulation.controlled_stand import (
+    ControlledStand,
+    find_largest_damping_factor,
+)
+from pupper_analysis.simulation.rollout import make_stand_start
+from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, minimum_stiffness
+from pupper_analysis.stance.stand import Stand
+
+Array = NDArray[np.float64]
+
+_DAMPING_TOLERANCE = 0.02
+"""Relative tolerance of the largest damping. Chosen for results with two digits."""
+
+_TRIED_RATIOS = (1.02, 1.1, 1.25, 1.5, 2.0)
+"""Ratios of the simulated stiffness to the least stiffness of the statics, in the order of the
+simulations; the first with which the robot stands is reported. Chosen, not tuned."""
+
+_STABLE_RATIO = 1.1
+"""Ratio to the least stiffness above which the damping is bounded at the present stiffness; with a
+softer servo, at this ratio. Chosen, not tuned."""
+
+
+@dataclass(frozen=True)
+class ServoClass(Result):
+    """Corresponding joints of similar limbs with equal gains, and the bounds of their gains.
+
+    Attributes:
+        name: Common part of the joints' names, with * for the rest.
+        joints: Joints.
+        kp: Present stiffness (N m/rad).
+        least_kp: Least stiffness without feed-forward, if the stiffness of all joints is scaled
+            together (N m/rad); None if unknown.
+        kd: Present damping (N m s/rad).
+        largest_kd: Largest damping of an explicit controller, if the damping of all joints is
+            scaled together (N m s/rad); None if unknown or without a bound.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    kp: float = field(metadata={"unit": "N m/rad"})
+    least_kp: float | None = field(metadata={"unit": "N m/rad"})
+    kd: float = field(metadata={"unit": "N m s/rad"})
+    largest_kd: float | None = field(metadata={"unit": "N m s/rad"})
+
+
+@dataclass(frozen=True)
+class ServoBounds(Result):
+    """Present gains of the servos of a stand, and the bounds of common factors on these gains.
+
+    Attributes:
+        classes: Joints with equal gains, with the bounds of these gains.
+        least_kp_factor: Smallest factor on the stiffness with which the robot stands without
+            feed-forward (1); None if there is none, or the base is fixed.
+        holding_kp_factor: Smallest simulated factor on the stiffness with which the robot stands
+            without feed-forward (1); None if the robot stands with the present stiffness, or with
+            no simulated factor.
+        largest_kd_factor: Largest factor on the damping with which an explicit PD controller is
+            stable (1); infinite without a bound; None if no factor is stable.
+        timestep: Time step of the model, and period of this controller (s).
+        integrator: MuJoCo integrator of the model; an implicit one has no largest damping.
+    """
+
+    classes: tuple[ServoClass, ...]
+    least_kp_factor: float | None = field(metadata={"unit": "1"})
+    holding_kp_factor: float | None = field(metadata={"unit": "1"})
+    largest_kd_factor: float | None = field(metadata={"unit": "1"})
+    timestep: float = field(metadata={"unit": "s"})
+    integrator: str
+
+    @property
+    def uniform(self) -> bool:
+        """Whether all driven joints have the same stiffness and the same damping."""
+        return len({(one.kp, one.kd) for one in self.classes}) == 1
+
+
+def bound_servo_gains(
+    robot: Robot,
+    stand: Stand,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    stands: bool = True,
+) -> ServoBounds:
+    """Bound the gains of the servos of a stand.
+
+    If the robot stands, the least stiffness is an estimate (`estimate_minimum_stiffness`).
+    Otherwise it is exact, and simulations find a stiffness above it with which the robot stands.
+
+    Args:
+        robot: Robot, with the contacts of the stand.
+        stand: Stand on MuJoCo's soft ground.
+        kp: Present stiffness [N m/rad], scalar or shape (nu,); default: the model's.
+        kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
+        stands: Whether the robot stands with the present stiffness without feed-forward.
+
+    Raises:
+        The errors of `make_stand_start`.
+    """
+    held = make_stand_start(robot, stand, kp=kp, kd=kd)
+    drive = held.drive
+    stiffness, damping = np.array(drive.kp), np.array(drive.kd)
+    largest = float(stiffness.max())
+    least = holding = None
+    if robot.floating and not robot.fixed_parts:
+        used = stiffness[stiffness > 0]
+        ratios = None if np.ptp(used) == 0 else stiffness / largest
+        try:
+            find = estimate_minimum_stiffness if stands else minimum_stiffness
+            least = find(robot, stand, ratios=ratios) / largest
+        except NoStiffnessError:
+            least = None
+        if least is not None and not stands:
+            holding = _find_holding_factor(robot, stand, drive, least)
+    most = _bound_damping(ControlledStand(held), stiffness, damping, least)
+    classes = []
+    for members in group_joints(robot, stiffness, damping):
+        first_kp, first_kd = float(stiffness[members[0]]), float(damping[members[0]])
+        bounded = most is not None and math.isfinite(most) and first_kd > 0
+        classes.append(
+            ServoClass(
+                name=name_joints([robot.joint_names[joint] for joint in members]),
+                joints=tuple(robot.joint_names[joint] for joint in members),
+                kp=first_kp,
+                least_kp=None if least is None else least * first_kp,
+                kd=first_kd,
+                largest_kd=most * first_kd if most is not None and bounded else None,
+            )
+        )
+    return ServoBounds(
+        classes=tuple(classes),
+        least_kp_factor=least,
+        holding_kp_factor=holding,
+        largest_kd_factor=most,
+        timestep=float(drive.model.opt.timestep),
+        integrator=drive.integrator,
+    )
+
+
+def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float) -> float | None:
+    """Return the smallest simulated factor on kp with which the robot stands; None without one.
+
+    Damping grows with the stiffness. ``least`` is the least factor of the statics.
+    """
+    for ratio in _TRIED_RATIOS:
+        factor = ratio * least
+        run = verify_stand(
+            robot,
+            stand,
+            kp=factor * drive.kp,
+            kd=max(1.0, factor) * drive.kd,
+            feedforward=False,
+        )
+        if run.stays:
+            return factor
+    return None
+
+
+def _bound_damping(
+    loop: ControlledStand, kp: Array, kd: Array, least: float | None
+) -> float | None:
+    """Return the largest stable factor on the damping, infinite without one; None if none is.
+
+    Args:
+        loop: Stand with an explicit PD controller, one command per time step.
+        kp: Present stiffness, shape (nu,) [N m/rad].
+        kd: Present damping, shape (nu,) [N m s/rad].
+        least: Least factor on the stiffness; softer servos buckle with any damping.
+    """
+    if not kd.any():
+        return None
+    factor = 1.0 if least is None else max(1.0, _STABLE_RATIO * least)
+    most = find_largest_damping_factor(loop, factor * kp, kd, tolerance=_DAMPING_TOLERANCE)
+    return None if math.isnan(most) else most

@@ -1,0 +1,371 @@
+"""Smallest stiffness of the servos with which a robot stands without feed-forward.
+
+`minimum_stiffness` bisects the stiffness. Near a known equilibrium, the equilibrium of another
+stiffness is one Newton solve away (continuation, Allgower and Georg 1990), so that only the first
+stiffness needs the path on which the feed-forward is removed (`HomotopyPath`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.arguments import check_arguments, real_array
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import MIN_STIFFNESS
+from pupper_analysis.robot.stability import HOLD_DURATION
+from pupper_analysis.robot.touching import with_contacts
+from pupper_analysis.stance.sag.equilibrium import Anchor, EquilibriumScales, Feet, Solution
+from pupper_analysis.stance.sag.steady_state import (
+    CREEP_STEPS,
+    HomotopyPath,
+    SteadyState,
+    check_steady_state_request,
+    collect_steady_state,
+    describe_sag_failure,
+    find_sag_failure,
+    make_homotopy_path,
+    simulate_creep,
+)
+from pupper_analysis.stance.stand import Stand
+
+Array = NDArray[np.float64]
+
+HIGHEST_KP = 2500.0
+"""Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`:
+2000 times the kp of Pupper v3. Chosen, not tuned."""
+
+_FIRST_KP = 4.0
+"""First kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`. Measured: v3,
+Go2 and T1 need 0.5 to 2.1 units. Smaller values take longer, since the feed-forward is then removed
+in many steps."""
+
+_LEAST_KP = 1 / 4096
+"""Lower bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`.
+A robot that stands with this kp, for example on straight legs, needs no servos. Chosen, not
+tuned."""
+
+_LEAST_STEP = 0.1
+"""Smallest step of the logarithm of kp in a continuation, after which the equilibrium counts as
+lost. A failed step is repeated with half its length, since Newton's method may miss an equilibrium
+that is far away. Smaller intervals of the bisection are tried in one step. Chosen, not tuned."""
+
+_FIRST_CREEP_RATIO = 0.04
+"""Relative distance above the least kp of the static equilibrium at which creep is simulated first.
+Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
+
+_MAX_PREDICTIONS = 4
+"""Number of values that are tested by predictions from the time for which an equilibrium lasts;
+then the bracket is halved. Chosen, not tuned."""
+
+_ESTIMATE_TOLERANCE = 0.02
+"""Relative width of the bracket of the static limit in `estimate_minimum_stiffness`. Chosen for
+results with two digits."""
+
+_MIN_DURATION = HOLD_DURATION / CREEP_STEPS
+"""Lower bound of the time [s] from which a prediction is computed: a step of the creep."""
+
+
+@check_arguments
+def minimum_stiffness(
+    robot: Robot,
+    stand: Stand,
+    *,
+    feet: Feet = "pinned",
+    tolerance: float = 0.01,
+    ratios: ArrayLike | None = None,
+) -> float:
+    """Find the smallest kp with which a robot stands without feed-forward, by bisection.
+
+    The robot stands if `steady_state` has no failures (for example, a swing foot on the ground, or
+    creep that ends the equilibrium within 12 s) and, on a free base, keeps more than half of the
+    stand's height.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        feet: Slip law, as in `steady_state`.
+        tolerance: Relative tolerance of the result, in (0, 1).
+        ratios: Stiffness of each joint relative to the result, shape (nu,), not negative. Default:
+            1, the same kp at all joints.
+
+    Returns:
+        kp [N m/rad], the upper end of the bracket, with which the robot stands.
+
+    Raises:
+        ConfigurationError: If an argument is invalid, or the robot cannot stand.
+        UnknownNameError: If the stand has feet that the robot lacks.
+        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
+            ``EquilibriumScales.stiffness``; contains the reason.
+    """
+    if not 0 < tolerance < 1:
+        refused = diagnose("not-between", given=tolerance, low=0, high=1)
+        raise ConfigurationError("tolerance", refused)
+    search, low, high = _bracket_stiffness(robot, stand, feet, ratios)
+    while not search.stands(high):
+        low, high = high, 2 * high
+    while low > 0:
+        found, high = _bisect_stiffness(search, low, high, tolerance)
+        if found not in search.lost or not search.follow(found):
+            break
+        high = found  # continuation has missed the equilibrium that removed feed-forward reaches
+    return high
+
+
+def estimate_minimum_stiffness(
+    robot: Robot, stand: Stand, *, ratios: ArrayLike | None = None
+) -> float:
+    """Estimate the smallest kp [N m/rad] with which a robot stands without feed-forward.
+
+    Unlike `minimum_stiffness`, creep is simulated at most once: a prediction replaces the
+    bisection (`_predict_stiffness`). Measured: 0 to 5 % above `minimum_stiffness` for T1 and
+    v3-long-leg, within 1 % for v3, original and Go2.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        ratios: As in `minimum_stiffness`.
+
+    Raises:
+        The errors of `minimum_stiffness`.
+    """
+    search, low, high = _bracket_stiffness(robot, stand, "pinned", ratios)
+    if low == 0.0:
+        return high
+    grid = _divide_bracket(low, high, _ESTIMATE_TOLERANCE)
+    start = grid[_find_static_end(search, grid)]
+    tried = min((1 + _FIRST_CREEP_RATIO) * start, high)
+    lasts = search.measure_duration(tried)
+    if math.isinf(lasts):
+        return tried
+    predicted = _predict_stiffness(start, tried, lasts)
+    return predicted if predicted < 2 * high else minimum_stiffness(robot, stand, ratios=ratios)
+
+
+def _bracket_stiffness(
+    robot: Robot, stand: Stand, feet: Feet, ratios: ArrayLike | None
+) -> tuple[_StiffnessSearch, float, float]:
+    """Bracket the least kp [N m/rad] by powers of two.
+
+    Returns:
+        The search, a value without equilibrium, and twice this value, with an equilibrium, which
+        creep may end. The first value is 0 if the robot stands with all values down to `_LEAST_KP`.
+
+    Raises:
+        The errors of `minimum_stiffness`.
+    """
+    robot = with_contacts(robot, stand.task.contacts)
+    check_steady_state_request(robot, stand, feet, 0.0)
+    search = _StiffnessSearch(robot, stand, _check_ratios(robot, ratios), feet)
+    unit = EquilibriumScales.from_stand(robot, stand).stiffness
+    low, high = 0.0, _FIRST_KP * unit
+    while not search.stands(high):
+        low, high = high, 2 * high
+        if high > HIGHEST_KP * unit and search.problem is not None:
+            raise NoStiffnessError(robot.name, low, search.problem)
+    while low == 0.0:
+        if high / 2 < max(_LEAST_KP * unit, MIN_STIFFNESS):
+            return search, low, high
+        if search.stands_at_first(high / 2):
+            high /= 2
+        else:
+            low = high / 2
+    return search, low, high
+
+
+def _divide_bracket(low: float, high: float, tolerance: float) -> list[float]:
+    """Divide a bracket [N m/rad] into 2^n equal cells with a width of at most a tolerance."""
+    count = 2 ** max(0, math.ceil(math.log2((high - low) / (tolerance * low))))
+    return [float(value) for value in np.linspace(low, high, count + 1)]
+
+
+def _find_static_end(search: _StiffnessSearch, grid: list[float]) -> int:
+    """Return the index of the largest value without equilibrium, by bisection of a bracket."""
+    first, last = 0, len(grid) - 1
+    while last - first > 1:
+        middle = (first + last) // 2
+        stands = search.stands_at_first(grid[middle])
+        first, last = (first, middle) if stands else (middle, last)
+    return first
+
+
+def _predict_stiffness(start: float, tried: float, lasts: float) -> float:
+    """Predict the kp [N m/rad] with which an equilibrium lasts for `HOLD_DURATION`.
+
+    The time for which an equilibrium lasts grows nearly linearly with kp, from zero at the least kp
+    of the statics (measured on v3, original and Go2).
+
+    Args:
+        start: Largest kp without equilibrium.
+        tried: kp of a simulation of creep.
+        lasts: Time for which this equilibrium lasts [s].
+    """
+    return start + (tried - start) * HOLD_DURATION / max(lasts, _MIN_DURATION)
+
+
+def _bisect_stiffness(
+    search: _StiffnessSearch, low: float, high: float, tolerance: float
+) -> tuple[float, float]:
+    """Reduce a bracket of the least kp [N m/rad] to a relative width; return the new bracket.
+
+    The result is that of a plain bisection. Simulated creep takes ten times as long as statics.
+    Therefore statics bound kp first, and predictions replace midpoints (`_predict_stiffness`).
+
+    Args:
+        search: Test of stiffnesses.
+        low: Value with which the robot does not stand.
+        high: Value with which the robot stands.
+        tolerance: Largest width, relative to ``high``.
+    """
+    grid = _divide_bracket(low, high, tolerance)
+    static = first = _find_static_end(search, grid)
+    last, num_predictions = len(grid) - 1, 0
+    place = (1 + _FIRST_CREEP_RATIO) * grid[static]
+    while last - first > 1:
+        if num_predictions >= _MAX_PREDICTIONS:
+            place = (grid[first] + grid[last]) / 2
+        at_place = int(np.searchsorted(grid, place))
+        tried = min(max(at_place, first + 1), last - 1)
+        lasts = search.measure_duration(grid[tried])
+        num_predictions += 1
+        if math.isinf(lasts):
+            last = tried
+        else:
+            first = tried
+            place = _predict_stiffness(grid[static], grid[tried], lasts)
+    # A plain bisection would end with the widest cell that meets the tolerance.
+    while len(grid) > 2:
+        wider = last + last % 2
+        if grid[wider] - grid[wider - 2] > tolerance * grid[wider]:
+            break
+        first, last, grid = wider // 2 - 1, wider // 2, grid[::2]
+    return grid[first], grid[last]
+
+
+def _check_ratios(robot: Robot, ratios: ArrayLike | None) -> Array:
+    """Return ratios of the stiffness, shape (nu,): not negative, finite, and one positive."""
+    if ratios is None:
+        return np.ones(robot.nu)
+    values = real_array("ratios", ratios)
+    if values.shape != (robot.nu,) or not (np.isfinite(values) & (values >= 0)).all():
+        raise ConfigurationError("ratios", diagnose("stiffness-ratios", count=robot.nu))
+    if not values.any():
+        raise ConfigurationError("ratios", diagnose("stiffness-ratios", count=robot.nu))
+    return values
+
+
+class _StiffnessSearch:
+    """Test of stiffnesses; the nearest known equilibrium is the initial guess of the next one.
+
+    Args:
+        robot: Robot, with the contacts of the stand.
+        stand: Stand.
+        ratios: Stiffness of each joint relative to the tested value, shape (nu,).
+        feet: Slip law.
+
+    Attributes:
+        problem: Reason why the robot does not stand with the value that `follow` tested last; None
+            if it stands.
+        lost: Values for which continuation has found no stable equilibrium [N m/rad].
+    """
+
+    def __init__(self, robot: Robot, stand: Stand, ratios: Array, feet: Feet) -> None:
+        self._robot, self._stand, self._ratios, self._feet = robot, stand, ratios, feet
+        self._path: HomotopyPath | None = None
+        self._anchors: dict[str, Anchor] = {}
+        self._poses: dict[float, tuple[Solution, SteadyState]] = {}
+        self._durations: dict[float, float] = {}
+        self.problem: Diagnostic | None = None
+        self.lost: set[float] = set()
+
+    def stands(self, value: float) -> bool:
+        """Return True if the robot stands without feed-forward with kp [N m/rad] times ratios."""
+        return math.isinf(self.measure_duration(value))
+
+    def measure_duration(self, value: float) -> float:
+        """Return how long the robot stands [s] with kp [N m/rad]; 0, or infinite if it stands."""
+        if self._path is None:
+            return math.inf if self.follow(value) else 0.0
+        if not self.stands_at_first(value):
+            return 0.0
+        if value not in self._durations:
+            solution, pose = self._poses[value]
+            self._set_stiffness(self._path, value, solution)
+            self._durations[value] = simulate_creep(self._path, pose)
+        return self._durations[value]
+
+    def follow(self, value: float) -> bool:
+        """Test kp [N m/rad] by removing feed-forward; keep the equilibrium if the robot stands."""
+        try:
+            path = make_homotopy_path(self._robot, self._stand, value * self._ratios, self._feet)
+            path.follow(1.0)
+        except NoEquilibriumError as error:
+            self.problem = error.diagnostic
+            return False
+        anchors, solution = dict(path.system.anchors), path.solution
+        pose = collect_steady_state(path, math.inf)
+        self.problem = describe_sag_failure(self._robot, self._stand, pose)
+        if self.problem is None and math.isfinite(lasts := simulate_creep(path, pose)):
+            self.problem = diagnose("creep-ends-it", after=Quantity(lasts, "s"))
+        if self.problem is None:
+            self._path, self._anchors = path, anchors
+            self._poses, self._durations = {value: (solution, pose)}, {value: math.inf}
+            self.lost.clear()
+        return self.problem is None
+
+    def stands_at_first(self, value: float) -> bool:
+        """Return True if the robot stands with kp [N m/rad] before the feet creep."""
+        if self._path is None:
+            return self.follow(value)
+        if value in self._poses or value in self._durations:
+            return True
+        solution = self._continue(self._path, value)
+        if solution is None:
+            self.lost.add(value)
+            return False
+        if self._path.system.find_violations(solution):  # a contact opens or closes
+            kp = value * self._ratios
+            if find_sag_failure(self._robot, self._stand, kp=kp, feet=self._feet) is not None:
+                return False
+            self._durations[value] = math.inf
+            return True
+        self._path.solution = solution
+        pose = collect_steady_state(self._path, math.inf)
+        if describe_sag_failure(self._robot, self._stand, pose) is not None:
+            return False
+        self._poses[value] = solution, pose
+        return True
+
+    def _set_stiffness(self, path: HomotopyPath, value: float, solution: Solution) -> None:
+        """Set the stiffness of a path to kp [N m/rad] times ratios, at an equilibrium, no creep."""
+        path.reset_creep(self._anchors)
+        path.system.kp = np.where(path.system.kp > 0, value * self._ratios, 0.0)
+        path.solution = solution
+        path.remove_feedforward()
+
+    def _continue(self, path: HomotopyPath, value: float) -> Solution | None:
+        """Return the stable equilibrium with kp [N m/rad], continued from the nearest known one.
+
+        The contacts of the first equilibrium are kept. Steps of the logarithm of kp are halved if
+        Newton's method fails, or if it finds an unstable equilibrium; None if a step becomes
+        shorter than `_LEAST_STEP`.
+        """
+        at = min(self._poses, key=lambda known: abs(math.log(known / value)))
+        solution = self._poses[at][0]
+        step = math.log(value / at)
+        while at != value:
+            last = abs(math.log(value / at)) <= abs(step)
+            target = value if last else at * math.exp(step)
+            self._set_stiffness(path, target, solution)
+            found = path.system.solve(solution, exact=False)
+            if found is not None and path.linearise(found)[1] > 0:
+                at, solution, step = target, found, 2 * step
+            elif abs(step := step / 2) < _LEAST_STEP:
+                return None
+        return solution

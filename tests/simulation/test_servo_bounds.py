@@ -1,0 +1,57 @@
+"""Bounds of the servo gains of a stand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.simulation.controlled_stand import ControlledStand
+from pupper_analysis.simulation.rollout import make_stand_start
+from pupper_analysis.simulation.servo_bounds import bound_servo_gains
+from pupper_analysis.stance.sag.stiffness import minimum_stiffness
+from tests.support.variants import load
+
+
+@pytest.mark.slow
+def test_bounds_contain_the_gains_of_v3() -> None:
+    """References: `minimum_stiffness`; the modes of the controlled stand on both sides of the
+    bound. Bare MuJoCo stands from 2.25 to 2.38 N m/rad."""
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot)
+    bounds = bound_servo_gains(robot, stand)
+    least = minimum_stiffness(robot, stand)
+    assert bounds.uniform
+    assert bounds.holding_kp_factor is None
+    assert [one.name for one in bounds.classes] == ["leg_*_1", "leg_*_2", "leg_*_3"]
+    assert all(one.least_kp == pytest.approx(least, rel=0.01) for one in bounds.classes)
+    most = bounds.classes[0].largest_kd
+    assert most is not None
+    assert 2.5 < most < 3.0
+    loop = ControlledStand(make_stand_start(robot, stand))
+    kp = np.full(12, 5.0)
+    assert loop.is_stable(kp, np.full(12, 0.97 * most))
+    assert not loop.is_stable(kp, np.full(12, 1.03 * most))
+
+
+@pytest.mark.slow
+def test_servos_that_are_too_soft_get_a_stiffness_that_stands() -> None:
+    """Reference: a simulation with the stated stiffness, without feed-forward; another with the
+    given stiffness."""
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot)
+    bounds = bound_servo_gains(robot, stand, kp=2.0, stands=False)
+    least, holding = bounds.least_kp_factor, bounds.holding_kp_factor
+    assert least is not None
+    assert holding is not None
+    assert 1 < least < holding
+    assert pa.verify_stand(robot, stand, kp=2.0 * holding, feedforward=False).stays
+    assert not pa.verify_stand(robot, stand, kp=2.0, feedforward=False).stays
+
+
+def test_servos_without_damping_have_no_largest_damping() -> None:
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot)
+    bounds = bound_servo_gains(robot, stand, kp=5.0, kd=0.0)
+    assert bounds.largest_kd_factor is None
+    assert all(one.largest_kd is None for one in bounds.classes)

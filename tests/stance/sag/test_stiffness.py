@@ -1,0 +1,46 @@
+"""Least stiffness without feed-forward, against the path on which feed-forward is removed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.stance.sag.steady_state import find_sag_failure
+from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, minimum_stiffness
+from tests.support.variants import load
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_least_stiffness_is_the_end_of_the_stiffnesses_that_stand(name: str) -> None:
+    """Reference: `find_sag_failure`, which removes the feed-forward for each kp, without
+    continuation from another kp."""
+    robot = load(name)
+    stand = pa.solve_stand_as_simulated(robot)
+    least = minimum_stiffness(robot, stand)
+    assert find_sag_failure(robot, stand, kp=least) is None
+    assert find_sag_failure(robot, stand, kp=0.99 * least) is not None
+    assert estimate_minimum_stiffness(robot, stand) == pytest.approx(least, rel=0.01)
+
+
+@pytest.mark.slow
+def test_ratios_scale_the_stiffness_of_each_joint() -> None:
+    """Reference: the same ratios times a constant; `find_sag_failure` with the scaled kp."""
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot)
+    ratios = np.tile([1.0, 1.0, 2.0], 4)
+    least = minimum_stiffness(robot, stand, ratios=ratios)
+    assert minimum_stiffness(robot, stand, ratios=4 * ratios) == pytest.approx(least / 4, rel=0.01)
+    assert find_sag_failure(robot, stand, kp=least * ratios) is None
+    assert find_sag_failure(robot, stand, kp=0.98 * least * ratios) is not None
+    assert least < minimum_stiffness(robot, stand)
+
+
+@pytest.mark.parametrize("ratios", [np.ones(3), -np.ones(12), np.zeros(12), np.full(12, np.nan)])
+def test_invalid_ratios_are_refused(ratios: np.ndarray) -> None:
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask())
+    with pytest.raises(ConfigurationError, match="12 finite ratios"):
+        minimum_stiffness(robot, stand, ratios=ratios)
