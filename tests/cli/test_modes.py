@@ -111,7 +111,7 @@ USED: dict[str, set[str]] = {
     "fit": {
         *("stands", "logs", "count", "added_at", "record", "bridge", "priors", "anyway", "kp"),
     },
-    "gains": _SERVO | _LOAD | {"rate", "delay", "error", "encoder_bits"},
+    "gains": _SERVO | _LOAD | {"rate", "delay", "error", "encoder_bits", "folder"},
     "hold": _SERVO | _LOAD | {"positions", "tool"},
     "live": {*("language", "host", "no_browser", "viewer", "dropped"), *_POLICY} - {"seeds"},
     "path": _SERVO | _LOAD | {"seconds"},

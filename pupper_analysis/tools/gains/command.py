@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import click
 
+from pupper_analysis.base.kinds import Folder
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
+
+if TYPE_CHECKING:
+    from pupper_analysis.tools.gains.gains import GainStudy
+
+GAINS_FOLDER = Folder({})
+"""Output folder of ``--write``: it contains copies of the robot's files only."""
 
 
 @shared.command("gains")
@@ -38,6 +47,12 @@ from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
     metavar="N",
     help="Resolution of the joint encoders, 2^N counts per turn; e.g. 14.",
 )
+@shared.output_option(
+    "--write",
+    "folder",
+    holds=GAINS_FOLDER,
+    help="Write copies of the robot's files with the recommended gains to this folder.",
+)
 @robot_and_task
 @shared.figure_option
 @shared.json_option
@@ -49,6 +64,7 @@ def command(
     delay: float,
     error: float | None,
     encoder_bits: int | None,
+    folder: Path | None,
     figure: Path | None,
     json_path: Path | None,
     report_path: Path | None,
@@ -65,6 +81,7 @@ def command(
       pupper-analysis gains v3 --rate 500 --delay 4ms --encoder-bits 14
       pupper-analysis gains v3-heavy --kp 8 --kd 0.2 --error 10deg \\
         --figure gains.png
+      pupper-analysis gains go1.urdf go1.xml --write tuned/
 
     Exit status: 0 the present gains are within all bounds, 1 they are not, 2 bad input.
     """  # noqa: D301 - click reads the \b
@@ -91,4 +108,29 @@ def command(
         gain_figure(result, figure)
         shared.confirm_written(figure)
     shared.write_page(report_path, result, [robot])
+    if folder is not None:
+        _write_files(request, words, result, folder)
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+def _write_files(
+    request: RobotAndTask, words: tuple[str, ...], study: GainStudy, folder: Path
+) -> None:
+    """Write the recommended gains into copies of the files of the selected robot."""
+    from pupper_analysis.cli.robots import load_selected_robot
+    from pupper_analysis.prepare.convert.files import RobotFiles
+    from pupper_analysis.tools.gains.write import write_gains
+
+    selection = request.which.select_robot(words) or "v3"
+    # Without payload: the files state the robot alone.
+    robot = load_selected_robot(
+        selection, fixed_base=request.fixed_base, as_is=request.as_is, visuals=False
+    )
+    with TemporaryDirectory() as temporary:
+        files = None
+        if not isinstance(selection, RobotFiles):  # a derived variant has no files of its own
+            from pupper_analysis.pupper.variant_files import write_variant
+
+            files = write_variant(selection, temporary)
+        write_gains(study, robot, folder, files=files)
+    shared.confirm_written(folder)

@@ -1,0 +1,52 @@
+"""Write the recommended gains of a study into copies of the robot's files.
+
+Only the gains of the servos change; all other bytes of the files are copied.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.files import write_all
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.gains.gains import GainStudy
+from pupper_analysis.tools.sync.frames import Key
+from pupper_analysis.tools.sync.numbers import WrittenNumbers, write_numbers
+
+_NUM_DIGITS = 3
+"""Significant digits of the written gains: their bounds are known to 0.5 %."""
+
+
+def write_gains(
+    study: GainStudy,
+    robot: Robot,
+    folder: Path,
+    *,
+    files: tuple[Path | None, Path | None] | None = None,
+) -> WrittenNumbers:
+    """Write the recommended kp and kd of each joint into copies of the robot's files.
+
+    Args:
+        study: Gains of the robot.
+        robot: Robot, as loaded from its files.
+        folder: Output folder.
+        files: URDF and MJCF, if different from the files from which the robot was loaded.
+
+    Raises:
+        ConfigurationError: If the study has no recommendation.
+        ModelError: If a gain cannot be written, for example because the MJCF has no position servo
+            at a joint.
+        OutputError: If a file cannot be written.
+    """
+    numbers: dict[Key, float] = {}
+    for one in study.classes:
+        if one.recommended_kp is None or one.recommended_kd is None:
+            raise ConfigurationError("write", diagnose("no-recommended-gains"))
+        for joint in one.joints:
+            numbers["kp", joint] = float(f"{one.recommended_kp:.{_NUM_DIGITS}g}")
+            numbers["kd", joint] = float(f"{one.recommended_kd:.{_NUM_DIGITS}g}")
+    written = write_numbers(robot, numbers, files=files)
+    write_all(written.make_writings(folder))
+    return written
