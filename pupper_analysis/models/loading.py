@@ -127,6 +127,8 @@ def read_model(
             with another file than a xacro file.
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
+        UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
+            argument.
         OutputError: If the run will write the file.
     """
     if is_object(path):
@@ -158,7 +160,9 @@ def read_as_urdf(
     Raises:
         ConfigurationError: If ``model`` is neither a path nor a robot in memory.
         ModelError: If the file cannot be read, or is not a URDF.
+        UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
+        OutputError: If the run will write the file.
     """
     reader = reader_of(model)
     if reader is not None:
@@ -179,7 +183,9 @@ def read_as_mjcf(
     Raises:
         ConfigurationError: If ``model`` is neither a path nor a robot in memory.
         ModelError: If the file cannot be read, or is not an MJCF.
+        UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
+        OutputError: If the run will write the file.
     """
     reader = reader_of(model)
     if reader is not None:

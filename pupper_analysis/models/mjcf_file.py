@@ -721,6 +721,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
         ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded, or MuJoCo does not compile it. The message is a
             single line with location and reason.
+        OutputError: If the run will write this file.
     """
     check_type("mjcf", path, str | Path)
     path = Path(path)

@@ -159,6 +159,7 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
         ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
+        OutputError: If the run will write this file.
     """
     check_type("urdf", path, str | Path)
     path = Path(path)

@@ -55,7 +55,12 @@ numbers are refused. Products of six such numbers do not overflow."""
 
 
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
-    """Return the text of a file, and the root element without comments and default namespace."""
+    """Return the text of a file, and the root element without comments and default namespace.
+
+    Raises:
+        ModelError: If the file cannot be read, or as for `parse_file_text`.
+        OutputError: If the run will write this file.
+    """
     text = _read_model_text(path)
     return text, parse_file_text(path, text)
 

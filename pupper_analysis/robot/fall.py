@@ -117,8 +117,8 @@ class BodyMotion:
         end_height: CoM height above the ground at the end (m).
         lean: Angle between the base's vertical axis at reset and at the end (rad).
         away: Horizontal distance of the CoM at the end from the CoM at reset (m).
-        diverged: Whether MuJoCo reset the state because the state was no longer finite, or stopped
-            with an error.
+        diverged: Whether MuJoCo reset the state because of numbers that were not finite or too
+            large, or stopped with an error.
         clearance: Vertical distance of the robot's lowest point from the ground at reset (m);
             negative if the point penetrates the ground.
         lies: Whether the robot ends on the base or hips, or on no end of a limb. Then the drop by
@@ -224,7 +224,7 @@ def simulate_held_keyframe(
 
 
 def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
-    """Return True if MuJoCo has reset the state because numbers were not finite.
+    """Return True if MuJoCo has reset the state: numbers were not finite, or too large.
 
     MuJoCo's warning counters are evaluated: the time alone does not show a reset in the first step.
     """

@@ -443,7 +443,7 @@ class SagEquilibrium:
         self.target: Array = np.minimum(np.maximum(target, low), high)
 
     def torques(self, qpos: Array) -> Array:
-        """Compute the servo torques at a configuration, (nu,) [N m], clipped to effort limits."""
+        """Compute servo torques at a configuration, (nu,) [N m, N], clipped to effort limits."""
         unlimited = self.kp * (self.target - qpos[-len(self.kp) :])
         torques: Array = np.minimum(np.maximum(unlimited, self.lower), self.upper)
         return torques
