@@ -54,8 +54,9 @@ def solve_stand(
     """Solve a stand task within the joint limits.
 
     PlaCo solves a sequence of QPs on the floating base. The initial guesses are ``start``, home,
-    the middle of the joint ranges, and then the IK branches of the legs (`stance.branches`). With a free CoM or redundant joints, a nonlinear program of all constraints
-    follows (`stance.programme`).
+    the middle of the joint ranges, and then the IK branches of the legs (`stance.branches`). With a
+    free CoM or redundant joints, a nonlinear program of all constraints follows
+    (`stance.programme`).
 
     Args:
         robot: Robot with a floating base.

@@ -124,4 +124,5 @@ def test_plot_of_a_posture_is_that_of_its_stand_or_its_links(tmp_path: Path) -> 
         assert np.linalg.norm(drawn / 1e3 - [-y, x], axis=1).min() < 1e-9
     with pytest.raises(pa.ConfigurationError, match=r"result\.plot\(robot\)"):
         pickle.loads(pickle.dumps(posture)).plot()
+    assert posture.stand is not None
     assert len(posture.stand.plot(arm)) == 2
