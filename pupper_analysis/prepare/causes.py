@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.models.additions import Ball
-from pupper_analysis.models.mjcf import scalar_joints
+from pupper_analysis.models.mjcf import JointKind, scalar_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import (
     Drive,
@@ -56,6 +56,12 @@ Chosen, not tuned."""
 _LOCKING_DAMPING = 1e6
 """Damping that locks a joint in a test simulation [N m s/rad, N s/m]. Under 1 N a locked slide
 moves by 1 um/s. Chosen, not tuned."""
+
+
+_LOCKING_BALL_DAMPING = 1e4
+"""Damping that locks a ball joint in a test simulation [N m s/rad]. Measured on a quadruped with
+ball joints in its ankles (feet of 0.05 kg): the stand agrees with that of locked ankles within
+0.1 % of torque from 1e2 to 1e4, and the simulation diverges at 1e6."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +104,7 @@ _XML_SECTIONS = {
     "angles-to-motors": "key",
     "actuatorfrcrange": "joint",
     "loose-joints": "joint",
+    "ball-joints": "joint",
     "spring": "joint",
     "range": "joint",
 }
@@ -506,15 +513,20 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 
 
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield a candidate cause of a deviation of the published model: loose joints.
+    """Yield candidate causes of a deviation of the published model: loose joints, ball joints.
 
     They move in the file, but the loaded robot holds them at zero.
     """
-    model, loose = published.model, list_unmatched_joints(published, robot)
-    named = _name_elements(model, _OBJECT_TYPE.mjOBJ_JOINT, loose)
-    yield from _yield_if_any(
-        "loose-joints", named, "dof_damping", model.jnt_dofadr[loose], _LOCKING_DAMPING
-    )
+    model, unmatched = published.model, list_unmatched_joints(published, robot)
+    balls = [joint for joint in unmatched if model.jnt_type[joint] == JointKind.BALL]
+    loose = [joint for joint in unmatched if joint not in balls]
+    for code, joints, size, damping in (
+        ("loose-joints", loose, 1, _LOCKING_DAMPING),
+        ("ball-joints", balls, 3, _LOCKING_BALL_DAMPING),
+    ):
+        named = _name_elements(model, _OBJECT_TYPE.mjOBJ_JOINT, joints)
+        dofs = [int(model.jnt_dofadr[joint]) + axis for joint in joints for axis in range(size)]
+        yield from _yield_if_any(code, named, "dof_damping", dofs, damping)
 
 
 def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:

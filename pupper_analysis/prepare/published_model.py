@@ -26,7 +26,7 @@ from pupper_analysis.models.additions import (
     apply_additions,
 )
 from pupper_analysis.models.conversion import UrdfImport
-from pupper_analysis.models.mjcf import compile_spec, name_elements, scalar_joints, silence_mujoco
+from pupper_analysis.models.mjcf import JointKind, compile_spec, name_elements, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, compile_with_shells
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.spec_tree import SpecTree
@@ -703,14 +703,14 @@ def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tupl
 
 
 def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
-    """Return the ids of hinges and slides of a published model that the robot's model lacks.
+    """Return the ids of hinges, slides and ball joints of a model that the robot's model lacks.
 
     The preparation holds these joints at zero. Joints of the base body are excluded.
     """
     model = published.model
     return [
         joint
-        for joint in scalar_joints(model).tolist()
+        for joint in np.flatnonzero(model.jnt_type != JointKind.FREE).tolist()
         if int(model.jnt_bodyid[joint]) != published.base_body
         and mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, model.joint(joint).name)
         < 0

@@ -499,9 +499,10 @@ def name_remaining_cause(
 ) -> tuple[OwnRun | None, Published | None]:
     """Add the most probable cause to a failed simulation for which no other cause was found.
 
-    If the run from the keyframe fails, the cause is the stiffness of the servos if the robot stands
-    with stiffer servos, otherwise a joint (see `_deviating_joint`) or the divergence of the
-    simulation. If only the comparison with the prediction fails, the cause is the joint that
+    If the file has ball joints, which the prepared robot holds at rest, they are the cause.
+    Otherwise: if the run from the keyframe fails, the cause is the stiffness of the servos if the
+    robot stands with stiffer servos, otherwise a joint (see `_deviating_joint`) or the divergence
+    of the simulation. If only the comparison with the prediction fails, the cause is the joint that
     deviates most.
 
     Args:
@@ -513,14 +514,32 @@ def name_remaining_cause(
         ``own`` with a cause if it fails; otherwise ``published`` with a cause if its worst run
         deviates. The other result is returned unchanged.
     """
+    balls = list_ball_joints(robot)
     if own is not None and own.fails:
         return replace(
-            own, causes=robot.compute_once(_test_soft_servos) or _deviating_joint(own)
+            own, causes=balls or robot.compute_once(_test_soft_servos) or _deviating_joint(own)
         ), published
     run = None if published is None else published.worst
     if published is None or run is None or run.agrees_with_equilibrium:
         return own, published
-    return own, replace(published, causes=(Cause("gives-way", (run.worst_joint,)),))
+    return own, replace(published, causes=balls or (Cause("gives-way", (run.worst_joint,)),))
+
+
+def list_ball_joints(robot: Robot) -> tuple[Cause, ...]:
+    """Return the ball joints of the file as a cause of a failure; empty without ball joints."""
+    loaded = get_loaded_robot(robot)
+    model = loaded.compute_once(get_published_model)
+    if model is None:
+        return ()
+    published = PublishedModel.from_model(model, loaded)
+    return add_lines(
+        [
+            candidate.make_cause(0.0)
+            for candidate in list_difference_causes(published, loaded)
+            if candidate.code == "ball-joints"
+        ],
+        loaded,
+    )
 
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:

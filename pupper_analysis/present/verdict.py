@@ -495,6 +495,7 @@ _CAUSE_MESSAGES = {
     "motors-elsewhere": "motors-elsewhere-push",
     "timeconst": "timeconst-too-long",
     "loose-joints": "loose-joints-move",
+    "ball-joints": "ball-joints-move",
     "shapes-beside-feet": "shapes-kept-from-ground",
     "obstacles": "obstacles-touch",
     "balls": "balls-for-meshes",
