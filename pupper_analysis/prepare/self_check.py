@@ -61,7 +61,12 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import InitialHeight, measure_motion, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos, resolve_servo_gains
-from pupper_analysis.simulation.verify import JOINT_TOLERANCE, friction_and_deadband, torque_scale
+from pupper_analysis.simulation.verify import (
+    JOINT_TOLERANCE,
+    find_worst_unit,
+    friction_and_deadband,
+    torque_scale,
+)
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -439,6 +444,7 @@ def simulate_prediction(
         differs=collapses or not (alike and torque <= TORQUE_RTOL),
         imported=robot.published is not None and robot.published.imported is not None,
         worst_joint=_worst_joint(robot, moved, torque_deviations, collapses=collapses),
+        joint_error_unit=find_worst_unit(robot, moved),
         _keeps_moving=torque_change > TORQUE_RTOL,
     )
 

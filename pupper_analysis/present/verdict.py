@@ -442,7 +442,7 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
     """Yield statements on simulations of the published file that deviate from the computed stand.
 
     The first statement is on the worst of these simulations: a collapse, or the deviations in
-    torque, joint angle [rad] and CoM height [m]. Each cause is a further statement.
+    torque, joint position [rad, m] and CoM height [m]. Each cause is a further statement.
     """
     if published is None:
         return
@@ -452,7 +452,7 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
     elif run is not None:
         height = None if run.height_error is None else Quantity(run.height_error, "m")
         torque = Quantity(run.torque_error, "1")
-        joint = Quantity(run.joint_error, "rad")
+        joint = Quantity(run.joint_error, run.joint_error_unit)
         message = diagnose("off-as-published", torque=torque, joint=joint, height=height)
         yield Clause(False, message)
     for cause in published.causes:

@@ -249,7 +249,7 @@ class PublishedRun:
         torque_error: Largest torque deviation within the last second, relative to the largest
             computed torque.
         height_error: Final minus computed height of the CoM (m); None if the base is fixed.
-        joint_error: Largest joint deviation (rad; m for a slide).
+        joint_error: Largest joint deviation.
         collapses: Whether the robot has fallen, sunk or risen by ``MAX_HEIGHT_LOSS_RATIO`` (in
             ``robot.fall``) of its height, travelled by its height, or diverged. For a fixed base,
             whether a joint has left the posture.
@@ -257,17 +257,19 @@ class PublishedRun:
         imported: Whether the model is MuJoCo's import of a URDF.
         worst_joint: Joint with the largest displacement if the robot collapses, otherwise with the
             largest torque deviation.
+        joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
     """
 
     feedforward: bool
     duration: float = field(metadata={"unit": "s"})
     torque_error: float = field(metadata={"unit": "1"})
     height_error: float | None = field(metadata={"unit": "m"})
-    joint_error: float = field(metadata={"unit": "rad"})
+    joint_error: float = field(metadata={"unit": "rad or m"})
     collapses: bool
     differs: bool
     imported: bool = False
     worst_joint: str = ""
+    joint_error_unit: str = "rad"
     _keeps_moving: bool = False
 
     @property

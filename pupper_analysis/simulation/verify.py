@@ -159,7 +159,8 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         tilt: Angle between the base's orientation at the end and that of the task (rad).
         foot_slip: {foot: settled distance from the target} along the ground or along the foot's
             plane (m).
-        joint_error: Largest deviation of a joint from the stand in that second (rad).
+        joint_error: Largest deviation of a joint from the stand in that second.
+        joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
         joint_positions: (nu,) settled joint positions (rad, m).
         joint_torques: (nu,) settled motor torques (N m).
         predicted_torques: (nu,) predicted motor torques (N m).
@@ -191,7 +192,8 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
     contact_sag: float = field(metadata={"unit": "m"})
     tilt: float = field(metadata={"unit": "rad"})
     foot_slip: dict[str, float] = field(metadata={"unit": "m"})
-    joint_error: float = field(metadata={"unit": "rad"})
+    joint_error: float = field(metadata={"unit": "rad or m"})
+    joint_error_unit: str
     joint_positions: Array = field(metadata={"unit": "rad or m"})
     joint_torques: Array = field(metadata={"unit": "N m"})
     predicted_torques: Array = field(metadata={"unit": "N m"})
@@ -495,7 +497,7 @@ def _compare_with_prediction(
     height_loss = float(stand.qpos[2]) - base_height if robot.floating else 0.0
     contact_sag = stand.base_drop(robot, drops)
     joints = settled[:, 1 + robot.mj_convention.qpos_index[-robot.nu :]]
-    joint_error = float(np.abs(joints - stand.joint_positions(robot)).max())
+    joint_deviations = np.abs(joints - stand.joint_positions(robot)).max(axis=0)
     torque_deviation = float(np.abs(record.torques - prediction.joint_torques).max())
     predicted = robot.per_foot(prediction.contact_forces)
     normals = stand.lift_directions(robot)
@@ -534,7 +536,8 @@ def _compare_with_prediction(
             )
             for foot in robot.feet_with(drops)
         },
-        joint_error=joint_error,
+        joint_error=float(joint_deviations.max()),
+        joint_error_unit=find_worst_unit(robot, joint_deviations),
         joint_positions=joints.mean(axis=0),
         joint_torques=record.torques,
         predicted_torques=prediction.joint_torques,
@@ -629,7 +632,7 @@ def _compare_with_equilibrium(
         torques,
         float(deadband.max()),
         friction.max() / scale,
-        unit=_worst_unit(robot, moved),
+        unit=find_worst_unit(robot, moved),
     )
     return (
         [*messages, *describe_drive_limits(robot, result, settled.joint_torques, joints)]
@@ -638,7 +641,7 @@ def _compare_with_equilibrium(
     )
 
 
-def _worst_unit(robot: Robot, deviations: Array) -> str:
+def find_worst_unit(robot: Robot, deviations: Array) -> str:
     """Return the unit of the largest of the joint deviations, shape (nu,): rad or m."""
     worst = int(np.argmax(np.nan_to_num(deviations, nan=np.inf)))
     return joint_unit(robot, robot.joint_names[worst])
@@ -750,7 +753,7 @@ def _find_deviations(
     }
     moved = np.abs(result.joint_positions - stand.joint_positions(robot))
     messages = describe_deviations(
-        result.joint_error, result.torque_error, details=details, unit=_worst_unit(robot, moved)
+        result.joint_error, result.torque_error, details=details, unit=find_worst_unit(robot, moved)
     )
     if result.force_error is not None and not result.force_error < FORCE_TOLERANCE:
         messages.append(diagnose("foot-force-off", error=result.force_error))

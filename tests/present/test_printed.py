@@ -24,9 +24,12 @@ from pupper_analysis.present.document import (
     number_cell,
 )
 from pupper_analysis.present.documents.registry import build_document, build_report
+from pupper_analysis.present.documents.standing import run_rows
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.html.write import write_report
 from pupper_analysis.present.markdown import write_markdown
+from pupper_analysis.present.verdict import make_published_clauses
+from pupper_analysis.robot.as_published import Published, PublishedRun
 from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.tools.analyze import document as comparison
 from pupper_analysis.tools.stand.document import stance_document
@@ -143,3 +146,26 @@ def test_plot_of_a_new_result_is_drawn_as_a_figure(wear: FootWear, tmp_path: Pat
     write_plots([plot], tmp_path / "wear.png")
     drawn = imread(tmp_path / "wear.png")[..., :3].min(axis=-1) < 0.9
     assert 0.01 < drawn.mean() < 0.5
+
+
+def test_joint_error_of_a_slide_is_a_length() -> None:
+    """The stub deviates by 0.091 mm; another run deviates at a hinge, by 0.091 mrad."""
+    slides = run(0.0, passed=True)
+    slides.joint_error_unit = "m"
+    assert _joint_error_rows(slides) == ["0.091 mm"]
+    assert _joint_error_rows(slides, run(0.0, passed=True)) == ["- 0.0052 °", "0.091 - mm"]
+    published = PublishedRun(True, 5.0, 0.5, None, 0.02, False, True, joint_error_unit="m")
+    (clause,) = make_published_clauses(Published((published,), (), True))
+    assert str(clause.message) == "as published, torques are off by 50 %, a joint by 20 mm"
+
+
+def _joint_error_rows(*runs: Stub) -> list[str]:
+    """Return the printed rows of joint errors, without the name of the quantity."""
+    columns = tuple(Column(Name(str(index))) for index in range(len(runs) + 2))
+    table = Table(Name("runs"), columns, run_rows(runs, ("joint-error",)))
+    lines = printing.printed(Document(Name(""), Name(""), (table,))).splitlines()
+    return [
+        re.sub(" +", " ", line[len("joint error") :]).strip()
+        for line in lines
+        if line.startswith("joint error")
+    ]

@@ -87,6 +87,7 @@ def run(shift: float, *, passed: bool) -> Stub:
         tilt=math.radians(0.6666) + shift,
         foot_slip={"FR": 0.0000777, "RL": 0.0001888 + shift},
         joint_error=9.1e-5 + shift,
+        joint_error_unit="rad",
         joint_torques=np.array([0.3333, -0.4444]),
         torque_error=0.01234 + shift,
         force_error=0.02356 + shift,

@@ -178,15 +178,25 @@ def run_rows(
         runs: Simulations, or other results with the same quantities, such as ``SteadyState``.
         names: Catalogue keys of the quantities. Default: all.
     """
-    return tuple(
-        (
-            text(name),
-            *(doc.number_cell(of(run), format, scale=scale) for run in runs),
-            doc.Name(unit),
-        )
-        for name, unit, of, format, scale in _RUN_QUANTITIES
-        if names is None or name in names
-    )
+    rows: list[tuple[doc.Cell, ...]] = []
+    for name, unit, of, format, scale in _RUN_QUANTITIES:
+        if names is not None and name not in names:
+            continue
+        values = [of(run) for run in runs]
+        if name == _JOINT_ERROR and values.count(None) == len(values):
+            continue  # the joints that are off the most are hinges, or slides
+        cells = (doc.number_cell(value, format, scale=scale) for value in values)
+        rows.append((text(name), *cells, doc.Name(unit)))
+    return tuple(rows)
+
+
+def _get_joint_error(run: StandVerification, unit: str) -> float | None:
+    """Return the joint error of a simulation [rad, m]; None if the error has another unit."""
+    return run.joint_error if run.joint_error_unit == unit else None
+
+
+_JOINT_ERROR = "joint-error"
+"""Catalogue key of the joint error, whose unit depends on the joint."""
 
 
 def simulated_table(run: StandVerification) -> doc.Table:
@@ -221,7 +231,8 @@ _RUN_QUANTITIES: tuple[
     ("drift-of-height-last-second", "mm/s", lambda run: run.height_drift, "+.4f", 1e3),
     ("tilt-against-the-task", "°", lambda run: math.degrees(run.tilt), ".4f", 1.0),
     ("foot-slip", "mm", lambda run: max(run.foot_slip.values(), default=0.0), ".4f", 1e3),
-    ("joint-error", "°", lambda run: math.degrees(run.joint_error), ".2g", 1.0),
+    (_JOINT_ERROR, "°", lambda run: _get_joint_error(run, "rad"), ".2g", math.degrees(1.0)),
+    (_JOINT_ERROR, "mm", lambda run: _get_joint_error(run, "m"), ".2g", 1e3),
     ("torque-off-prediction-of-the-largest", "%", lambda run: run.torque_error, ".3f", 100.0),
     ("vertical-foot-force-off-prediction", "%", lambda run: run.force_error, ".3f", 100.0),
 )
