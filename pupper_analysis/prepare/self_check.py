@@ -37,6 +37,8 @@ from pupper_analysis.prepare.own_run import (
     simulate_model_from_keyframe,
 )
 from pupper_analysis.prepare.published_model import (
+    FORCE_WINDOW,
+    HoldCommands,
     PublishedModel,
     compute_hold_commands,
     find_self_controlled_joints,
@@ -95,6 +97,11 @@ _MAX_APPROACH_RATIO = 0.9
 the torques count as approaching the prediction, so that the simulation continues. Measured after
 the nudge of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential forces
 relax with a time constant of 6.8 s, which is a ratio of 0.75."""
+
+_MIN_LASTING_RATIO = 5.0
+"""Torque deviation from the prediction, relative to `TORQUE_RTOL`, above which the simulation of a
+changed model may end early (`_is_lasting`). Chosen, not tuned: the deviation must then still fall
+by a factor of five."""
 
 TORQUE_RTOL = 0.01
 """Largest deviation of the joint torques in a simulation of the published file from the predicted
@@ -244,28 +251,41 @@ def compare_with_file(
         (prediction, run) for prediction, run in results if run is not None and run.differs
     ]
     causes: tuple[Cause, ...] = ()
+    prepared: PublishedRun | None = None
     if differing:
-        causes = find_difference_causes(published, robot, *differing[0]) or _find_loading_causes(
-            published, robot, *differing[0]
-        )
-    if differing and not causes and _moves_like_prepared_robot(robot, *differing[0]):
+        causes = find_difference_causes(published, robot, *differing[0])
+    if differing and not causes:
+        prepared = _simulate_prepared_robot(robot, differing[0][0])
+        causes = _find_loading_causes(published, robot, *differing[0], prepared)
+    if differing and not causes and _moves_alike(*differing[0], prepared):
         shared = differing[0][1]
         runs = tuple(replace(run, differs=run.differs and run is not shared) for run in runs)
     return Published(runs, causes, differs=any(run.differs for run in runs))
 
 
-def _moves_like_prepared_robot(robot: Robot, prediction: PredictedRest, run: PublishedRun) -> bool:
+def _simulate_prepared_robot(robot: Robot, prediction: PredictedRest) -> PublishedRun | None:
+    """Simulate the model of the prepared robot like a published model (`simulate_prediction`)."""
+    model = PublishedModel.from_model(copy.copy(robot.mj_model), robot)
+    return simulate_prediction(model, robot, prediction)
+
+
+def _moves_alike(
+    prediction: PredictedRest, run: PublishedRun, prepared: PublishedRun | None
+) -> bool:
     """Return True if neither published file nor prepared robot comes to rest without feed-forward.
 
     The torques of both must also deviate alike from the prediction, within ``TORQUE_RTOL``. The
     file is then no cause: the verdict reports the failure without feed-forward, with its cause.
     Measured for the reduced Talos of example-robot-data, whose soles chatter: both deviate by
     42.3 % in torque.
+
+    Args:
+        prediction: Predicted state of rest.
+        run: Simulation of the published model.
+        prepared: Simulation of the prepared robot; None if there is none.
     """
     if prediction.feedforward or run.collapses or not run.keeps_moving:
         return False
-    model = PublishedModel.from_model(copy.copy(robot.mj_model), robot)
-    prepared = simulate_prediction(model, robot, prediction)
     return (
         prepared is not None
         and prepared.keeps_moving
@@ -274,23 +294,31 @@ def _moves_like_prepared_robot(robot: Robot, prediction: PredictedRest, run: Pub
 
 
 def _find_loading_causes(
-    published: PublishedModel, robot: Robot, prediction: PredictedRest, run: PublishedRun
+    published: PublishedModel,
+    robot: Robot,
+    prediction: PredictedRest,
+    run: PublishedRun,
+    prepared: PublishedRun | None,
 ) -> tuple[Cause, ...]:
     """Find out if a deviation from the prediction is due to the preparation, or to the two files.
 
-    The model of the prepared robot is simulated. If this simulation agrees with the prediction, the
-    changes of the preparation (`list_loading_changes`) are the cause. If the simulation deviates as
-    much as the published MJCF (as it is, or with its candidate causes switched off), URDF and MJCF
-    differ, since the prediction is computed from the URDF. The cause is then the first difference
-    that ``compare_files`` finds and that affects weight.
+    If the simulation of the prepared robot agrees with the prediction, the changes of the
+    preparation (`list_loading_changes`) are the cause. If this simulation deviates as much as the
+    published MJCF (as it is, or with its candidate causes switched off), URDF and MJCF differ,
+    since the prediction is computed from the URDF. The cause is then the first difference that
+    ``compare_files`` finds and that affects weight.
+
+    Args:
+        published: Published model.
+        robot: Prepared robot.
+        prediction: Predicted state of rest.
+        run: Simulation of the published model.
+        prepared: Simulation of the prepared robot; without it, no cause is found.
     """
     file = None if robot.published is None else robot.published.file
-    computed = simulate_prediction(
-        PublishedModel.from_model(copy.copy(robot.mj_model), robot), robot, prediction
-    )
-    if computed is None:
+    if prepared is None:
         return ()
-    if not computed.differs:
+    if not prepared.differs:
         return list_loading_changes(published, robot)
     if file is None or robot.description.converted:
         return ()
@@ -300,7 +328,7 @@ def _find_loading_causes(
     stripped = simulate_prediction(replace(published, model=model), robot, prediction)
     similar_runs = (similar for similar in (run, stripped) if similar is not None)
     if not any(
-        abs(computed.torque_error - similar.torque_error) <= TORQUE_RTOL for similar in similar_runs
+        abs(prepared.torque_error - similar.torque_error) <= TORQUE_RTOL for similar in similar_runs
     ):
         return ()
     # Imports forty modules, which few verdicts need.
@@ -371,13 +399,25 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
 
 
 def simulate_prediction(
-    published: PublishedModel, robot: Robot, prediction: PredictedRest
+    published: PublishedModel,
+    robot: Robot,
+    prediction: PredictedRest,
+    *,
+    until_decided: bool = False,
 ) -> PublishedRun | None:
     """Simulate the published model from the predicted state of rest, and compare both.
 
     The model settles for `SETTLING_TIME`, is nudged, and simulated for `NUDGED_TIME`; longer, up to
     `_MAX_NUDGED_TIME`, as long as the torques deviate, but approach the prediction. CoM height [m]
     and joint positions [rad, m] are compared at the end, and torques [N m] over the last second.
+
+    Args:
+        published: Published model.
+        robot: Prepared robot.
+        prediction: Predicted state of rest.
+        until_decided: End the simulation of a robot with a free base `_APPROACH_INTERVAL` after the
+            nudge if the deviation of the torques is large and does not fall (`_is_lasting`). The
+            numbers of the result are then those at this time.
 
     Returns:
         Comparison; None if the base cannot be placed, for example because it is fixed, or if
@@ -398,22 +438,28 @@ def simulate_prediction(
     dofs, addresses = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     driven = robot.mj_convention.actuator_index >= 0
     scale = torque_scale(robot, prediction.torques)
-    nudged_time, deviation = 0.0, np.inf
+
+    def find_torque_deviations(low: Array, high: Array) -> Array:
+        """Return the torque deviations (n,) [N m] of driven joints from extreme forces (nv,)."""
+        above, below = high[dofs] - prediction.torques, prediction.torques - low[dofs]
+        return np.asarray(np.maximum(above, below)[driven])
+
+    def find_relative_deviation(low: Array, high: Array) -> float:
+        """Return the largest torque deviation relative to the torque scale [1]."""
+        return float(find_torque_deviations(low, high).max(initial=0.0)) / scale
+
     try:
-        simulate_published(published, data, hold, SETTLING_TIME, record_forces=False)
-        data.qvel[:] += nudge_velocity(model)
-        while nudged_time < _MAX_NUDGED_TIME:
-            low, high = simulate_published(published, data, hold, _APPROACH_INTERVAL)
-            nudged_time += _APPROACH_INTERVAL
-            torque_deviations = np.maximum(
-                high[dofs] - prediction.torques, prediction.torques - low[dofs]
-            )[driven]
-            previous, deviation = deviation, float(torque_deviations.max(initial=0.0))
-            approaches = TORQUE_RTOL * scale < deviation < _MAX_APPROACH_RATIO * previous
-            if nudged_time >= NUDGED_TIME and not approaches:
-                break
+        low, high, nudged_time = _simulate_until_compared(
+            published,
+            data,
+            hold,
+            find_relative_deviation,
+            # Activations are reset at the start of each part of a simulation.
+            may_end_early=until_decided and robot.floating and not model.na,
+        )
     except mujoco.FatalError:  # for example contacts of shapes without extent
         return None
+    torque_deviations = find_torque_deviations(low, high)
     moved, stiction = np.abs(data.qpos[addresses] - qpos[-robot.nu :]), np.zeros(robot.nu)
     error, collapses, alike = None, not float(moved.max()) <= MIN_POSTURE_DEVIATION, True
     if robot.floating:
@@ -447,6 +493,63 @@ def simulate_prediction(
         joint_error_unit=find_worst_unit(robot, moved),
         _keeps_moving=torque_change > TORQUE_RTOL,
     )
+
+
+def _simulate_until_compared(
+    published: PublishedModel,
+    data: mujoco.MjData,
+    hold: HoldCommands,
+    find_deviation: Callable[[Array, Array], float],
+    *,
+    may_end_early: bool,
+) -> tuple[Array, Array, float]:
+    """Simulate a published model for `SETTLING_TIME`, nudge the model, and simulate further.
+
+    The simulation ends `NUDGED_TIME` after the nudge; later, up to `_MAX_NUDGED_TIME`, as long as
+    the torques deviate, but approach the prediction.
+
+    Args:
+        published: Published model.
+        data: Initial state; changed to the final state.
+        hold: Commands of the actuators, and external servos.
+        find_deviation: Returns the largest torque deviation from the prediction, relative to the
+            torque scale [1], for the extreme forces on the degrees of freedom.
+        may_end_early: End `_APPROACH_INTERVAL` after the nudge if the deviation `_is_lasting`.
+
+    Returns:
+        Minimum and maximum forces in the last `FORCE_WINDOW`, shape (model.nv,) each [N m, N], and
+        the simulated time after the nudge [s].
+    """
+    simulate_published(published, data, hold, SETTLING_TIME, record_forces=False)
+    data.qvel[:] += nudge_velocity(published.model)
+    nudged_time, deviation, approaches = 0.0, np.inf, True
+    while nudged_time < _MAX_NUDGED_TIME and (nudged_time < NUDGED_TIME or approaches):
+        remaining, earlier = _APPROACH_INTERVAL, None
+        if may_end_early and not nudged_time:
+            earlier = find_deviation(*simulate_published(published, data, hold, FORCE_WINDOW))
+            remaining -= FORCE_WINDOW
+        low, high = simulate_published(published, data, hold, remaining)
+        nudged_time += _APPROACH_INTERVAL
+        previous, deviation = deviation, find_deviation(low, high)
+        if earlier is not None and _is_lasting(earlier, deviation):
+            break
+        approaches = TORQUE_RTOL < deviation < _MAX_APPROACH_RATIO * previous
+    return low, high, nudged_time
+
+
+def _is_lasting(earlier: float, deviation: float) -> bool:
+    """Return True if the torques deviate much from the prediction, and do not approach it.
+
+    The deviation exceeds `_MIN_LASTING_RATIO` times the tolerance, and falls too slowly to count as
+    approaching the prediction: within `_APPROACH_INTERVAL`, by less than `_MAX_APPROACH_RATIO`.
+
+    Args:
+        earlier: Largest torque deviation in the first of two successive windows of `FORCE_WINDOW`,
+            relative to the torque scale [1].
+        deviation: Largest relative torque deviation in the second window [1].
+    """
+    ratio = float(_MAX_APPROACH_RATIO ** (FORCE_WINDOW / _APPROACH_INTERVAL))
+    return deviation > max(_MIN_LASTING_RATIO * TORQUE_RTOL, ratio * earlier)
 
 
 def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: bool) -> str:
@@ -636,7 +739,8 @@ def find_difference_causes(
         still deviates by more than a verified stand may. If the change repairs the torques, a CoM
         height error of up to `MAX_REMAINING_SINKAGE` is accepted.
         """
-        new_run = simulate_prediction(replace(published, model=model), robot, prediction)
+        changed = replace(published, model=model)
+        new_run = simulate_prediction(changed, robot, prediction, until_decided=True)
         if new_run is None or new_run.collapses:
             return None
         # Pyramidal cones with more friction make the ground stiffer: the height may change.

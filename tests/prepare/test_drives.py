@@ -168,7 +168,9 @@ def test_nominal_stand_is_compared_once(tmp_path: Path, monkeypatch: pytest.Monk
     simulated = []
     simulate = self_check.simulate_prediction
     monkeypatch.setattr(
-        self_check, "simulate_prediction", lambda *given: simulated.append(1) or simulate(*given)
+        self_check,
+        "simulate_prediction",
+        lambda *given, **options: simulated.append(1) or simulate(*given, **options),
     )
     servos = find_servos_used(robot, None, None)
     first = compare_as_published(robot, pa.solve_stand(robot), servos)

@@ -287,11 +287,44 @@ def test_a_deviation_that_the_prepared_robot_shares_is_no_difference_of_the_file
     assert run.differs
     assert run.keeps_moving
     assert not run.collapses
-    assert self_check._moves_like_prepared_robot(moving, alone, run)
-    assert not self_check._moves_like_prepared_robot(robot, alone, run)
-    assert not self_check._moves_like_prepared_robot(moving, fed, run)
+    prepared = self_check._simulate_prepared_robot(moving, alone)
+    assert self_check._moves_alike(alone, run, prepared)
+    assert not self_check._moves_alike(fed, run, prepared)
+    assert not self_check._moves_alike(alone, run, None)
+    resting = self_check._simulate_prepared_robot(robot, alone)
+    assert resting is not None
+    assert not self_check._moves_alike(alone, run, resting)
     assert not self_check.compare_with_file(published, moving, [alone]).differs
     assert self_check.compare_with_file(published, robot, [alone]).differs
+
+
+@pytest.mark.slow
+def test_a_changed_model_is_simulated_until_its_deviation_is_decided() -> None:
+    """Reference: simulations until the end. A robot of 10 % more weight needs more torque at rest.
+
+    A deviation at rest ends the simulation early. A deviation that falls, of motors that shake, and
+    the prediction itself do not.
+    """
+    robot = load("v3")
+    _, alone = self_check.predict_stand(robot, pa.solve_stand(robot))
+    heavy, shaking = (copy.copy(robot.mj_model) for _ in range(2))
+    heavy.body_mass *= 1.1
+    shaking.dof_damping[:] = shaking.dof_frictionloss[:] = 0.0
+    shaking.actuator_biasprm[:, 2] = 0.034
+    for model, differs, seconds in (
+        (heavy, True, 3),
+        (shaking, True, 5),
+        (robot.mj_model, False, 5),
+    ):
+        published = PublishedModel.from_model(copy.copy(model), robot)
+        whole = self_check.simulate_prediction(published, robot, alone)
+        brief = self_check.simulate_prediction(published, robot, alone, until_decided=True)
+        assert whole is not None
+        assert brief is not None
+        assert whole.differs is brief.differs is differs
+        assert (whole.duration, brief.duration) == (5, seconds)
+        tolerance = 0.02 if seconds < 5 else 0.0
+        assert brief.torque_error == pytest.approx(whole.torque_error, abs=tolerance, rel=0)
 
 
 def write_random_robot(seed: int, folder: Path, options: str = "") -> pa.Robot:
