@@ -53,6 +53,7 @@ from pupper_analysis.robot.fall import (
     nudge_velocity,
     simulate_held_keyframe,
     simulate_keyframe,
+    was_reset_by_mujoco,
 )
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
@@ -393,7 +394,8 @@ def _simulate_commands(
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
 
     def advance(state: mujoco.MjData, seconds: float) -> None:
-        simulate_published(published, state, hold, seconds, record_forces=False)
+        if not was_reset_by_mujoco(state):  # a reset ends the simulation
+            simulate_published(published, state, hold, seconds, record_forces=False)
 
     if robot.floating:
         motion, end = simulate_keyframe(
