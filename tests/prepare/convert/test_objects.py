@@ -8,6 +8,7 @@ import ast
 from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -335,6 +336,9 @@ def test_mjlab_spec_is_solved_to_stand(robot: str, feet: int) -> None:
     assert len(loaded.feet) == feet
     assert stand.foot_error < 1e-9
     assert len(stand.ctrl) == loaded.mj_model.nu
+    plt.switch_backend("agg")
+    assert stand.plot()[0].get_title(loc="left").startswith("from the front, forces up to")
+    plt.close("all")
     copy = pa.load_robot(model)
     np.testing.assert_allclose(pa.solve_stand(copy).qpos, stand.qpos, atol=1e-6)
 
