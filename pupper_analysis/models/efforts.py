@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar
 
@@ -114,6 +114,11 @@ class EffortStatement(Result):
         """
         low, high = (float(end) + 0.0 for end in stated)  # + 0.0: no -0.0
         return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
+
+    def scaled(self, factor: float) -> EffortStatement:
+        """Return the statement with the torques at the joint multiplied by a gear or lever arm."""
+        lower, upper = sorted((factor * self.lower + 0.0, factor * self.upper + 0.0))  # no -0.0
+        return replace(self, factor=factor * self.factor, lower=lower, upper=upper)
 
     @property
     def max_torque(self) -> float:
@@ -262,17 +267,7 @@ def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatem
     if len(actuators) != 1:
         return []
     lever = levers[actuators[0]][joint]
-    return [
-        EffortStatement.of(
-            limit.file,
-            limit.element,
-            limit.name,
-            limit.attribute,
-            limit.stated,
-            limit.factor * lever,
-        )
-        for limit in read_tendon_forces(model, actuators[0])
-    ]
+    return [limit.scaled(lever) for limit in read_tendon_forces(model, actuators[0])]
 
 
 def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
@@ -282,18 +277,7 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
     ``actuatorfrcrange`` limits the sum of the forces of its actuators, and is left out if there are
     several.
     """
-    gear = float(actuator_gear(model, actuator)[0])
-    found = [
-        EffortStatement.of(
-            limit.file,
-            limit.element,
-            limit.name,
-            limit.attribute,
-            limit.stated,
-            limit.factor / gear,
-        )
-        for limit in read_actuator_efforts(model, actuator)
-    ]
+    found = _read_actuator_forces(model, actuator)
     tendon = int(model.actuator_trnid[actuator, 0])
     at_tendons = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value
     is_alone = np.count_nonzero(at_tendons & (model.actuator_trnid[:, 0] == tendon)) == 1
@@ -403,14 +387,16 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
     They follow from ``forcerange``, and for a torque motor also from ``ctrlrange``.
     """
-    found, name = [], str(model.actuator(actuator).name)
     gear = float(actuator_gear(model, actuator)[0])
+    return [limit.scaled(gear) for limit in _read_actuator_forces(model, actuator)]
+
+
+def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
+    """Return the limits of the force of an actuator [N], without its gear."""
+    found, name = [], str(model.actuator(actuator).name)
     if model.actuator_forcelimited[actuator]:
-        found.append(
-            EffortStatement.of(
-                "MJCF", "actuator", name, "forcerange", model.actuator_forcerange[actuator], gear
-            )
-        )
+        range_ = model.actuator_forcerange[actuator]
+        found.append(EffortStatement.of("MJCF", "actuator", name, "forcerange", range_))
     plain = (
         model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE.value
         and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED.value
@@ -418,11 +404,9 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
     )
     control = int(model.actuator_ctrladr[actuator])
     if plain and model.actuator_ctrllimited[control]:
-        factor = float(model.actuator_gainprm[actuator, 0]) * gear
+        factor, range_ = model.actuator_gainprm[actuator, 0], model.actuator_ctrlrange[control]
         found.append(
-            EffortStatement.of(
-                "MJCF", "actuator", name, "ctrlrange", model.actuator_ctrlrange[control], factor
-            )
+            EffortStatement.of("MJCF", "actuator", name, "ctrlrange", range_, float(factor))
         )
     return found
 
