@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from typing import Final
 
@@ -44,6 +44,60 @@ READ_IN: Final[Mapping[str, tuple[float, str]]] = {
     "m": (1e3, "mm"),
 }
 """{SI unit of a joint position: (factor, printed unit)}; printed value = factor x SI value."""
+
+
+@dataclass(frozen=True)
+class JointUnits:
+    """SI units of the quantities of a joint.
+
+    Attributes:
+        position: Unit of joint positions and their deviations.
+        velocity: Unit of joint velocities.
+        effort: Unit of motor torques or forces, effort limits and dry friction.
+        stiffness: Unit of servo stiffness kp and of joint springs.
+        damping: Unit of servo damping kd and of viscous damping.
+    """
+
+    position: str
+    velocity: str
+    effort: str
+    stiffness: str
+    damping: str
+
+
+HINGE_UNITS: Final = JointUnits("rad", "rad/s", "N m", "N m/rad", "N m s/rad")
+"""Units of a hinge: a revolute or continuous joint in a URDF."""
+
+SLIDE_UNITS: Final = JointUnits("m", "m/s", "N", "N/m", "N s/m")
+"""Units of a slide: a prismatic joint in a URDF."""
+
+
+def select_joint_units(*, slides: bool) -> JointUnits:
+    """Return the units of a slide or of a hinge."""
+    return SLIDE_UNITS if slides else HINGE_UNITS
+
+
+def find_joint_units(unit: str) -> JointUnits:
+    """Return the units of the kind of joint with a unit of positions or of motor efforts."""
+    return select_joint_units(slides=unit in (SLIDE_UNITS.position, SLIDE_UNITS.effort))
+
+
+POSITION_UNIT: Final = f"{HINGE_UNITS.position} or {SLIDE_UNITS.position}"
+"""Unit in the metadata of a field with positions of hinges and slides: rad or m."""
+
+EFFORT_UNIT: Final = f"{HINGE_UNITS.effort} or {SLIDE_UNITS.effort}"
+"""Unit in the metadata of a field with motor torques of hinges and forces of slides: N m or N."""
+
+
+def convert_to_display(value: float, unit: str) -> tuple[str, float]:
+    """Return the unit that tables show for a joint position (° or mm), and the converted value.
+
+    Args:
+        value: Position or deviation [rad, m].
+        unit: Unit of ``value``: rad or m.
+    """
+    factor, shown = READ_IN[unit]
+    return "°" if shown == "deg" else shown, factor * value
 
 
 class Position(float):

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
+from pupper_analysis.base.units import HINGE_UNITS, SLIDE_UNITS
+
 if TYPE_CHECKING:
     from mujoco import MjModel
 
@@ -93,14 +95,16 @@ def known_limit(stated: float) -> float:
     return math.inf if stated >= UNSTATED else stated
 
 
-_POSITION_UNITS, _FORCE_UNITS = ("rad", "m"), ("N m", "N")
-"""Units of positions, and of torques or forces: for a hinge, and for a slide."""
+def _list_units(quantity: str) -> tuple[str, str]:
+    """Return the units of a quantity (field of `JointUnits`): of a hinge, and of a slide."""
+    return getattr(HINGE_UNITS, quantity), getattr(SLIDE_UNITS, quantity)
+
 
 JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "lower limit",
         "lower",
-        _POSITION_UNITS,
+        _list_units("position"),
         "limit",
         relative=False,
         signed=True,
@@ -111,7 +115,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "upper limit",
         "upper",
-        _POSITION_UNITS,
+        _list_units("position"),
         "limit",
         relative=False,
         signed=True,
@@ -122,7 +126,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "effort",
         "effort",
-        _FORCE_UNITS,
+        _list_units("effort"),
         "effort",
         unstated=math.inf,
         urdf=("limit", "effort"),
@@ -132,7 +136,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "velocity",
         "velocity",
-        ("rad/s", "m/s"),
+        _list_units("velocity"),
         "velocity",
         unstated=math.inf,
         urdf=("limit", "velocity"),
@@ -141,7 +145,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "damping",
         "damping",
-        ("N m s/rad", "N s/m"),
+        _list_units("damping"),
         "damping",
         felt=True,
         urdf=("dynamics", "damping"),
@@ -153,7 +157,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "friction",
         "friction",
-        _FORCE_UNITS,
+        _list_units("effort"),
         "friction",
         urdf=("dynamics", "friction"),
         mjcf=("frictionloss",),
@@ -175,7 +179,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "spring",
         "",
-        ("N m/rad", "N/m"),
+        _list_units("stiffness"),
         "dynamics",
         felt=True,
         mjcf=("stiffness", "springdamper"),

@@ -22,7 +22,9 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import EFFORT_UNIT, select_joint_units
 from pupper_analysis.models.attributes import UNSTATED
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.transmission import (
     actuator_gear,
     fixed_tendon_levers,
@@ -63,8 +65,8 @@ class EffortStatement(Result):
         factor: Torque at the joint per unit of ``stated``: the gear of an actuator, for a
             ``ctrlrange`` times the gain; 1 for a joint, for the sum of several actuators, and for
             an empty range.
-        lower: Lower end at the joint (N m; N of a slide).
-        upper: Upper end at the joint (N m; N of a slide).
+        lower: Lower end at the joint (N m or N).
+        upper: Upper end at the joint (N m or N).
     """
 
     file: str
@@ -73,8 +75,8 @@ class EffortStatement(Result):
     attribute: str
     stated: tuple[float, float] = field(metadata={"unit": "varies"})
     factor: float = field(metadata={"unit": "varies"})
-    lower: float = field(metadata={"unit": "N m"})
-    upper: float = field(metadata={"unit": "N m"})
+    lower: float = field(metadata={"unit": EFFORT_UNIT})
+    upper: float = field(metadata={"unit": EFFORT_UNIT})
 
     @staticmethod
     def of(
@@ -140,10 +142,11 @@ class EffortLimit(Result):
 
     Attributes:
         joint: Name of the joint.
-        lower: Lower end of the torque range (N m); -inf without a limit.
-        upper: Upper end of the torque range (N m); inf without a limit.
+        lower: Lower end of the range of torque or force (N m or N); -inf without a limit.
+        upper: Upper end of the range of torque or force (N m or N); inf without a limit.
         origin: Statement with the smallest limit; None without a limit.
         stated: All statements of both files.
+        unit: Unit of ``lower`` and ``upper``: N m for a hinge, N for a slide.
         code: Meaning of the limit: ``unknown`` if no file states a limit, ``zero`` and ``negative``
             if the motor has no torque, else ``stated``.
     """
@@ -151,10 +154,11 @@ class EffortLimit(Result):
     _reported: ClassVar[tuple[str, ...]] = ("code",)
 
     joint: str
-    lower: float = field(metadata={"unit": "N m"})
-    upper: float = field(metadata={"unit": "N m"})
+    lower: float = field(metadata={"unit": EFFORT_UNIT})
+    upper: float = field(metadata={"unit": EFFORT_UNIT})
     origin: EffortStatement | None
     stated: tuple[EffortStatement, ...]
+    unit: str
 
     @property
     def code(self) -> EffortCode:
@@ -228,6 +232,7 @@ def resolve_effort_limit(
         upper=min((statement.upper for statement in stated), default=math.inf),
         origin=min(stated, key=lambda statement: statement.symmetric_torque, default=None),
         stated=tuple(stated),
+        unit=select_joint_units(slides=model.jnt_type[joint] == JointKind.SLIDE).effort,
     )
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.units import HINGE_UNITS, POSITION_UNIT
 from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.robot.fall import FALLEN_TILT, MAX_HEIGHT_LOSS_RATIO, BodyMotion
 
@@ -101,10 +102,10 @@ class JointOff:
     """
 
     joint: str
-    off: float = field(metadata={"unit": "rad or m"})
+    off: float = field(metadata={"unit": POSITION_UNIT})
     drive: Drive
-    commanded: float | None = field(default=None, metadata={"unit": "rad or m"})
-    unit: str = "rad"
+    commanded: float | None = field(default=None, metadata={"unit": POSITION_UNIT})
+    unit: str = HINGE_UNITS.position
 
     @property
     def commanded_away(self) -> bool:
@@ -264,12 +265,12 @@ class PublishedRun:
     duration: float = field(metadata={"unit": "s"})
     torque_error: float = field(metadata={"unit": "1"})
     height_error: float | None = field(metadata={"unit": "m"})
-    joint_error: float = field(metadata={"unit": "rad or m"})
+    joint_error: float = field(metadata={"unit": POSITION_UNIT})
     collapses: bool
     differs: bool
     imported: bool = False
     worst_joint: str = ""
-    joint_error_unit: str = "rad"
+    joint_error_unit: str = HINGE_UNITS.position
     _keeps_moving: bool = False
 
     @property

@@ -44,7 +44,6 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
-from pupper_analysis.robot.joints import force_unit
 from pupper_analysis.robot.mujoco_spec import make_mujoco_spec
 from pupper_analysis.robot.robot import (
     Robot,
@@ -251,12 +250,7 @@ def _copy_armature(
     MJCF, {joint: statement of the range}.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
-    slides = {
-        name
-        for name in joint_names
-        if mj_model.jnt_type[mj_model.joint(name).id] == JointKind.SLIDE
-    }
-    notes = report_efforts(limits, slides)
+    notes = report_efforts(limits)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
     armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
@@ -488,24 +482,25 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
         UnknownNameError: If there is no such joint.
         ConfigurationError: If an argument has another type, or a limit is not positive and finite.
     """
+    old_limits = {limit.joint: limit for limit in robot.efforts}
     for name, effort in efforts.items():
         if name not in robot.joint_names:
             raise UnknownNameError(robot.name, "joint", name, robot.joint_names)
         if isinstance(effort, bool) or not 0 < effort < math.inf:
-            problem = diagnose("effort-not-valid", joint=name, effort=effort)
+            stated = Quantity(effort, old_limits[name].unit)
+            problem = diagnose("effort-not-valid", joint=name, effort=stated)
             raise ConfigurationError("effort", problem)
     if not efforts:
         return robot
     urdf, mjcf = robot.description.trees()
     new_limits, messages = dict(robot.description.efforts), []
-    old_limits = {limit.joint: limit for limit in robot.efforts}
     for name, effort in efforts.items():
         urdf.joints[name].set_parameter(BY_KIND["effort"], effort)
         mjcf.limit_effort(name, effort)
         range_ = (-effort, effort)
         origin = EffortStatement.of("", "joint", name, "effort", range_)
-        new_limits[name] = EffortLimit(name, *range_, origin, (origin,))
-        old_limit, unit = old_limits[name].symmetric_torque, force_unit(robot, name)
+        old_limit, unit = old_limits[name].symmetric_torque, old_limits[name].unit
+        new_limits[name] = EffortLimit(name, *range_, origin, (origin,), unit)
         messages.append(
             diagnose(
                 "effort-in-place-of",

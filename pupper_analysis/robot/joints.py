@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.base.units import Position, find_untyped_degrees
+from pupper_analysis.base.units import (
+    JointUnits,
+    Position,
+    find_untyped_degrees,
+    select_joint_units,
+)
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -314,11 +319,26 @@ def check_in_range(
         raise ConfigurationError(argument, problem)
 
 
+def get_joint_units(robot: Robot, joint: str) -> JointUnits:
+    """Return the units of the quantities of a joint: those of a slide, or of a hinge."""
+    return select_joint_units(slides=is_slide(robot, joint))
+
+
 def joint_unit(robot: Robot, joint: str) -> str:
     """Return the unit of the position of a joint: m for slides, rad for hinges."""
-    return "m" if is_slide(robot, joint) else "rad"
+    return get_joint_units(robot, joint).position
 
 
 def force_unit(robot: Robot, joint: str) -> str:
     """Return the unit of the motor force of a joint: N for slides, N m for hinges."""
-    return "N" if is_slide(robot, joint) else "N m"
+    return get_joint_units(robot, joint).effort
+
+
+def list_position_units(robot: Robot) -> tuple[str, ...]:
+    """Return the unit of each joint position, ``"rad"`` or ``"m"``, in actuator order."""
+    return tuple(joint_unit(robot, name) for name in robot.joint_names)
+
+
+def list_force_units(robot: Robot) -> tuple[str, ...]:
+    """Return the unit of each motor torque or force, ``"N m"`` or ``"N"``, in actuator order."""
+    return tuple(force_unit(robot, name) for name in robot.joint_names)

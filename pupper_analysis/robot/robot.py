@@ -7,7 +7,7 @@ The effort limit of a joint is the smallest in both files.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -87,15 +87,11 @@ def efforts_of(
     return tuple(limits)
 
 
-def report_efforts(limits: Sequence[EffortLimit], slides: Collection[str]) -> list[Diagnostic]:
+def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
     """Return diagnostics of effort limits.
 
     Reported are joints without a limit in the URDF, limits that differ between the files, and
     limits that differ between the two directions.
-
-    Args:
-        limits: Effort limit of each joint.
-        slides: Names of the slides, whose limits are in N instead of N m.
     """
     unstated = [
         limit.joint
@@ -115,9 +111,8 @@ def report_efforts(limits: Sequence[EffortLimit], slides: Collection[str]) -> li
             and limit.origin is not None
             and not _are_equal_efforts(by_file[0].symmetric_torque, unused.symmetric_torque)
         ):
-            unit = "N" if limit.joint in slides else "N m"
-            most = Quantity(unused.symmetric_torque, unit)
-            least = Quantity(by_file[0].symmetric_torque, unit)
+            most = Quantity(unused.symmetric_torque, limit.unit)
+            least = Quantity(by_file[0].symmetric_torque, limit.unit)
             message = diagnose(
                 "lesser-effort", subject=joint, file=by_file[0].file, least=least, unused=most
             )

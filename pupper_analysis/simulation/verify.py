@@ -20,6 +20,7 @@ from pupper_analysis.base.arrays import project_perpendicular, rotation_from_qua
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Pictured, Tabular
+from pupper_analysis.base.units import EFFORT_UNIT, POSITION_UNIT
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.joints import force_unit, joint_unit
 from pupper_analysis.robot.robot import Robot
@@ -161,9 +162,10 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
             plane (m).
         joint_error: Largest deviation of a joint from the stand in that second.
         joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
-        joint_positions: (nu,) settled joint positions (rad, m).
-        joint_torques: (nu,) settled motor torques (N m).
-        predicted_torques: (nu,) predicted motor torques (N m).
+        joint_positions: (nu,) settled joint positions (rad or m).
+        joint_torques: (nu,) settled motor torques or forces (N m or N).
+        predicted_torques: (nu,) predicted motor torques or forces (N m or N).
+        torque_units: (nu,) unit of each element of both: N m for a hinge, N for a slide.
         torque_error: Largest torque deviation / largest predicted torque, or / torque of the
             weight on ``TORQUE_SCALE_LEVER``, if that torque is larger.
         foot_forces: {foot: (3,)} settled force of the ground on the foot, in world axes (N); for
@@ -192,11 +194,12 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
     contact_sag: float = field(metadata={"unit": "m"})
     tilt: float = field(metadata={"unit": "rad"})
     foot_slip: dict[str, float] = field(metadata={"unit": "m"})
-    joint_error: float = field(metadata={"unit": "rad or m"})
+    joint_error: float = field(metadata={"unit": POSITION_UNIT})
     joint_error_unit: str
-    joint_positions: Array = field(metadata={"unit": "rad or m"})
-    joint_torques: Array = field(metadata={"unit": "N m"})
-    predicted_torques: Array = field(metadata={"unit": "N m"})
+    joint_positions: Array = field(metadata={"unit": POSITION_UNIT})
+    joint_torques: Array = field(metadata={"unit": EFFORT_UNIT})
+    predicted_torques: Array = field(metadata={"unit": EFFORT_UNIT})
+    torque_units: tuple[str, ...]
     foot_forces: dict[str, Array] = field(metadata={"unit": "N"})
     predicted_forces: dict[str, Array] = field(metadata={"unit": "N"})
     mujoco_residual: float = field(metadata={"unit": "N or N m"})
@@ -541,6 +544,7 @@ def _compare_with_prediction(
         joint_positions=joints.mean(axis=0),
         joint_torques=record.torques,
         predicted_torques=prediction.joint_torques,
+        torque_units=prediction.torque_units,
         torque_error=torque_deviation / torque_scale(robot, prediction.joint_torques),
         foot_forces=record.forces,
         predicted_forces=predicted | weld_forces,

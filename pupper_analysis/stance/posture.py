@@ -22,7 +22,6 @@ from pupper_analysis.robot.joints import (
     check_in_range,
     default_positions,
     joint_ranges,
-    joint_unit,
     named_positions,
 )
 from pupper_analysis.robot.robot import Robot
@@ -75,11 +74,6 @@ def check_fixed_base(robot: Robot) -> None:
     """
     if robot.floating:
         raise ConfigurationError("robot", diagnose("base-is-free", robot=robot.name))
-
-
-def joint_units(robot: Robot) -> tuple[str, ...]:
-    """Return the unit of each joint position, ``"rad"`` or ``"m"``, in actuator order."""
-    return tuple(joint_unit(robot, name) for name in robot.joint_names)
 
 
 @check_arguments

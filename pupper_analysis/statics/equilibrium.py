@@ -22,8 +22,10 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import list_force_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import (
     BALANCE_TOLERANCE,
@@ -169,7 +171,8 @@ class Equilibrium(Tabular):
 
     Attributes:
         joint_names: Names of the joints, in actuator order.
-        joint_torques: Motor torques, shape (nu,) (N m).
+        joint_torques: Motor torques or forces, shape (nu,) (N m or N).
+        torque_units: Unit of each element of ``joint_torques``: N m for a hinge, N for a slide.
         motor_utilisation: |torque| / effort limit, shape (nu,): NaN if no file states the limit,
             infinite for a loaded motor with a limit of zero, 0 for dependent joints of loops.
         contact_forces: {contact point: (3,)} force of the ground on the contact point, in world
@@ -182,7 +185,8 @@ class Equilibrium(Tabular):
     """
 
     joint_names: tuple[str, ...]
-    joint_torques: Array = field(metadata={"unit": "N m"})
+    joint_torques: Array = field(metadata={"unit": EFFORT_UNIT})
+    torque_units: tuple[str, ...]
     motor_utilisation: Array = field(metadata={"unit": "1"})
     contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
     contact_points: dict[str, Array] = field(metadata={"unit": "m"})
@@ -640,6 +644,7 @@ def _make_result(
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,
+        torque_units=robot.compute_once(list_force_units),
         motor_utilisation=utilisation,
         contact_forces=per_foot,
         contact_points=points,

@@ -16,6 +16,7 @@ from pupper_analysis.present.verdict import (
     format_verdict,
     get_verdict_key,
     join_ground_touches,
+    make_published_clauses,
     verdict_clauses,
     verdict_word,
 )
@@ -72,6 +73,14 @@ def make_own_run(*, collapses: bool) -> OwnRun:
     end = 0.04 if collapses else 0.28
     knee = JointOff("knee", 0.03, Drive.SERVO)
     return OwnRun(5.0, 0.285, end, 0.02, 0.0, False, keyframe="home", worst=knee)
+
+
+def test_joint_of_a_published_run_has_the_unit_of_its_kind() -> None:
+    """A deviation of 0.01 is 0.57 deg at a hinge, and 10 mm at a slide."""
+    run = PublishedRun(True, 5.0, 0.65, -0.018, 0.01, False, True, joint_error_unit="m")
+    for published, expected in ((run, "10 mm"), (replace(run, joint_error_unit="rad"), "0.57 deg")):
+        (clause,) = make_published_clauses(Published((published,), (), True))
+        assert f"a joint by {expected}, the height" in str(clause.message)
 
 
 CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {

@@ -44,6 +44,7 @@ def loads(shift: float) -> Stub:
     return Stub(
         joint_names=("hip", "knee"),
         joint_torques=np.array([0.1111, -0.2222]) + shift,
+        torque_units=("N m", "N m"),
         motor_utilisation=np.array([0.051, 0.952]) + shift,
         contact_forces={
             "FR": np.array([1.011, -2.022, 3.033]) + shift,
@@ -89,6 +90,7 @@ def run(shift: float, *, passed: bool) -> Stub:
         joint_error=9.1e-5 + shift,
         joint_error_unit="rad",
         joint_torques=np.array([0.3333, -0.4444]),
+        torque_units=("N m", "N m"),
         torque_error=0.01234 + shift,
         force_error=0.02356 + shift,
         mujoco_residual=4.2e-5,

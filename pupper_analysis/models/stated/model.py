@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.units import JointUnits, select_joint_units
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -123,9 +124,14 @@ class Joint:
         return self.kind in (HINGE_JOINT, SLIDE_JOINT)
 
     @property
+    def units(self) -> JointUnits:
+        """Units of the quantities of the joint."""
+        return select_joint_units(slides=self.kind == SLIDE_JOINT)
+
+    @property
     def unit(self) -> str:
         """Unit of the joint coordinate, rad or m."""
-        return "m" if self.kind == SLIDE_JOINT else "rad"
+        return self.units.position
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.units import select_joint_units
 from pupper_analysis.models.attributes import (
     COUPLING_TIME_CONSTANT,
     FLOOR_NAME,
@@ -277,7 +278,8 @@ class UrdfBodies:
         )
         effort = _read_nonzero(limit, "effort")
         if effort is not None and float(effort) < 0:
-            limit = Quantity(float(effort), "N m")
+            unit = select_joint_units(slides=kind == "prismatic").effort
+            limit = Quantity(float(effort), unit)
             self.notes.append(diagnose("effort-negative", subject=("joint", name), effort=limit))
         if effort is not None and not 0 < float(effort) < UNSTATED:
             effort = None  # MuJoCo ignores an empty range; the robot's description keeps the limit

@@ -32,7 +32,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.base.tools import find_tool_modules
-from pupper_analysis.base.units import DOWNWARD_GRAVITY
+from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
 from pupper_analysis.models.loading import read_as_mjcf, read_as_urdf
 from pupper_analysis.models.mjcf import make_start_data, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass
@@ -687,7 +687,8 @@ def _compare_servo_gains(
         urdf_gains = urdf.gains.get(matched.urdf_joint[name])
         if urdf_gains is None or name not in mjcf_gains:
             continue
-        units = (("N m/rad", "N m s/rad"), ("N/m", "N s/m"))[joints[name].slides]
+        of_joint = select_joint_units(slides=joints[name].slides)
+        units = of_joint.stiffness, of_joint.damping
         for kind, urdf_gain, mjcf_gain, unit in zip(
             SERVO_GAIN_KINDS, urdf_gains, mjcf_gains[name], units, strict=True
         ):

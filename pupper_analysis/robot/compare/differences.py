@@ -30,7 +30,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.units import EARTH_GRAVITY
+from pupper_analysis.base.units import EARTH_GRAVITY, select_joint_units
 from pupper_analysis.models.attributes import TREE_ATTRIBUTES
 from pupper_analysis.models.multibody import (
     MultibodyTree,
@@ -793,7 +793,7 @@ def convention_changes(
         difference = Difference("base frame", first.base, pose, np.eye(4), "m", message, {})
         yield difference, with_base(first, found.base.inverse())
     for name, offset in found.zeros.items():
-        unit = "m" if first.joints[name].slides else "rad"
+        unit = select_joint_units(slides=first.joints[name].slides).position
         message = diagnose(
             "joint-zero-elsewhere",
             subject=("joint", name),

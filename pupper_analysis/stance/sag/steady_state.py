@@ -29,6 +29,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, borrow
@@ -461,7 +462,7 @@ class SteadyState(Result):
             two; 0 for a fixed base.
         servo_sag: Height loss by deflection of the joints (m).
         contact_sag: Height loss by penetration of the feet (m).
-        joint_torques: Motor torques, shape (nu,) (N m).
+        joint_torques: Motor torques or forces, shape (nu,) (N m or N).
         stance_feet: Contact points that touch the ground, including swing feet that came down and
             without stance feet that were released.
         contact_forces: {contact point: force of the ground, shape (3,)} of all contact points, in
@@ -493,7 +494,7 @@ class SteadyState(Result):
     height_loss: float = field(metadata={"unit": "m"})
     servo_sag: float = field(metadata={"unit": "m"})
     contact_sag: float = field(metadata={"unit": "m"})
-    joint_torques: Array = field(metadata={"unit": "N m"})
+    joint_torques: Array = field(metadata={"unit": EFFORT_UNIT})
     stance_feet: tuple[str, ...]
     contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
     foot_creep: dict[str, float] = field(metadata={"unit": "m/s"})

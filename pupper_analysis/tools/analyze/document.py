@@ -181,6 +181,7 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
         mass=f"{analysis.total_mass:.3f}",
         ground=ground_word(analysis.stand.depths.values()),
         torque=f"{abs(statics.joint_torques[most]):.3f}",
+        unit=statics.torque_units[most],
         share=f"{100 * share[most]:.1f}" if np.isfinite(share[most]) else "",
         zero="0" if np.isinf(share[most]) else "",
         unknown="" if limited else "unknown",

@@ -119,7 +119,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
     return text(
         "worst-posture-in-short",
         torque=f"{torques[index]:.3g}",
-        unit="N" if hold.units[index] == "m" else "N m",
+        unit=hold.statics.torque_units[index],
         share=f"{100 * share:.3g}" if math.isfinite(share) else "",
         joint=doc.Name(worst.joint_names[index]),
         tool=doc.Name(hold.tool.name),
@@ -377,6 +377,7 @@ def describe_hardest_motor(
             share=f"{shares[worst]:.1%}",
             torque=f"{statics.joint_torques[worst]:.3g}",
             limit=f"{limits[worst]:.3g}",
+            unit=statics.torque_units[worst],
         )
 
 
@@ -424,13 +425,17 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
     worst = np.abs(hold.worst.joint_torques)
     joints = [hold.worst.joint_names.index(name) for name in hold.payload.unknown]
     most_loaded = max(joints, key=lambda joint: float(worst[joint]))
+    here = np.abs(hold.statics.joint_torques)
+    most_here = max(joints, key=lambda joint: float(here[joint]))
     return text(
         "tool-payload-unknown",
         tool=doc.Name(hold.tool.name),
         count=len(joints),
         joints=join_words(map(doc.Name, hold.payload.unknown)),
-        here=f"{float(np.abs(hold.statics.joint_torques[joints]).max()):.3g}",
+        here=f"{float(here[most_here]):.3g}",
         worst=f"{float(worst[most_loaded]):.3g}",
+        here_unit=hold.statics.torque_units[most_here],
+        worst_unit=hold.statics.torque_units[most_loaded],
         hardest=doc.Name(hold.worst.joint_names[most_loaded]),
     )
 

@@ -23,10 +23,12 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.models.efforts import EffortCode, EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, resolve_servo_gains
 from pupper_analysis.robot.tool import Tool, find_tool, with_payload
@@ -36,7 +38,6 @@ from pupper_analysis.stance.posture import (
     Posture,
     find_posture,
     held_stand,
-    joint_units,
 )
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -408,7 +409,7 @@ class Hold(Tabular):
     units: tuple[str, ...]
     tool: Tool
     tool_position: Array = field(metadata={"unit": "m"})
-    limits: Array = field(metadata={"unit": "N m"})
+    limits: Array = field(metadata={"unit": EFFORT_UNIT})
     limit_origins: tuple[EffortStatement | None, ...]
     statics: GravityCompensation
     verification: StandVerification
@@ -504,7 +505,7 @@ def hold_posture(
         name=robot.name,
         hangs=has_free_joint(robot.description.mjcf),
         posture=posture,
-        units=joint_units(robot),
+        units=list_position_units(robot),
         tool=point,
         tool_position=point.position(config),
         limits=robot.effort_limits,

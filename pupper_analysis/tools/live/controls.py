@@ -25,12 +25,16 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.units import READ_IN
 from pupper_analysis.cli.stance_fields import to_task_value
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.robot.joints import free_joints, joint_ranges, named_positions
+from pupper_analysis.robot.joints import (
+    free_joints,
+    joint_ranges,
+    list_position_units,
+    named_positions,
+)
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
-from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.state import PAGE_UNITS, SLIDER_FIELDS, State, find_contact_factor
 
@@ -368,7 +372,7 @@ class JointSliders:
         self._moved = moved
         self.sliders: dict[str, Any] = {}
         self._scales: dict[str, float] = {}
-        ranges, units = joint_ranges(robot), joint_units(robot)
+        ranges, units = joint_ranges(robot), list_position_units(robot)
         for name in joints:
             index = robot.joint_names.index(name)
             (scale, unit), unlimited_bound = READ_IN[units[index]], _UNLIMITED_BOUND[units[index]]

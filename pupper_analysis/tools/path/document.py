@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from pupper_analysis.base.units import convert_to_display
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import view_block
@@ -99,15 +100,11 @@ def _make_utilisation_row(name: doc.Text, share: float) -> list[tuple[doc.Text, 
 
 def _tracking_table(tracking: PathTracking) -> doc.Table:
     """Create the table of the simulated path: errors of torques, joints and base, foot slip."""
-    joint_error = (
-        ("mm", 1e3 * tracking.joint_error, ".1f")
-        if tracking.joint_error_unit == "m"
-        else ("°", math.degrees(tracking.joint_error), ".2f")
-    )
+    joint_error = convert_to_display(tracking.joint_error, tracking.joint_error_unit)
     return _quantity_table(
         text("how-it-is-followed"),
         (text("torque-error-of-the-largest"), "%", 100 * tracking.torque_error, ".1f"),
-        (text("joint-error"), *joint_error),
+        (text("joint-error"), *joint_error, ".2f"),
         (text("error-of-height"), "mm", 1e3 * tracking.height_error, ".1f"),
         (text("error-of-orientation"), "°", math.degrees(tracking.orientation_error), ".2f"),
         (text("foot-slip"), "mm", 1e3 * max(tracking.foot_slip.values()), ".1f"),

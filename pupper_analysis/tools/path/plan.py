@@ -22,9 +22,10 @@ from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleErr
 from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.units import find_joint_units
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
@@ -243,7 +244,8 @@ class StancePath(Tabular):
         """
         units = dict(zip(self.joint_names, self.units, strict=True))
         header = ["time (s)", *(f"q {name} ({unit})" for name, unit in units.items())]
-        header += [f"tau {name} ({'N' if unit == 'm' else 'N m'})" for name, unit in units.items()]
+        efforts = {name: find_joint_units(unit).effort for name, unit in units.items()}
+        header += [f"tau {name} ({unit})" for name, unit in efforts.items()]
         rows = np.column_stack([self.time, self.joint_positions(), self.torques])
         with write_atomically(Path(path), PATH_TABLE, force=force) as file:
             file.write(csv_text([header, *rows.tolist()]).encode())
@@ -325,7 +327,7 @@ def stance_path(
     return StancePath(
         stances=geometry.stances,
         joint_names=robot.joint_names,
-        units=joint_units(robot),
+        units=list_position_units(robot),
         feet=robot.contact_points,
         time=time,
         qpos=np.array([place.qpos for place in geometry.places]),

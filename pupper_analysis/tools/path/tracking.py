@@ -21,10 +21,10 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import POSITION_UNIT
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import build_on_ground
@@ -33,6 +33,7 @@ from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verdict import Outcome, Question, Verdict
+from pupper_analysis.simulation.verify import find_worst_unit
 from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -393,7 +394,7 @@ class PathTracking(Result):
     timestep: float = field(metadata={"unit": "s"})
     kp: Array = field(metadata={"unit": "N m/rad"})
     kd: Array = field(metadata={"unit": "N m s/rad"})
-    joint_error: float = field(metadata={"unit": "rad or m"})
+    joint_error: float = field(metadata={"unit": POSITION_UNIT})
     joint_error_unit: str
     height_error: float = field(metadata={"unit": "m"})
     orientation_error: float = field(metadata={"unit": "rad"})
@@ -446,6 +447,7 @@ def track_path(
     simulated = states[:, 1 + robot.mj_convention.qpos_index]
     deviation = simulated[:, joints] - plan.qpos[:, joints]
     joint_error = float(np.abs(deviation).max())
+    unit = find_worst_unit(robot, np.abs(deviation).max(axis=0))
 
     timestep = float(model.opt.timestep)
     interval = min(max(float(path.time[-1]) / _NUM_CHECKED_STATES, 1e-3), 0.02)
@@ -466,8 +468,6 @@ def track_path(
         failures.append(diagnose("joint-too-fast", subject=fastest, share=share))
     if not torque_error <= TORQUE_TOLERANCE:
         failures.append(diagnose("motor-torque-off-path", error=torque_error))
-    worst = int(np.nan_to_num(np.abs(deviation), nan=np.inf).max(axis=0).argmax())
-    unit = joint_unit(robot, robot.joint_names[worst])
     if not joint_error < JOINT_TOLERANCE:
         failures.append(diagnose("joint-off-path", error=Quantity(joint_error, unit)))
     return PathTracking(

@@ -23,6 +23,7 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation, judge_stand
 from pupper_analysis.prepare.limits import list_driven_limits, list_overloaded_joints
@@ -210,7 +211,7 @@ class PayloadLimit(Result):
         offset: (2,) position of the base of ``stand`` from the centre of the feet, as
             ``StandTask.offset`` [m].
         joint_names: (nu,) joints, in actuator order.
-        joint_torques: (nu,) motor torques in ``stand`` [N m].
+        joint_torques: (nu,) motor torques or forces in ``stand`` (N m or N).
         contact_forces: {foot: (3,)} contact forces in ``stand``, in world axes [N].
         verdict: Verdict of the stance with ``VERIFIED_FRACTION`` of ``upper_bound``; without
             payload if ``upper_bound`` is 0 or infinite.
@@ -235,7 +236,7 @@ class PayloadLimit(Result):
     stand: Stand
     offset: Array = field(metadata={"unit": "m"})
     joint_names: tuple[str, ...]
-    joint_torques: Array = field(metadata={"unit": "N m"})
+    joint_torques: Array = field(metadata={"unit": EFFORT_UNIT})
     contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
     verdict: Verdict
     trial: PayloadTrial | None

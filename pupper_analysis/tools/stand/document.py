@@ -230,6 +230,7 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
     yield text(
         "load-of-motors",
         torque=f"{torques[peak]:.2f}",
+        unit=statics.torque_units[peak],
         share=f"{100 * float(statics.motor_utilisation[peak]):.0f}" if known else "",
         zero="0" if powerless.any() else "",
         unknown="" if known or powerless.any() else "unknown",

@@ -21,17 +21,18 @@ from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import STAND_TABLE
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.units import EFFORT_UNIT, POSITION_UNIT
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.prepare.passes import LoadRequest, PassRun, prepare_robot
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds, bound_servo_gains
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
-from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -74,9 +75,9 @@ class Stance(Tabular):
     """
 
     name: str
-    joint_positions: Array = field(metadata={"unit": "rad or m"})
+    joint_positions: Array = field(metadata={"unit": POSITION_UNIT})
     units: tuple[str, ...]
-    limits: Array = field(metadata={"unit": "N m"})
+    limits: Array = field(metadata={"unit": EFFORT_UNIT})
     limit_origins: tuple[EffortStatement | None, ...]
     stand: Stand
     statics: GravityCompensation
@@ -112,7 +113,9 @@ class Stance(Tabular):
             OutputError: If the file cannot be written, or exists and is not such a table.
         """
         has_slides = "m" in self.units
-        position, torque = (" (rad or m)", " (N m or N)") if has_slides else (" (rad)", " (N m)")
+        position, torque = " (rad)", " (N m)"
+        if has_slides:
+            position, torque = f" ({POSITION_UNIT})", f" ({EFFORT_UNIT})"
         units = ("", position, torque, torque, "", torque)
         columns = self._columns()
         header = [name + unit for name, unit in zip(columns, units, strict=True)]
@@ -187,7 +190,7 @@ def study_stance(
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),
-        units=joint_units(robot),
+        units=list_position_units(robot),
         limits=robot.effort_limits,
         limit_origins=tuple(limit.origin for limit in robot.efforts),
         stand=held,

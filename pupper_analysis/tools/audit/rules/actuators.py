@@ -183,17 +183,18 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def forcerange_above_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find actuators whose forcerange times gear is more than 1 % above actuatorfrcrange [N m]."""
+    """Find actuators whose forcerange times gear exceeds actuatorfrcrange [N m, N] by 1 %."""
     for model, drive in _list_robot_drives(robot):
         if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):
             continue
         force = float(np.abs(model.actuator_forcerange[drive.id]).max()) * abs(drive.gear)
         joint = float(np.abs(model.jnt_actfrcrange[drive.joint]).max())
+        unit = robot.joints[drive.joint_name].units.effort
         if force > 1.01 * joint:
             message = diagnose(
                 "forcerange-above-joint",
-                force=Quantity(force, "N m"),
+                force=Quantity(force, unit),
                 joint=drive.joint_name,
-                through=Quantity(joint, "N m"),
+                through=Quantity(joint, unit),
             )
             yield CheckFinding("actuator", drive.name, message)

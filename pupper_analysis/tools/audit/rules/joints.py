@@ -287,7 +287,7 @@ def _make_zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckF
         "effort-or-velocity-zero",
         what=what,
         other=None if other is None else other[0],
-        effort=None if other is None else Quantity(other[1], "N m"),
+        effort=None if other is None else Quantity(other[1], robot.joints[name].units.effort),
     )
     return CheckFinding("joint", name, message, "limit")
 
@@ -304,7 +304,7 @@ def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, f
 
 
 def _find_mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
-    """Return the mirrored joint and its effort [N m]; None without a positive finite effort."""
+    """Return the mirrored joint and its effort [N m, N]; None without a positive finite effort."""
     for _, first, second in list_joint_pairs(robot):
         for joint, other in ((first, second), (second, first)):
             if joint.name == name and 0 < other.effort < math.inf:
@@ -314,16 +314,16 @@ def _find_mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | N
 
 @rule
 def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find URDF effort limits [N m] and velocity limits [rad/s] below zero."""
-    for name, stated in ((joint.name, joint.stated) for joint in robot.joints.values()):
-        for what, unit in (("effort", "N m"), ("velocity", "rad/s")):
-            value = stated.get(what, 0.0)
+    """Find URDF effort limits [N m, N] and velocity limits [rad/s, m/s] below zero."""
+    for joint in robot.joints.values():
+        for what in ("effort", "velocity"):
+            value, unit = joint.stated.get(what, 0.0), getattr(joint.units, what)
             if value < 0:
                 limit = Quantity(value, unit)
                 message = diagnose(
                     "limit-negative", what=Term(what), value=limit, size=Quantity(-value, unit)
                 )
-                yield CheckFinding("joint", name, message, "limit")
+                yield CheckFinding("joint", joint.name, message, "limit")
 
 
 @rule

@@ -388,7 +388,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
         elif first.effort != second.effort and not np.isclose(
             first.effort, second.effort, rtol=0.01
         ):
-            unit = "N m" if second.kind == HINGE_JOINT else "N"
+            unit = second.units.effort
             effort, first_effort = (
                 describe_effort(second.effort, unit),
                 describe_effort(first.effort, unit),
