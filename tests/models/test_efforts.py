@@ -165,7 +165,7 @@ def test_smaller_limit_counts_if_directions_differ() -> None:
     mujoco.mj_forward(drive.model, data)
     torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
     np.testing.assert_allclose(torques, np.tile([0.5, -0.9], 6), rtol=1e-12)
-    assert any(note.code == "motors-uneven" for note in report_efforts(robot.efforts, ()))
+    assert any(note.code == "motors-uneven" for note in report_efforts(robot.efforts))
 
 
 def test_limits_of_replaced_motors_are_kept_by_their_servos() -> None:
