@@ -15,26 +15,37 @@ from pupper_analysis.cli.robots import (
     RobotOptions,
     add_options,
     pass_robot_options,
-    robot_argument,
 )
+from pupper_analysis.cli.stance_options import EFFORT_OPTION, parse_efforts
 from pupper_analysis.tools.walk.modes import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
+    from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.tools.contract.deployment import Deployment
     from pupper_analysis.tools.walk.gait import Walk
     from pupper_analysis.tools.walk.intervals import TrackedIntervals
     from pupper_analysis.tools.walk.orders import Orders
 
 
 @shared.command("walk")
-@robot_argument
+@click.argument("words", nargs=-1, type=click.Path(), metavar="[ROBOT] [SOURCE]...")
 @add_options(FILE_OPTIONS, VARIANT_OPTIONS)
 @shared.file_option(
     "--policy",
-    help="The policy: ONNX, RTNeural's JSON, or TorchScript; e.g. policy.json.",
-    required=True,
+    help=(
+        "The policy: ONNX, RTNeural's JSON, or TorchScript, if not given as SOURCE; e.g. "
+        "policy.json. By default the only ONNX file beside the deployment."
+    ),
 )
 @CONTRACT_OPTION
 @COMMAND_OPTION
+@EFFORT_OPTION
+@click.option(
+    "--init",
+    "init",
+    is_flag=True,
+    help="Write a template of the TOML file beside the policy, and exit.",
+)
 @click.option(
     "--seeds",
     type=int,
@@ -77,9 +88,11 @@ if TYPE_CHECKING:
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
-    policy: Path,
+    policy: Path | None,
     contract: Path | None,
     command_text: str,
+    effort: tuple[str, ...],
+    init: bool,
     seeds: int | None,
     seconds: float | None,
     vary: str | None,
@@ -93,13 +106,17 @@ def command(
     """Simulate a robot that walks with a learnt policy, and compare its torques with motor limits.
 
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. The robot is
-    simulated as in its files, with servos that have the policy's gains. Observation and action of
-    the policy are read from the policy file, and from a TOML file of the same name beside it.
+    simulated as in its files, with servos that have the policy's gains. SOURCE is the policy, and
+    files of its deployment or training, which `contract` reads as well. Observation and action of
+    the policy are read from the policy file, from the deployment, and from a TOML file of the same
+    name beside the policy.
 
     \b
     Examples:
       pupper-analysis walk v3 --policy policy_latest.json --command 0.5,0,0
       pupper-analysis walk go1.xml --policy go1.onnx --seeds 20 --report walk.html
+      pupper-analysis walk g1.xml deploy.yaml policy.onnx --command 0.5,0,0
+      pupper-analysis walk g1.xml policy.onnx --init
       pupper-analysis walk v3 --policy policy_latest.json --vary mass,kp,delay \\
         --fit fit.json
       pupper-analysis walk v3 --policy policy_latest.json --orders
@@ -111,6 +128,7 @@ def command(
         refuse_idle("--orders", "command_text", "seeds", "vary", "fitted")
     if vary is None:
         refuse_alone(["--vary"], "fitted")
+    from pupper_analysis.tools.contract.deployment import read_deployment
     from pupper_analysis.tools.walk.gait import parse_walking_command, simulate_walk
     from pupper_analysis.tools.walk.intervals import (
         QUANTITIES,
@@ -118,12 +136,31 @@ def command(
         tracked_intervals,
     )
     from pupper_analysis.tools.walk.orders import rank_orders
-    from pupper_analysis.tools.walk.policy import Policy
+    from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
+    from pupper_analysis.tools.walk.runs import replace_efforts
 
     checked_command = parse_walking_command(command_text)
+    words, sources = split_sources(words)
+    policy_path, sources = select_policy(policy, sources)
     source = which.select_robot(words) or "v3"
-    loaded_policy = Policy.load(policy, contract)
     robot = load_walking_robot(source, style, everything=everything)
+    deployment = read_deployment(robot, sources, policy_path) if sources else None
+    if init:
+        idle = (
+            "command_text",
+            "seeds",
+            "seconds",
+            "vary",
+            "fitted",
+            "effort",
+            "orders",
+            "contract",
+        )
+        refuse_idle("--init", *idle, "json_path", "report_path", "everything")
+        _write_first_contract(policy_path, robot, deployment)
+        return
+    loaded_policy = Policy.load(policy_path, contract, deployment)
+    robot, loaded_policy = replace_efforts(robot, loaded_policy, parse_efforts(effort, robot))
     arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
         arguments["seeds"] = seeds
@@ -151,3 +188,12 @@ def command(
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | None) -> None:
+    """Write a template of the TOML file of a policy, and print the keys to be completed."""
+    from pupper_analysis.base.diagnostics import diagnose
+    from pupper_analysis.tools.walk.template import write_template
+
+    path, missing = write_template(policy, robot, deployment)
+    click.echo(str(diagnose("walk-template-written", file=str(path), missing=missing)))

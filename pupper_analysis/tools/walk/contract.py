@@ -7,7 +7,7 @@ merges these statements, checks them against the sizes of the network, and retur
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import real_array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
-from pupper_analysis.tools.contract.facts import Source
+from pupper_analysis.tools.contract.deployment import Deployment
+from pupper_analysis.tools.contract.facts import (
+    OBSERVATION_ALIASES,
+    ObservedTerm,
+    Origin,
+    Source,
+)
 
 Array = NDArray[np.float64]
 
@@ -32,27 +38,51 @@ TERM_SIZES = {
     "joint-velocities": None,
     "last-action": None,
     "phase": None,
+    "command-velocity": 2,
+    "command-turning": 1,
+    "phase-sine": None,
+    "phase-cosine": None,
+    "second-last-action": None,
+    "accelerometer": 3,
+    "contacts": None,
 }
 """Number of elements of each term; None if the number follows from the joints or the phases.
 
 Velocities and gravity refer to the base, in the base frame. Joint positions
 are relative to the default positions. The up-command is the commanded vertical in the base frame.
-The phase contains the cosines and then the sines of all phases."""
+The phase contains the cosines and then the sines of all phases; ``phase-sine`` and ``phase-cosine``
+are its parts, as ``command-velocity`` and ``command-turning`` are of the command. The accelerometer
+measures acceleration minus gravity at the origin of the base. Contacts are 1 for each foot that
+touches anything, else 0, in the order of the robot's feet."""
 
 _TERM_ALIASES = {
     "base_lin_vel": "linear-velocity",
     "base_ang_vel": "angular-velocity",
     "projected_gravity": "gravity",
-    "velocity_commands": "command",
+    "commands": "command",
     "joint_pos": "joint-positions",
-    "joint_pos_rel": "joint-positions",
     "joint_vel": "joint-velocities",
-    "joint_vel_rel": "joint-velocities",
     "actions": "last-action",
-    "last_action": "last-action",
     "gait_phase": "phase",
+    "command_lin_vel": "command-velocity",
+    "command_ang_vel": "command-turning",
+    "sin_phase": "phase-sine",
+    "cos_phase": "phase-cosine",
+    "dof_pos": "joint-positions",
+    "dof_vel": "joint-velocities",
+    "last_last_action": "second-last-action",
+    "last_last_act": "second-last-action",
+    "feet_contacts": "contacts",
 }
-"""Names of terms in Isaac Lab, mjlab and Unitree's environments: {name: term}."""
+"""{common name (`OBSERVATION_ALIASES`) of a term in Isaac Lab, mjlab, Unitree's environments and
+others: term}."""
+
+
+def find_term_name(name: str) -> str:
+    """Return the term of an observation for its name in a library; the name itself if unknown."""
+    common = OBSERVATION_ALIASES.get(name, name)
+    return _TERM_ALIASES.get(common, name)
+
 
 BY_FRAME, BY_TERM = "by-frame", "by-term"
 """Layouts of a history: frame after frame, or all frames of a term after each other."""
@@ -65,10 +95,12 @@ class Term:
     Attributes:
         name: A key of `TERM_SIZES`.
         scale: Factor: a number, or a number per element.
+        clip: Lower and upper bound of the elements before scaling.
     """
 
     name: str
     scale: Array | float = field(default=1.0, metadata={"unit": "1"})
+    clip: tuple[float, float] = field(default=(-math.inf, math.inf), metadata={"unit": "varies"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +111,9 @@ class Contract:
         terms: Terms of a frame of the observation, in order.
         joints: Joint names in the order of the policy; empty if the file states none. The order is
             then that of the robot's actuators.
-        default: Joint positions for an action of zero, in the directions of the policy's joints
-            (`signs`), shape (n,) [rad].
+        default: Joint positions that observed positions are relative to, in the directions of the
+            policy's joints (`signs`), shape (n,) [rad].
+        offset: Joint positions for an action of zero, shape (n,) [rad]; None for ``default``.
         action_scale: Joint displacement for an action of 1, shape (n,) [rad].
         lower: Lower bounds of the commanded positions, in the policy's directions, shape (n,)
             [rad].
@@ -88,36 +121,46 @@ class Contract:
             [rad].
         kp: Servo stiffness, shape (n,) [N m/rad]; None for the servos of the robot.
         kd: Servo damping, shape (n,) [N m s/rad]; None for the servos of the robot.
+        effort: Torque limits at the joints, shape (n,) [N m]; None for those of the robot's files.
         rate: Number of actions per second [Hz].
         latency: Delay from an observation to the command at the servos [s].
         clip: Bound on the magnitude of each element of an observation.
+        action_clip: Bound on the magnitude of each element of an action.
         history: Number of frames in an observation.
         newest_first: True if the newest frame is the first.
         layout: ``by-frame`` or ``by-term``.
         phase_rate: Frequency of the gait phase [Hz], if a phase is observed.
         phase_offsets: Phase of each foot at the start [rad].
         signs: Shape (n,); -1 if the joint of the policy turns in the opposite direction.
-        sources: Origin of each stated key: {key: file}.
+        feet: Number of feet of the robot, if contacts are observed; otherwise 0.
+        sources: Place of each key: {key: file, with the line if known}; "" if no file states it.
+        origins: Origin of each key: {key: ``stated``, ``default`` of a framework, ``derived``,
+            ``assumed`` or ``unknown``}.
     """
 
     terms: tuple[Term, ...]
     joints: tuple[str, ...]
     default: Array = field(metadata={"unit": "rad"})
+    offset: Array | None = field(metadata={"unit": "rad"})
     action_scale: Array = field(metadata={"unit": "rad"})
     lower: Array = field(metadata={"unit": "rad"})
     upper: Array = field(metadata={"unit": "rad"})
     kp: Array | None = field(metadata={"unit": "N m/rad"})
     kd: Array | None = field(metadata={"unit": "N m s/rad"})
+    effort: Array | None = field(metadata={"unit": "N m"})
     rate: float = field(metadata={"unit": "Hz"})
     latency: float = field(metadata={"unit": "s"})
     clip: float = field(metadata={"unit": "1"})
+    action_clip: float = field(metadata={"unit": "1"})
     history: int
     newest_first: bool
     layout: str
     phase_rate: float = field(metadata={"unit": "Hz"})
     phase_offsets: Array = field(metadata={"unit": "rad"})
     signs: Array = field(metadata={"unit": "1"})
+    feet: int
     sources: Mapping[str, str]
+    origins: Mapping[str, str]
 
     @property
     def num_joints(self) -> int:
@@ -126,8 +169,10 @@ class Contract:
 
     def term_size(self, term: Term) -> int:
         """Return the number of elements of a term of the observation."""
-        if term.name == "phase":
-            return 2 * len(self.phase_offsets)
+        if term.name.startswith("phase"):
+            return (2 if term.name == "phase" else 1) * len(self.phase_offsets)
+        if term.name == "contacts":
+            return self.feet
         return TERM_SIZES[term.name] or self.num_joints
 
     @property
@@ -150,6 +195,9 @@ _KEY_OF_QUANTITY = {
     "action scale": "action-scale",
     "kp": "kp",
     "kd": "kd",
+    "effort": "effort",
+    "action clip": "action-clip",
+    "observation clip": "clip",
     "lower limit": "lower",
     "upper limit": "upper",
     "latency": "latency",
@@ -181,8 +229,8 @@ def convert_source_statements(source: Source) -> dict[str, Any]:
         values["joints"] = list(source.order)
     if source.observations:
         values["observation"] = [
-            name.strip() if scale is None else {"term": name.strip(), "scale": scale}
-            for name, scale, _ in source.observations
+            term.name if term.scales is None else {"term": term.name, "scale": term.scale}
+            for term in source.observations
         ]
     return values
 
@@ -215,6 +263,7 @@ def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -
 _CONTRACT_KEYS = (
     "observation", "joints", "default", "action-scale", "lower", "upper", "kp", "kd", "rate",
     "latency", "clip", "history", "newest-first", "layout", "phase-rate", "phase-offsets", "signs",
+    "effort", "action-offset", "action-clip",
 )  # fmt: skip
 """Valid contract keys."""
 
@@ -224,7 +273,7 @@ class _MergedValues:
     """Contract keys of several files, merged; each value is checked when read."""
 
     values: Mapping[str, Any]
-    origins: Mapping[str, str]
+    places: Mapping[str, str]
     path: Path
     joints: int
 
@@ -245,7 +294,8 @@ class _MergedValues:
             vector: Array = np.broadcast_to(real_array(key, value), (size,)).copy()
         except (ConfigurationError, ValueError) as error:
             raise self.make_error(key, diagnose("no-numbers", count=size)) from error
-        finite = np.isfinite(vector) | (np.isinf(vector) if key in ("lower", "upper") else False)
+        may_be_infinite = key in ("lower", "upper", "effort")
+        finite = np.isfinite(vector) | (np.isinf(vector) if may_be_infinite else False)
         if not finite.all():
             raise self.make_error(key, diagnose("no-numbers", count=size))
         return vector
@@ -271,17 +321,34 @@ class _MergedValues:
     def make_error(self, key: str, problem: Diagnostic) -> ModelError:
         """Return the error for a contract key, with the file that states it, or the policy file."""
         problem = diagnose("contract-key", key=key, problem=problem)
-        return ModelError(self.origins.get(key.partition(":")[0], str(self.path)), problem)
+        return ModelError(self.places.get(key.partition(":")[0], str(self.path)), problem)
+
+
+@dataclass(frozen=True)
+class Statements:
+    """Contract keys that a file, or several files, state.
+
+    Attributes:
+        file: File, for messages.
+        values: {key: value}.
+        places: {key: file and line}; the file for other keys.
+        origins: {key: origin}; ``stated`` for other keys.
+    """
+
+    file: str
+    values: Mapping[str, Any]
+    places: Mapping[str, str] = field(default_factory=dict)
+    origins: Mapping[str, str] = field(default_factory=dict)
 
 
 def make_contract(
-    path: Path, statements: Sequence[tuple[str, Mapping[str, Any]]], inputs: int, outputs: int
+    path: Path, statements: Sequence[Statements], inputs: int, outputs: int
 ) -> Contract:
     """Merge the statements of several files into a contract.
 
     Args:
         path: File of the policy.
-        statements: (file, contract keys) of each file; the last file has precedence.
+        statements: Contract keys of each file; the last file has precedence.
         inputs: Number of inputs of the network.
         outputs: Number of outputs of the network.
 
@@ -289,25 +356,19 @@ def make_contract(
         ModelError: If a key is unknown, missing or not valid, or a size does not fit the network.
     """
     values: dict[str, Any] = {}
+    places: dict[str, str] = {}
     origins: dict[str, str] = {}
-    for origin, values_of_origin in statements:
-        for key in values_of_origin:
+    for stated in statements:
+        for key in stated.values:
             if key not in _CONTRACT_KEYS:
                 problem = diagnose("contract-key-unknown", key=key, known=_CONTRACT_KEYS)
-                raise ModelError(origin, problem)
-            origins[key] = origin
-        values |= values_of_origin
-    merged = _MergedValues(values, origins, path, outputs)
+                raise ModelError(stated.file, problem)
+            places[key] = stated.places.get(key, stated.file)
+            origins[key] = stated.origins.get(key, str(Origin.STATED))
+        values |= stated.values
+    merged = _MergedValues(values, places, path, outputs)
     terms = _read_terms(merged)
-    joints = values.get("joints", ())
-    is_list = isinstance(joints, Sequence) and not isinstance(joints, str)
-    if not is_list or not all(isinstance(joint, str) for joint in joints):
-        raise merged.make_error(
-            "joints", diagnose("contract-joints", count=outputs, given=str(joints))
-        )
-    if joints and (len(joints) != outputs or len(set(joints)) != outputs):
-        problem = diagnose("contract-joints", count=outputs, given=len(set(joints)))
-        raise merged.make_error("joints", problem)
+    joints = _read_joints(merged)
     layout = values.get("layout", BY_TERM)
     if layout not in (BY_FRAME, BY_TERM):
         problem = diagnose("contract-value", given=str(layout), known=(BY_FRAME, BY_TERM))
@@ -321,40 +382,46 @@ def make_contract(
         raise merged.make_error(key, diagnose("contract-lacks", key=key))
     lower, upper = merged.vector("lower", -math.inf), merged.vector("upper", math.inf)
     signs = merged.vector("signs", 1.0)
+    offset = merged.vector("action-offset", None)
+    effort = merged.vector("effort", None)
+    for key in _CONTRACT_KEYS:
+        if key not in places:
+            places[key], origins[key] = "", str(_UNSTATED_ORIGINS.get(key, Origin.UNKNOWN))
     assert lower is not None
     assert upper is not None
     assert signs is not None
     assert offsets is not None
-    if (crossed := np.flatnonzero(lower > upper)).size:
-        low, high = float(lower[crossed[0]]), float(upper[crossed[0]])
-        raise merged.make_error(
-            "lower", diagnose("not-between", given=low, low=-math.inf, high=high)
-        )
+    _check_ranges(merged, lower, upper, effort, signs)
     history, newest_first = _read_history(merged)
-    if (np.abs(signs) != 1).any():
-        raise merged.make_error(
-            "signs", diagnose("contract-value", given=str(signs), known=("-1", "1"))
-        )
     contract = Contract(
         terms=terms,
         joints=tuple(joints),
         default=default,
+        offset=offset,
         action_scale=scale,
         lower=lower,
         upper=upper,
         kp=merged.vector("kp", None),
         kd=merged.vector("kd", None),
+        effort=effort,
         rate=merged.number("rate", None, 1.0, 1000.0),
         latency=merged.number("latency", 0.0, 0.0, 1.0),
         clip=merged.number("clip", math.inf, 1e-3, math.inf),
+        action_clip=merged.number("action-clip", math.inf, 1e-3, math.inf),
         history=history,
         newest_first=newest_first,
         layout=layout,
         phase_rate=merged.number("phase-rate", 0.0, 0.0, 20.0),
         phase_offsets=offsets,
         signs=signs,
-        sources=origins,
+        feet=0,
+        sources=places,
+        origins=origins,
     )
+    num_contacts = [term.name for term in terms].count("contacts")
+    if num_contacts:
+        rest = inputs // contract.history - contract.frame_size
+        contract = replace(contract, feet=max(1, rest // num_contacts))
     for term in terms:
         size = np.size(term.scale)
         if size not in (1, contract.term_size(term)):
@@ -371,6 +438,38 @@ def make_contract(
         )
         raise ModelError(path, problem)
     return contract
+
+
+def _check_ranges(
+    merged: _MergedValues, lower: Array, upper: Array, effort: Array | None, signs: Array
+) -> None:
+    """Raise a ModelError unless lower <= upper, efforts are positive, and signs are 1 or -1."""
+    if (crossed := np.flatnonzero(lower > upper)).size:
+        low, high = float(lower[crossed[0]]), float(upper[crossed[0]])
+        raise merged.make_error(
+            "lower", diagnose("not-between", given=low, low=-math.inf, high=high)
+        )
+    if effort is not None and (effort <= 0).any():
+        problem = diagnose("not-between", given=float(effort.min()), low=0.0, high=math.inf)
+        raise merged.make_error("effort", problem)
+    if (np.abs(signs) != 1).any():
+        raise merged.make_error(
+            "signs", diagnose("contract-value", given=str(signs), known=("-1", "1"))
+        )
+
+
+def _read_joints(merged: _MergedValues) -> tuple[str, ...]:
+    """Return the joint names in the order of the policy; empty if no file states names."""
+    joints = merged.values.get("joints", ())
+    is_list = isinstance(joints, Sequence) and not isinstance(joints, str)
+    if not is_list or not all(isinstance(joint, str) for joint in joints):
+        raise merged.make_error(
+            "joints", diagnose("contract-joints", count=merged.joints, given=str(joints))
+        )
+    if joints and (len(joints) != merged.joints or len(set(joints)) != merged.joints):
+        problem = diagnose("contract-joints", count=merged.joints, given=len(set(joints)))
+        raise merged.make_error("joints", problem)
+    return tuple(joints)
 
 
 def _read_history(merged: _MergedValues) -> tuple[int, bool]:
@@ -393,7 +492,7 @@ def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
     terms = []
     for entry in entries:
         name = entry.get("term") if isinstance(entry, dict) else entry
-        name = _TERM_ALIASES.get(name, name) if isinstance(name, str) else str(name)
+        name = find_term_name(name) if isinstance(name, str) else str(name)
         if name not in TERM_SIZES:
             problem = diagnose("contract-value", given=name, known=tuple(TERM_SIZES))
             raise merged.make_error("observation", problem)
@@ -406,5 +505,172 @@ def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
             ) from error
         if numbers.ndim > 1 or not np.isfinite(numbers).all():
             raise merged.make_error(f"observation: {name}", diagnose("no-numbers", count=1))
-        terms.append(Term(name, numbers if numbers.ndim else float(numbers)))
+        bounds = entry.get("clip", [-math.inf, math.inf]) if isinstance(entry, dict) else []
+        clip = _read_clip(merged, name, bounds) if bounds else (-math.inf, math.inf)
+        terms.append(Term(name, numbers if numbers.ndim else float(numbers), clip))
     return tuple(terms)
+
+
+def _read_clip(merged: _MergedValues, name: str, bounds: Any) -> tuple[float, float]:
+    """Return the bounds of a term's elements before scaling; ModelError unless low < high."""
+    try:
+        numbers = real_array("clip", bounds)
+    except ConfigurationError as error:
+        problem = diagnose("no-numbers", count=2)
+        raise merged.make_error(f"observation: {name}", problem) from error
+    if numbers.shape != (2,) or not numbers[0] < numbers[1]:
+        raise merged.make_error(f"observation: {name}", diagnose("no-numbers", count=2))
+    return float(numbers[0]), float(numbers[1])
+
+
+_UNSTATED_ORIGINS = dict.fromkeys(
+    (
+        *("latency", "clip", "action-clip", "history", "newest-first", "layout", "lower", "upper"),
+        *("signs", "joints", "action-offset", "phase-rate", "phase-offsets"),
+    ),
+    Origin.ASSUMED,
+)
+"""Origin of each key that no file states and that has a neutral value, such as a latency of 0. The
+origin of other keys is ``unknown``: gains and torque limits are then those of the robot's files."""
+
+
+def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Statements:
+    """Convert the numbers of a deployment to contract keys, with places and origins.
+
+    Args:
+        deployment: Numbers of a deployment, for joints of the robot.
+        inputs: Number of inputs of the network.
+        outputs: Number of outputs of the network.
+    """
+    values, places, origins = dict[str, Any](), dict[str, str](), dict[str, str]()
+
+    def put(key: str, value: Any, place: str, origin: str = Origin.STATED) -> None:
+        values[key], places[key], origins[key] = value, place, str(origin)
+
+    joints = deployment.joints
+    if joints and len(joints) == outputs:
+        origin = Origin.ASSUMED if deployment.is_order_assumed else Origin.STATED
+        put("joints", list(joints), deployment.order_place, origin)
+    else:
+        stated = [joint for quantity, joint in deployment.facts if quantity == "default angle"]
+        joints = tuple(dict.fromkeys(stated)) if len(set(stated)) == outputs else ()
+        if joints:
+            put("joints", list(joints), deployment.facts["default angle", joints[0]].place,
+                Origin.ASSUMED)  # fmt: skip
+    for quantity, key in _KEYS_OF_DEPLOYMENT.items():
+        facts = deployment.get_numbers(quantity, joints)
+        if facts is not None:
+            others = (fact.origin for fact in facts if fact.origin != Origin.STATED)
+            origin = Origin(next(others, Origin.STATED))
+            put(key, [fact.number for fact in facts], facts[0].place, origin)
+    for quantity, key in _SETTINGS_OF_DEPLOYMENT.items():
+        fact = deployment.facts.get((quantity, ""))
+        if fact is not None and fact.value is not None and fact.value > 0:
+            is_rate = key == "rate"
+            put(key, 1.0 / fact.value if is_rate else fact.value, fact.place, fact.origin)
+    if deployment.observations:
+        place = deployment.observations[0].place.path
+        put("observation", [_convert_term(term) for term in deployment.observations], place)
+        histories = {max(1, term.history) for term in deployment.observations}
+        if len(histories) > 1:
+            problem = diagnose("histories-differ", found=sorted(histories))
+            raise ModelError(place, problem)
+        if any(term.history for term in deployment.observations):
+            put("history", histories.pop(), place)
+    else:
+        _put_known_layout(deployment, inputs, len(joints) or outputs, put)
+    file = str(deployment.files[0]) if deployment.files else ""
+    return Statements(file, values, places, origins)
+
+
+_KEYS_OF_DEPLOYMENT = {
+    "default angle": "default",
+    "action scale": "action-scale",
+    "action offset": "action-offset",
+    "kp": "kp",
+    "kd": "kd",
+    "effort": "effort",
+}
+"""{quantity of joints in a deployment: contract key}. Position limits and signs are missing: they
+belong to the motors, not to the policy."""
+
+_SETTINGS_OF_DEPLOYMENT = {
+    "policy step": "rate",
+    "latency": "latency",
+    "observation clip": "clip",
+    "action clip": "action-clip",
+}
+"""{setting of a deployment: contract key}; the rate is the reciprocal of the policy step."""
+
+
+def _convert_term(term: ObservedTerm) -> dict[str, Any]:
+    """Convert an observed term of a source to an entry of the contract key ``observation``."""
+    entry: dict[str, Any] = {"term": find_term_name(term.name)}
+    if term.scales is not None:
+        entry["scale"] = term.scales[0] if len(set(term.scales)) == 1 else list(term.scales)
+    if term.clip is not None:
+        entry["clip"] = list(term.clip)
+    return entry
+
+
+_BASIC_TERMS = ("angular-velocity", "gravity", "command", "joint-positions", "joint-velocities",
+                "last-action")  # fmt: skip
+
+KNOWN_LAYOUTS: Mapping[str, tuple[tuple[str, ...], float]] = {
+    "legged_gym 1.0": (("linear-velocity", *_BASIC_TERMS), 0.0),
+    "legged_gym 1.0 without linear velocity": (_BASIC_TERMS, 0.0),
+    "unitree_rl_gym, deploy_mujoco.py": ((*_BASIC_TERMS, "phase-sine", "phase-cosine"), 1.25),
+}
+"""{framework: terms of an observation, and gait frequency [Hz]} of frameworks whose files do not
+state the terms. legged_robot.py, compute_observations; deploy_mujoco.py, period 0.8 s."""
+
+_SCALES_OF_TERMS = {
+    "linear-velocity": "lin_vel",
+    "angular-velocity": "ang_vel",
+    "joint-positions": "dof_pos",
+    "joint-velocities": "dof_vel",
+}
+"""{term: name of its scale in files of legged_gym}."""
+
+
+def _put_known_layout(
+    deployment: Deployment, inputs: int, joints: int, put: Callable[..., None]
+) -> None:
+    """State the observation of the framework of legged_gym that has the network's size.
+
+    Nothing is stated unless the files contain scales as in legged_gym.
+
+    Args:
+        deployment: Numbers of a deployment.
+        inputs: Number of inputs of the network.
+        joints: Number of joints.
+        put: Function that states a key: value, place and origin.
+    """
+    scales = {
+        term: deployment.facts[f"observation {name}", ""]
+        for term, name in _SCALES_OF_TERMS.items()
+        if (f"observation {name}", "") in deployment.facts
+    }
+    if not scales:
+        return
+    for framework, (terms, phase_rate) in KNOWN_LAYOUTS.items():
+        sizes = [TERM_SIZES[term] or (1 if term.startswith("phase") else joints) for term in terms]
+        if sum(sizes) != inputs:
+            continue
+        entries = list[dict[str, Any]]()
+        for term in terms:
+            scale: Any = scales[term].number if term in scales else 1.0
+            if term == "command":
+                names = ("commands x", "commands y", "commands turn")
+                own = [deployment.facts.get((f"observation {name}", "")) for name in names]
+                known = [fact.number for fact in own if fact is not None]
+                velocity, turn = (scales.get(k) for k in ("linear-velocity", "angular-velocity"))
+                if len(known) == 3:
+                    scale = known
+                elif velocity is not None and turn is not None:
+                    scale = [velocity.number, velocity.number, turn.number]
+            entries.append({"term": term, "scale": scale})
+        put("observation", entries, framework, Origin.DEFAULT)
+        if phase_rate:
+            put("phase-rate", phase_rate, framework, Origin.DEFAULT)
+        return

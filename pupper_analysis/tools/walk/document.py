@@ -6,7 +6,10 @@ independent of the output format, with values in printed units.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +20,7 @@ from pupper_analysis.present.documents.loads import limit_cell
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.walk.contract import Contract
 from pupper_analysis.tools.walk.gait import Gait, Walk
 from pupper_analysis.tools.walk.intervals import TrackedInterval, TrackedIntervals
 from pupper_analysis.tools.walk.orders import MIN_COST_RATIO, Candidate, Orders
@@ -50,6 +54,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             _make_view(walk, robot),
             _make_motor_table(walk),
             _make_run_table(walk),
+            make_key_table(walk.contract),
             torque_plot(walk),
         ),
         passed=walk.passed,
@@ -64,7 +69,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             *_list_warnings(walk),
             *(() if fallen else causes),
         ),
-        details=tuple(details),
+        details=(*details, text(f"walk-evidence-{walk.evidence}")),
         brief=True,
         notes=robot_notes(robot),
         next_step=_select_next_step(walk),
@@ -280,6 +285,55 @@ def _make_run_table(walk: Walk) -> doc.Table:
         doc.Column(text("walk-outcome"), left=True),
     )
     return doc.Table(text("walk-runs"), columns, rows)
+
+
+_NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
+"""{key: value without effect}, which is left out of the table if no file states the key."""
+
+
+def make_key_table(contract: Contract) -> doc.Table:
+    """Create the table of the contract's keys, with the source of each."""
+    values: dict[str, Any] = {
+        "observation": ", ".join(term.name for term in contract.terms),
+        "joints": ", ".join(contract.joints[:3]) + (" ..." if len(contract.joints) > 3 else ""),
+        "default": contract.default,
+        "action-offset": contract.offset,
+        "action-scale": contract.action_scale,
+        "kp": contract.kp,
+        "kd": contract.kd,
+        "effort": contract.effort,
+        "rate": contract.rate,
+        "latency": contract.latency,
+        "clip": contract.clip,
+        "action-clip": contract.action_clip,
+        "history": contract.history,
+        "layout": contract.layout,
+    }
+    rows = []
+    for key, value in values.items():
+        origin, place = contract.origins[key], contract.sources[key]
+        is_neutral = not place and (value is None or value == _NEUTRAL_VALUES.get(key))
+        if is_neutral and origin != "unknown":
+            continue
+        if isinstance(value, np.ndarray):
+            value = _format_range(value)
+        shown = "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+        is_file = bool(place) and origin != "default"
+        where = Path(place).name if is_file else place or "-"
+        mark = "warn" if origin == "unknown" else ""
+        rows.append(
+            (
+                doc.Name(key),
+                doc.Name(shown),
+                text(f"walk-origin-{origin}").with_mark(mark),
+                doc.Name(where),
+            )
+        )
+    columns = tuple(
+        doc.Column(text(name), left=True)
+        for name in ("walk-key", "walk-value", "walk-origin", "walk-place-of-key")
+    )
+    return doc.Table(text("walk-keys"), columns, tuple(rows), (text("walk-keys-note"),))
 
 
 _NUM_DRAWN_MOTORS = 4

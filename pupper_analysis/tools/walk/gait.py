@@ -26,6 +26,7 @@ from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO
 from pupper_analysis.simulation.rollout import STATE_SPEC
+from pupper_analysis.tools.contract.contract import SIMULATED
 from pupper_analysis.tools.walk.contract import Contract
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import (
@@ -150,7 +151,8 @@ class Walk(Result):
         timestep: Time step of the simulation.
         rate: Simulated rate of the policy; the period is a whole number of time steps.
         warm_up: Duration of the warm-up.
-        remarks: Errors and assumptions of the robot's files behind the result.
+        remarks: Errors and assumptions of the robot's files and the deployment behind the result.
+        evidence: ``simulated``; ``traced`` if the policy was also compared with a recorded trace.
     """
 
     name: str
@@ -165,6 +167,7 @@ class Walk(Result):
     rate: float = field(metadata={"unit": "Hz"})
     warm_up: float = field(metadata={"unit": "s"})
     remarks: tuple[Diagnostic, ...]
+    evidence: str = SIMULATED
 
     @property
     def passed(self) -> bool:
@@ -283,14 +286,14 @@ def simulate_walk(
         policy=policy.name,
         contract=policy.contract,
         joints=robot.joint_names,
-        limits=robot.effort_limits,
+        limits=stage.robot.effort_limits,
         mass=robot.total_mass,
         gaits=gaits,
         integrator=mujoco.mjtIntegrator(int(stage.model.opt.integrator)).name[6:],
         timestep=stage.timestep,
         rate=1.0 / (stage.substeps * stage.timestep),
         warm_up=warm_up,
-        remarks=list_walk_remarks(robot),
+        remarks=(*list_walk_remarks(stage.robot), *policy.notes),
     )
 
 

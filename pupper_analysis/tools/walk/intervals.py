@@ -392,7 +392,7 @@ def tracked_intervals(
         intervals=tuple(intervals),
         rollouts=count,
         seconds=float(seconds),
-        remarks=list_walk_remarks(robot),
+        remarks=(*list_walk_remarks(stage.robot), *policy.notes),
     )
 
 

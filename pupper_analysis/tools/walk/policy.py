@@ -8,10 +8,11 @@ TorchScript requires torch.
 from __future__ import annotations
 
 import io
+import re
 import reprlib
 import struct
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -22,10 +23,16 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import InputError, MissingPackageError, ModelError
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    InputError,
+    MissingPackageError,
+    ModelError,
+)
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, is_input, read_input, read_toml
 from pupper_analysis.models.places import Place, make_file_error, make_input_error
+from pupper_analysis.tools.contract.deployment import Deployment
 from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
     OnnxFile,
@@ -39,6 +46,8 @@ from pupper_analysis.tools.contract.readers import (
 from pupper_analysis.tools.contract.readers.onnx import ProtobufMessage
 from pupper_analysis.tools.walk.contract import (
     Contract,
+    Statements,
+    convert_deployment,
     convert_source_statements,
     make_contract,
     make_rtneural_values,
@@ -66,15 +75,22 @@ class Policy:
         network: Network that maps observations to actions.
         contract: Observation of the policy, and meaning of the actions.
         files: Files that were read: policy, files of weights, definitions of the contract.
+        notes: Assumptions about a deployment, and disagreements between its files.
     """
 
     name: str
     network: Network
     contract: Contract
     files: tuple[Path, ...] = ()
+    notes: tuple[Diagnostic, ...] = ()
 
     @classmethod
-    def load(cls, path: str | Path, contract: str | Path | None = None) -> Policy:
+    def load(
+        cls,
+        path: str | Path,
+        contract: str | Path | None = None,
+        deployment: Deployment | None = None,
+    ) -> Policy:
         """Read a walking policy (network and contract) from files.
 
         No code of the file is executed, except TorchScript, by torch's
@@ -82,8 +98,10 @@ class Policy:
 
         Args:
             path: ONNX file, RTNeural's JSON, or TorchScript (requires torch).
-            contract: TOML file with contract keys, which has precedence over the policy file; by
+            contract: TOML file with contract keys, which has precedence over the other files; by
                 default the file of the same name with the suffix ``.toml``, if that file exists.
+            deployment: Numbers of a deployment (`read_deployment`), which have precedence over the
+                policy file.
 
         Raises:
             MissingPackageError: If the policy is TorchScript and torch is not installed.
@@ -94,14 +112,19 @@ class Policy:
             # Not with_suffix, which fails for the path ".".
             toml_path = Path(contract or path.parent / f"{path.stem}.toml")
             has_toml = contract is not None or is_input(toml_path)
-            toml: dict[str, Any] = read_toml(toml_path)[1] if has_toml else {}
+            text, toml = read_toml(toml_path) if has_toml else ("", dict[str, Any]())
         except InputError as error:
             raise ModelError(error.path, error.cause) from error
-        network, values = _read_policy(path)
-        statements = [(str(path), values), *([(str(toml_path), toml)] if has_toml else [])]
+        network, statements = read_statements(path, deployment)
+        files = [path, *network.files, *(() if deployment is None else deployment.files)]
+        if has_toml:
+            lines = {key: _find_toml_line(text, key) for key in toml}
+            places = {key: f"{toml_path}:{line}" for key, line in lines.items() if line}
+            statements.append(Statements(str(toml_path), toml, places))
+            files.append(toml_path)
         merged = make_contract(path, statements, network.inputs, network.outputs)
-        files = (path, *network.files, *([toml_path] if has_toml else []))
-        return cls(path.name, network, merged, files)
+        notes = () if deployment is None else deployment.notes
+        return cls(path.name, network, merged, tuple(dict.fromkeys(files)), notes)
 
     def with_contract(self, **changed: Any) -> Policy:
         """Return the policy with changed fields of its contract (observation and action)."""
@@ -109,6 +132,72 @@ class Policy:
 
 
 Array = NDArray[np.float64]
+
+
+SOURCE_SUFFIXES = (".yaml", ".yml", ".py")
+"""Suffixes of files of a deployment or trainer that `walk` reads as `contract` does."""
+
+
+def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Separate words that name a robot from files of a policy, deployment or trainer.
+
+    The latter may be ``FILE:NAME`` to select a configuration.
+    """
+    suffixes = (*SOURCE_SUFFIXES, ".onnx", ".json", *TORCHSCRIPT_SUFFIXES)
+    is_source = [Path(word.rpartition(":")[0] or word).suffix in suffixes or
+                 Path(word).suffix in suffixes for word in words]  # fmt: skip
+    pairs = list(zip(words, is_source, strict=True))
+    robots, sources = ([word for word, flag in pairs if flag is side] for side in (False, True))
+    return tuple(robots), tuple(sources)
+
+
+def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tuple[str, ...]]:
+    """Return the file of the policy, and the other sources.
+
+    Without a policy, the only ONNX file in the folder of a deployment is used, or in the folder
+    ``exported`` beside this folder, as in unitree_rl_lab.
+
+    Args:
+        policy: Typed policy; None without.
+        sources: Files of a policy, deployment or trainer.
+
+    Raises:
+        ConfigurationError: If there are several policies, or none.
+    """
+    policies = [Path(word) for word in sources if Path(word).suffix not in SOURCE_SUFFIXES
+                and ":" not in Path(word).name]  # fmt: skip
+    policies += [] if policy is None else [policy]
+    others = tuple(word for word in sources if Path(word) not in policies)
+    if not policies and others:
+        folder = Path(others[0].rpartition(":")[0] or others[0]).parent
+        folders = (folder, folder.parent / "exported")
+        policies = sorted({path for part in folders for path in part.glob("*.onnx")})
+    if len(policies) != 1:
+        names = tuple(map(str, policies))
+        raise ConfigurationError("policy", diagnose("one-policy-needed", names=names))
+    return policies[0], others
+
+
+def read_statements(
+    path: Path, deployment: Deployment | None = None
+) -> tuple[Network, list[Statements]]:
+    """Read the network of a policy, and the contract keys of policy file and deployment.
+
+    Raises:
+        MissingPackageError: If the policy is TorchScript and torch is not installed.
+        ModelError: If the policy cannot be read.
+    """
+    network, values = _read_policy(path)
+    statements = [Statements(str(path), values)]
+    if deployment is not None:
+        statements.append(convert_deployment(deployment, network.inputs, network.outputs))
+    return network, statements
+
+
+def _find_toml_line(text: str, key: str) -> int:
+    """Return the line, from 1, that states a key of a flat TOML file; 0 if none does."""
+    match = re.search(rf"^[ \t]*[\"']?{re.escape(key)}[\"']?[ \t]*=", text, re.MULTILINE)
+    return 0 if match is None else text.count("\n", 0, match.end()) + 1
 
 
 @contextmanager
@@ -223,7 +312,7 @@ class _WeightFiles:
 
 
 def _read_tensor(
-    path: Path, data: int | memoryview, weight_files: _WeightFiles
+    path: Path, data: int | memoryview, weight_files: _WeightFiles | None = None
 ) -> tuple[str, Array]:
     """Return the name and the numbers of an ONNX tensor (protobuf message), in its shape.
 
@@ -245,7 +334,11 @@ def _read_tensor(
         raise ModelError(path, diagnose("weights-of-no-type", layer=name))
     is_external = bool(tensor.get(_DATA_LOCATION_FIELD, [0])[0])
     if is_external or 9 in tensor:
-        raw = bytes(weight_files.read_weights(tensor, name) if is_external else tensor[9][0])
+        raw = bytes(
+            (weight_files or _WeightFiles(path)).read_weights(tensor, name)
+            if is_external
+            else tensor[9][0]
+        )
         size = np.dtype(_NUMPY_TYPES[kind]).itemsize
         numbers = np.frombuffer(raw[: len(raw) // size * size], dtype=_NUMPY_TYPES[kind])
     elif kind in (1, 11):

@@ -9,9 +9,10 @@ from __future__ import annotations
 import copy
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import mujoco
 import mujoco.rollout
@@ -22,12 +23,14 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.as_published import ServoSource
+from pupper_analysis.robot.build import with_efforts
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import find_acting_contacts
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used, model_with_servos, resolve_servo_gains
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO, StandReference
-from pupper_analysis.simulation.rollout import FORCED_CONTROL_SPEC, full_state
+from pupper_analysis.simulation.rollout import FORCED_CONTROL_SPEC, STATE_SPEC, full_state
 from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
 from pupper_analysis.tools.walk.policy import Policy
 
@@ -153,6 +156,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     robot.check_floating()
     contract = policy.contract
     joints = find_joint_indices(robot, policy)
+    robot = with_contract_efforts(robot, contract, joints)
     if not robot.feet:
         raise ConfigurationError("robot", diagnose("walks-on-no-feet", robot=robot.name))
     kp, kd = contract.kp, contract.kd
@@ -172,6 +176,9 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
         servos = model_with_servos(robot)
     model = copy.copy(servos.model)  # sensors are not used and take 7 % of the time of v3's steps
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+    if contract.feet and contract.feet != len(robot.feet):
+        problem = diagnose("contacts-of-feet", stated=contract.feet, feet=len(robot.feet))
+        raise ModelError(policy.name, problem)
     substeps = round(1.0 / (contract.rate * model.opt.timestep))
     if substeps < 1:
         problem = diagnose("rate-above-steps", rate=contract.rate, timestep=model.opt.timestep)
@@ -194,6 +201,57 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
         substeps=substeps,
         upright=StandReference.from_configuration(robot, default),
     )
+
+
+def with_contract_efforts(robot: Robot, contract: Contract, joints: Integers) -> Robot:
+    """Return the robot with the torque limits of a policy's contract, if the contract states any.
+
+    A limit of a TOML file replaces the limit of the robot's files. A limit of another source, for
+    example of a deployment, replaces a higher limit only: a motor obeys both.
+
+    Args:
+        robot: Robot.
+        contract: Contract of the policy.
+        joints: Index of the robot's joint for each joint of the policy.
+    """
+    if contract.effort is None:
+        return robot
+    file = contract.sources["effort"].rpartition(":")[0] or contract.sources["effort"]
+    replaces = Path(file).suffix == ".toml"
+    limits = {
+        robot.joint_names[joint]: float(limit)
+        for joint, limit in zip(joints, contract.effort, strict=True)
+        if math.isfinite(limit) and (replaces or limit < robot.effort_limits[joint])
+    }
+    return with_efforts(robot, limits)
+
+
+def replace_efforts(
+    robot: Robot, policy: Policy, efforts: Mapping[str, float]
+) -> tuple[Robot, Policy]:
+    """Return robot and policy with other torque limits, which precede those of all files.
+
+    Args:
+        robot: Robot.
+        policy: Policy.
+        efforts: {joint of the robot: limit [N m]}; both are returned unchanged without efforts.
+
+    Raises:
+        ConfigurationError: If a limit is not positive and finite.
+        ModelError: If the policy does not fit the robot.
+        UnknownNameError: If a joint does not exist.
+    """
+    if not efforts:
+        return robot, policy
+    contract = policy.contract
+    if contract.effort is not None:
+        names = [robot.joint_names[joint] for joint in find_joint_indices(robot, policy)]
+        replaced = np.array([name in efforts for name in names])
+        policy = policy.with_contract(effort=np.where(replaced, np.inf, contract.effort))
+    sources = {**contract.sources, "effort": "--effort"}
+    if policy.contract.effort is None:
+        policy = policy.with_contract(sources=sources)
+    return with_efforts(robot, efforts), policy
 
 
 def find_joint_indices(robot: Robot, policy: Policy) -> Integers:
@@ -272,7 +330,7 @@ class Lockstep:
         self.current = np.array([_make_start_state(stage, case) for case in cases])
         self.tick = 0
         self._data, self._runner = mujoco.MjData(stage.model), mujoco.rollout.Rollout(nthread=0)
-        self._observer = Observer(stage, self.commands)
+        self._observer = Observer(stage, self.commands, self._models)
         self._memory = stage.policy.network.initial_memory(len(cases))
         delays = np.array([[round(case.delay / stage.timestep)] for case in cases])
         # Age, in actions, of the command that is applied at each step of an action.
@@ -295,10 +353,12 @@ class Lockstep:
         stage, active = self._stage, self.active
         observations = self._observer.observe(self.current, active, self.tick)
         actions, self._memory = stage.policy.network.forward(observations, self._memory)
+        self._observer.second_last[active] = self._observer.last[active]
         self._observer.last[active] = actions
         self._command_history[active, 1:] = self._command_history[active, :-1]
         self._command_history[active, 0] = _compute_controls(stage, actions)
         control = self._command_history[active[:, None], self._command_delays[active]]
+        self._observer.controls[active] = control[:, -1]
         models = [self._models[index] for index in active.tolist()]
         controls, spec = control, {}
         if forces is not None:
@@ -420,7 +480,9 @@ def _make_start_state(stage: Stage, case: Case) -> Array:
 def _compute_controls(stage: Stage, actions: Array) -> Array:
     """Convert actions of the policy, shape (runs, n), to controls, shape (runs, model.nu)."""
     contract = stage.policy.contract
-    targets = contract.default + contract.action_scale * actions
+    clipped = np.clip(actions, -contract.action_clip, contract.action_clip)
+    offset = contract.default if contract.offset is None else contract.offset
+    targets = offset + contract.action_scale * clipped
     targets = contract.signs * np.clip(targets, contract.lower, contract.upper)
     ctrl = np.tile(stage.ctrl, (len(actions), 1))
     actuators = stage.robot.mj_convention.actuator_index[stage.joints]
@@ -464,15 +526,25 @@ class Observer:
     Args:
         stage: Policy on the robot.
         commands: Commands of all runs, shape (runs, 3).
+        models: Model of each run; by default the model of the stage.
 
     Attributes:
+        controls: Controls that act when an observation is made, shape (runs, model.nu).
         last: Last actions of all runs, shape (runs, n).
+        second_last: Actions before the last actions, shape (runs, n).
     """
 
-    def __init__(self, stage: Stage, commands: Array) -> None:
+    def __init__(
+        self, stage: Stage, commands: Array, models: Sequence[mujoco.MjModel] = ()
+    ) -> None:
         self._stage, self._commands = stage, commands
+        self._models = list(models) or [stage.model] * len(commands)
+        self.controls = np.tile(stage.ctrl, (len(commands), 1))
         self._contract: Contract = stage.policy.contract
         self.last = np.zeros((len(commands), self._contract.num_joints))
+        self.second_last = np.zeros_like(self.last)
+        names = {term.name for term in self._contract.terms}
+        self._is_dynamic = bool(names & {"accelerometer", "contacts"})
         shape = (len(commands), self._contract.history, self._contract.frame_size)
         self._frames = np.zeros(shape)
 
@@ -531,5 +603,39 @@ class Observer:
             "joint-velocities": contract.signs * qvel[:, 6 + joints],
             "last-action": self.last[active],
             "phase": np.tile(np.concatenate([np.cos(phase), np.sin(phase)]), (num_runs, 1)),
+            "phase-sine": np.tile(np.sin(phase), (num_runs, 1)),
+            "phase-cosine": np.tile(np.cos(phase), (num_runs, 1)),
+            "command-velocity": self._commands[active, :2],
+            "command-turning": self._commands[active, 2:],
+            "second-last-action": self.second_last[active],
         }
-        return np.concatenate([values[term.name] * term.scale for term in contract.terms], axis=1)
+        if self._is_dynamic:
+            values |= self._measure_dynamics(states, active, base_rotations)
+        parts = [np.clip(values[term.name], *term.clip) * term.scale for term in contract.terms]
+        return np.concatenate(parts, axis=1)
+
+    def _measure_dynamics(
+        self, states: Array, active: Integers, base_rotations: Array
+    ) -> dict[str, Array]:
+        """Return the accelerometer at the origin of the base, and the contacts of the feet.
+
+        Accelerations and contact forces follow from MuJoCo's forward dynamics.
+
+        Args:
+            states: MuJoCo states of n runs, shape (n, size).
+            active: Indices of the n runs among all runs, shape (n,).
+            base_rotations: Orientations of the base, shape (n, 3, 3).
+        """
+        stage, data, feet = self._stage, mujoco.MjData(self._stage.model), [*self._stage.robot.feet]
+        specific, contacts = np.zeros((len(states), 3)), np.zeros((len(states), len(feet)))
+        index = stage.robot.mj_convention.qvel_index[:3]
+        for row, (state, run) in enumerate(zip(states, active.tolist(), strict=True)):
+            model = self._models[run]
+            mujoco.mj_setState(model, data, state, STATE_SPEC)
+            data.ctrl[:] = self.controls[run]
+            mujoco.mj_forward(model, data)
+            specific[row] = base_rotations[row].T @ (data.qacc[index] - model.opt.gravity)
+            geoms = data.contact.geom[np.flatnonzero(find_acting_contacts(data))]
+            touching = {stage.robot.foot_geoms.get(int(geom)) for geom in geoms.ravel()}
+            contacts[row] = [foot in touching for foot in feet]
+        return {"accelerometer": specific, "contacts": contacts}

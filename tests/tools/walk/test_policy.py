@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.tools.contract.facts import Place, Role, Source
+from pupper_analysis.tools.contract.facts import ObservedTerm, Place, Role, Source
 from pupper_analysis.tools.walk.contract import convert_source_statements
 from pupper_analysis.tools.walk.policy import Policy, _read_tensor
 from tests.tools.contract.sources import field, varint
@@ -63,7 +63,7 @@ def test_contract_is_read_from_a_toml_beside_the_policy(tmp_path: Path) -> None:
     ]
     assert (contract.terms[0].scale, contract.history) == (0.25, 2)
     assert contract.latency == 0.01
-    assert contract.sources["kp"].endswith("made.toml")
+    assert contract.sources["kp"].endswith("made.toml:5")
 
 
 def test_toml_takes_precedence_over_onnx_metadata(tmp_path: Path) -> None:
@@ -253,7 +253,10 @@ def test_half_precision_weights_stored_as_integers_keep_their_values(tmp_path: P
 def test_scales_of_observations_in_a_policy_file_reach_the_contract() -> None:
     """A term without a stated scale remains a name, for which the contract's default holds."""
     place = Place(Path("policy.json"), 1)
-    observations = (("angular-velocity", 0.25, place), ("command", None, place))
+    observations = (
+        ObservedTerm("angular-velocity", (0.25,), place),
+        ObservedTerm("command", None, place),
+    )
     source = Source("policy.json", place.path, Role.POLICY, (), observations=observations)
     assert convert_source_statements(source)["observation"] == [
         {"term": "angular-velocity", "scale": 0.25},

@@ -36,6 +36,10 @@ _MAX_TABLE_DEPTH = 4
 """Largest depth of nested tables that are searched for numbers of joints. Chosen, not tuned."""
 
 
+_COMMAND_PARTS = ("x", "y", "turn")
+"""Elements of a command, whose scales are a list ``cmd_scale`` in files of unitree_rl_gym."""
+
+
 @dataclass(frozen=True)
 class _View:
     """Tables of a document that belong to one source; keys are searched in this order.
@@ -247,6 +251,13 @@ def _read_view(
         or any(not find_quantity_kind(statement.quantity).is_setting for statement in statements)
     ):
         return
+    commands = view.get("cmd_scale")
+    if len(commands.items) == len(_COMMAND_PARTS):
+        statements += [
+            item.make_statement(f"observation commands {part}")
+            for part, item in zip(_COMMAND_PARTS, commands.items, strict=True)
+            if item.number is not None
+        ]
     rate, repeat = view.get("update_rate"), view.get("repeat_action")
     if rate.number and repeat.number:
         step = repeat.number / rate.number

@@ -1,0 +1,147 @@
+"""Numbers with which a policy runs on a robot, merged from the files of its deployment.
+
+`read_deployment` reads the same files as `contract`. If several files state a number, a deployment
+precedes a driver, a policy file and a trainer. Disagreements between the files are a note.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.contract.facts import Fact, ObservedTerm, Role
+from pupper_analysis.tools.contract.findings import find_disagreements, find_lost_quantities
+from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
+from pupper_analysis.tools.contract.reading import (
+    check_source,
+    make_names_distinct,
+    read_sources,
+    split_arguments,
+)
+
+_PRECEDENCE = (Role.DEPLOYMENT, Role.DRIVER, Role.POLICY, Role.TRAINER)
+"""Roles of sources; a number of an earlier role precedes the number of a later role."""
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """Numbers with which a policy runs on a robot.
+
+    Attributes:
+        joints: Joints of the robot in the order of the policy; empty if no file states an order.
+        order_place: File and line of the joint order; empty without.
+        is_order_assumed: Whether the joint order of lists is assumed.
+        facts: {(quantity, joint): number}; the joint is "" for a setting.
+        observations: Terms of an observation, in order; empty if no file states them.
+        files: Files that were read.
+        notes: Assumptions, and disagreements between the files.
+    """
+
+    joints: tuple[str, ...]
+    order_place: str
+    is_order_assumed: bool
+    facts: Mapping[tuple[str, str], Fact]
+    observations: tuple[ObservedTerm, ...]
+    files: tuple[Path, ...]
+    notes: tuple[Diagnostic, ...]
+
+    def get_numbers(self, quantity: str, joints: Sequence[str]) -> list[Fact] | None:
+        """Return the facts of a quantity for joints; None unless all are stated as numbers."""
+        facts = [self.facts.get((quantity, joint)) for joint in joints]
+        known = [fact for fact in facts if fact is not None and fact.value is not None]
+        return known if joints and len(known) == len(joints) else None
+
+
+def read_deployment(
+    robot: Robot,
+    sources: Sequence[str | Path],
+    policy: Path | None = None,
+    names: Mapping[str, str] | None = None,
+) -> Deployment:
+    """Read the files of a deployment, for the joints of a robot.
+
+    Args:
+        robot: Robot.
+        sources: Files of deployment, drivers and trainer, or ``FILE:NAME``.
+        policy: File of the policy, whose metadata may state numbers.
+        names: {joint name in a source: joint of the robot} of joints that are not matched.
+
+    Raises:
+        ModelError: If a file cannot be read, or states nothing about joints of the robot, or if a
+            file contains several policies and no name is passed.
+    """
+    requests, folders = split_arguments(sources)
+    if folders:
+        raise ModelError(folders[0], diagnose("file-is-folder"))
+    read, errors = read_sources(requests)
+    if errors:
+        raise errors[0]
+    for source in read:
+        peers = [one.name for one in read if (one.path, one.role) == (source.path, source.role)]
+        if len(peers) > 1:
+            named = [name.rpartition(":")[2].rpartition("/")[2] for name in peers]
+            message = diagnose("contract-several", names=named, file=source.path.name)
+            raise ModelError(source.path, message)
+    if policy is not None and policy.suffix.lower() in (".onnx", ".json"):
+        extra, _ = split_arguments([policy])
+        read += read_sources(extra)[0]
+    read = make_names_distinct(read)
+    joints = RobotJoints.from_robot(robot, names)
+    placed = [
+        assign_joints(source, joints, [s for s in read if s is not source]) for source in read
+    ]
+    notes = list[Diagnostic]()
+    for placed_source in placed:
+        if placed_source.source.role is not Role.POLICY:
+            robot_source = replace(placed_source.source, name=robot.name, order=joints.order)
+            notes += check_source(placed_source, robot_source)
+    notes += find_lost_quantities(placed)
+    placed.sort(key=lambda one: _PRECEDENCE.index(one.source.role))
+    findings = find_disagreements(placed, joints)
+    differing = [one for one in findings if one.severity is Severity.ERROR]
+    if differing:
+        first = differing[0].diagnostic
+        notes.append(diagnose("deployment-differs", count=len(differing), first=first))
+    facts: dict[tuple[str, str], Fact] = {}
+    for placed_source in placed:
+        for key, fact in placed_source.facts.items():
+            facts.setdefault(key, fact)
+    ordered = _find_order(placed)
+    stating = (one.source.observations for one in placed if one.source.observations)
+    return Deployment(
+        joints=() if ordered is None else tuple(filter(None, ordered.order)),
+        order_place="" if ordered is None else _describe_order_place(ordered),
+        is_order_assumed=ordered is not None and ordered.how == "assumed",
+        facts=facts,
+        observations=next(stating, ()),
+        files=tuple(dict.fromkeys(source.path for source in read)),
+        notes=tuple(notes),
+    )
+
+
+def _find_order(placed: Sequence[PlacedSource]) -> PlacedSource | None:
+    """Return the source whose joint order is that of the policy's arrays; None without.
+
+    The names in a policy file define the order of its arrays. Otherwise the first source with an
+    order counts, one with names or motor numbers before one with an assumed order.
+    """
+    ranks = {"named": 0, "motors": 1, "policy": 1, "assumed": 2}
+    known = [one for one in placed if one.order]
+    return min(
+        known,
+        key=lambda one: (
+            not (one.source.role is Role.POLICY and one.how == "named"),
+            ranks[one.how],
+        ),
+        default=None,
+    )
+
+
+def _describe_order_place(placed_source: PlacedSource) -> str:
+    """Return ``file:line`` of a joint order, or the file if no line states the order."""
+    place = placed_source.source.order_place
+    return str(placed_source.source.path) if place is None else place.path

@@ -1,0 +1,106 @@
+"""Template of the TOML file that defines observation and action of a policy.
+
+`write_template` writes the keys of the contract: keys that a file states as comments with their
+source, and the missing keys to be completed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.base.files import write_atomically
+from pupper_analysis.base.kinds import MODEL_KIND
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.contract.deployment import Deployment
+from pupper_analysis.tools.walk.contract import TERM_SIZES
+from pupper_analysis.tools.walk.policy import read_statements
+
+_REQUIRED_KEYS = ("observation", "default", "action-scale", "rate")
+"""Keys without which a policy cannot be simulated."""
+
+_MEANINGS = {
+    "observation": "terms of a frame of the observation, in order",
+    "joints": "joints in the order of the policy; without: the order of the robot's actuators",
+    "default": "joint positions that observed positions are relative to [rad]",
+    "action-offset": "joint positions for an action of zero [rad]; without: the default",
+    "action-scale": "change of joint positions for an action of 1 [rad]",
+    "kp": "servo stiffness [N m/rad]; without: the servos of the robot's files",
+    "kd": "servo damping [N m s/rad]",
+    "effort": "torque limits at the joints [N m]; without: those of the robot's files",
+    "rate": "rate of the policy [Hz]",
+    "latency": "delay from an observation to the command [s]; without: 0",
+    "clip": "bound of the magnitude of each observation; without: none",
+    "action-clip": "bound of the magnitude of each action; without: none",
+    "history": "number of frames in an observation; without: 1",
+    "phase-rate": "frequency of the gait phase [Hz], if a phase is observed",
+}
+"""{key: meaning} of the keys of a template."""
+
+
+def write_template(
+    policy: Path, robot: Robot, deployment: Deployment | None = None
+) -> tuple[Path, tuple[str, ...]]:
+    """Write a template of the TOML file beside a policy.
+
+    Args:
+        policy: File of the policy.
+        robot: Robot, whose joints and start pose are suggestions.
+        deployment: Numbers of a deployment; None without.
+
+    Returns:
+        Path of the TOML file, and the keys that must be completed.
+
+    Raises:
+        ModelError: If the policy cannot be read.
+        OutputError: If the file exists, and the run does not replace files.
+    """
+    network, statements = read_statements(policy, deployment)
+    stated = {key: one for one in statements for key in one.values}
+    missing = tuple(key for key in _REQUIRED_KEYS if key not in stated)
+    lines = [
+        f"# Observation and action of {policy.name}: {network.inputs} inputs, {network.outputs} "
+        f"outputs, for {robot.name}.",
+        "# Keys that other files state are comments; without the # they replace these numbers.",
+        f"# Terms: {', '.join(TERM_SIZES)}.",
+    ]
+    suggestions = _suggest_values(robot, network.outputs)
+    for key, meaning in _MEANINGS.items():
+        lines += ["", f"# {meaning}"]
+        if key in stated:
+            source = stated[key]
+            place = source.places.get(key, source.file)
+            origin = source.origins.get(key, "stated")
+            lines.append(f"# {key} = {_format_value(source.values[key])}  # {origin}: {place}")
+        elif key in missing:
+            lines.append(f"# {key} = {suggestions.get(key, '')}  # unknown: complete this line")
+        else:
+            lines.append(f"# {key} = {suggestions.get(key, '')}".rstrip())
+    path = policy.parent / f"{policy.stem}.toml"
+    with write_atomically(path, MODEL_KIND) as file:
+        file.write(("\n".join(lines) + "\n").encode())
+    return path, missing
+
+
+def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
+    """Return {key: TOML value} of the robot's files, if the policy commands all joints."""
+    terms = ["angular-velocity", "gravity", "command", "joint-positions", "joint-velocities"]
+    values: dict[str, Any] = {"observation": [*terms, "last-action"]}
+    if robot.nu == outputs:
+        values["joints"] = list(robot.joint_names)
+        values["default"] = np.round(robot.home[-robot.nu :], 6).tolist()
+    return {key: _format_value(value) for key, value in values.items()}
+
+
+def _format_value(value: Any) -> str:
+    """Return a value as TOML: a number, a text, a list, or a table in braces."""
+    if isinstance(value, dict):
+        return (
+            "{" + ", ".join(f"{key} = {_format_value(item)}" for key, item in value.items()) + "}"
+        )
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_format_value, value)) + "]"
+    return f"{value:.12g}" if isinstance(value, float) else json.dumps(value)

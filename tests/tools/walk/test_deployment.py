@@ -1,0 +1,321 @@
+"""Policies with the files of their deployment: the same walk as with a TOML of the same numbers."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.simulation.rollout import full_state
+from pupper_analysis.tools.contract.deployment import read_deployment
+from pupper_analysis.tools.walk.contract import Term
+from pupper_analysis.tools.walk.document import make_key_table, walk_document
+from pupper_analysis.tools.walk.gait import simulate_walk
+from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
+from pupper_analysis.tools.walk.runs import Observer, prepare_stage, replace_efforts
+from pupper_analysis.tools.walk.template import write_template
+from tests.support.commands import run_command
+from tests.support.variants import load
+from tests.tools.contract.sources import ANGLES, JOINTS, format_list
+from tests.tools.walk import made
+
+TERMS = ["base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel", "last_action"]
+SIZES = [3, 3, 3, 12, 12]
+
+TOML = f"""
+observation = [
+  {{term = "angular-velocity", scale = 0.25}}, "gravity",
+  {{term = "command", scale = [2.0, 2.0, 0.25]}}, "joint-positions", "last-action",
+]
+joints = {json.dumps(JOINTS)}
+default = {ANGLES}
+action-scale = 0.75
+kp = 5.0
+kd = 0.25
+effort = 2.5
+rate = 50
+history = 2
+"""
+
+
+def make_deploy(**changed: str) -> str:
+    """Write a YAML as unitree_rl_lab exports it: terms by name, each with scale and history."""
+    scales = {"base_ang_vel": 0.25, "velocity_commands": None}
+    values = {
+        "joint_names": format_list(JOINTS),
+        "step_dt": "0.02",
+        "stiffness": format_list([5.0] * 12),
+        "damping": format_list([0.25] * 12),
+        "effort_limits": format_list([2.5] * 12),
+        "default_joint_pos": format_list(ANGLES),
+        "actions": "\n  JointPositionAction:\n    scale: [" + ", ".join(["0.75"] * 12) + "]",
+    } | changed
+    text = "".join(f"{key}: {value}\n" for key, value in values.items()) + "observations:\n"
+    for name, size in zip(TERMS, SIZES, strict=True):
+        scale = [2.0, 2.0, 0.25] if name == "velocity_commands" else [scales.get(name, 1.0)] * size
+        text += f"  {name}:\n    clip: null\n    scale: {scale}\n    history_length: 2\n"
+    return text
+
+
+def write_policy(folder: Path) -> Path:
+    """A network of two frames, the older and the newer of each term, without metadata."""
+    draw = np.random.default_rng(1)
+    weights = 0.02 * draw.normal(size=(2 * sum(SIZES), 12))
+    path = folder / "policy.onnx"
+    path.write_bytes(made.dense_onnx([(weights, np.zeros(12))], "Tanh"))
+    return path
+
+
+@pytest.mark.slow
+def test_deployment_gives_the_same_walk_as_a_toml(tmp_path: Path) -> None:
+    """To the last bit: order, gains, pose, scales, terms, history, rate and torque limits."""
+    policy, deploy, toml = write_policy(tmp_path), tmp_path / "deploy.yaml", tmp_path / "own.toml"
+    deploy.write_text(make_deploy())
+    toml.write_text(TOML)
+    robot = load("v3")
+    found = Policy.load(policy, deployment=read_deployment(robot, [deploy], policy))
+    stated = Policy.load(policy, toml)
+    walks = [simulate_walk(robot, one, (0.1, 0, 0), seconds=3.0) for one in (found, stated)]
+    assert (walks[0].gaits[0].motion == walks[1].gaits[0].motion).all()
+    assert walks[0].limits == pytest.approx(np.full(12, 2.5))
+    assert (walks[0].limits == walks[1].limits).all()
+    assert found.files == (policy, deploy)
+
+
+def test_each_key_has_its_line_and_origin(tmp_path: Path) -> None:
+    """Stated lines of the YAML; a key that no file states is assumed or unknown."""
+    policy, deploy = write_policy(tmp_path), tmp_path / "deploy.yaml"
+    text = make_deploy().replace(f"joint_names: {format_list(JOINTS)}\n", "")
+    deploy.write_text(text.replace(f"effort_limits: {format_list([2.5] * 12)}\n", ""))
+    contract = Policy.load(
+        policy, deployment=read_deployment(load("v3"), [deploy], policy)
+    ).contract
+    lines = deploy.read_text().splitlines()
+    for key, word in {"kp": "stiffness", "rate": "step_dt", "default": "default_joint_pos"}.items():
+        line = int(contract.sources[key].rpartition(":")[2])
+        assert lines[line - 1].startswith(word)
+    origins = {key: contract.origins[key] for key in ("rate", "kp", "joints", "latency", "effort")}
+    assert origins == {
+        "rate": "stated", "kp": "assumed", "joints": "assumed", "latency": "assumed",
+        "effort": "unknown",
+    }  # fmt: skip
+    rows = {row[0].text: row[2].en for row in make_key_table(contract).rows}  # type: ignore[union-attr]
+    assert rows["effort"] == "unknown"
+    assert rows["rate"] == "stated"
+
+
+def test_lists_by_depth_are_assigned_as_in_isaac_lab(tmp_path: Path) -> None:
+    """The network's arrays are in this order, too."""
+    order = [JOINTS[3 * leg + part] for part in range(3) for leg in range(4)]
+    angles = [ANGLES[JOINTS.index(name)] for name in order]
+    policy, deploy = write_policy(tmp_path), tmp_path / "deploy.yaml"
+    text = make_deploy(default_joint_pos=format_list(angles))
+    deploy.write_text(text.replace(f"joint_names: {format_list(JOINTS)}\n", ""))
+    deployment = read_deployment(load("v3"), [deploy], policy)
+    assert [name[-1] for name in deployment.joints] == ["1"] * 4 + ["2"] * 4 + ["3"] * 4
+    assert "contract-order-by-depth" in {note.code for note in deployment.notes}
+
+
+def test_torque_limit_of_a_deployment_only_lowers_the_limit_of_the_files(tmp_path: Path) -> None:
+    """A motor obeys both limits; a TOML, and the user, replace them. v3's files state 3 N m."""
+    policy, deploy, robot = write_policy(tmp_path), tmp_path / "deploy.yaml", load("v3")
+    deploy.write_text(make_deploy(effort_limits=format_list([2.5] * 6 + [9.0] * 6)))
+    found = Policy.load(policy, deployment=read_deployment(robot, [deploy], policy))
+    stage = prepare_stage(robot, found)
+    own = robot.effort_limits
+    assert stage.robot.effort_limits == pytest.approx(np.minimum(own, [2.5] * 6 + [9.0] * 6))
+    assert stage.model.actuator_forcerange[:, 1].max() == pytest.approx(own.max())
+    typed, policy_left = replace_efforts(robot, found, {JOINTS[0]: 7.0})
+    limits = prepare_stage(typed, policy_left).robot.effort_limits
+    assert limits[0] == pytest.approx(7.0)
+    assert limits[1] == pytest.approx(2.5)
+    toml = tmp_path / "own.toml"
+    toml.write_text(TOML.replace("effort = 2.5", "effort = 9.0"))
+    stated = Policy.load(policy, toml)
+    assert prepare_stage(robot, stated).robot.effort_limits == pytest.approx(np.full(12, 9.0))
+
+
+def test_invalid_effort_is_refused(tmp_path: Path) -> None:
+    policy, toml = write_policy(tmp_path), tmp_path / "policy.toml"
+    for value in ("0.0", "-1.0", '"much"', "[1.0, 2.0]"):
+        toml.write_text(TOML.replace("effort = 2.5", f"effort = {value}"))
+        with pytest.raises(ModelError, match="effort"):
+            Policy.load(policy)
+
+
+def test_observation_of_legged_gym_is_a_framework_default(tmp_path: Path) -> None:
+    """unitree_rl_gym states scales only; its deploy_mujoco.py defines the terms: 47 numbers."""
+    path, deploy = tmp_path / "motion.onnx", tmp_path / "g1.yaml"
+    path.write_bytes(made.dense_onnx([(np.zeros((47, 12)), np.zeros(12))], "Tanh"))
+    deploy.write_text(
+        "simulation_dt: 0.005\ncontrol_decimation: 4\n"
+        f"kps: {format_list([5.0] * 12)}\nkds: {format_list([0.25] * 12)}\n"
+        f"default_angles: {format_list(ANGLES)}\naction_scale: 0.75\n"
+        "ang_vel_scale: 0.25\ndof_pos_scale: 1.0\ndof_vel_scale: 0.05\n"
+        "cmd_scale: [2.0, 2.0, 0.25]\nnum_actions: 12\nnum_obs: 47\n"
+    )
+    contract = Policy.load(path, deployment=read_deployment(load("v3"), [deploy], path)).contract
+    assert [term.name for term in contract.terms][-2:] == ["phase-sine", "phase-cosine"]
+    assert contract.terms[0].scale == 0.25
+    assert np.asarray(contract.terms[2].scale).tolist() == [2.0, 2.0, 0.25]
+    assert (contract.phase_rate, contract.rate) == (1.25, pytest.approx(50.0))
+    assert contract.origins["observation"] == "default"
+    assert "unitree_rl_gym" in contract.sources["observation"]
+
+
+def test_histories_of_different_lengths_are_refused(tmp_path: Path) -> None:
+    policy, deploy = write_policy(tmp_path), tmp_path / "deploy.yaml"
+    deploy.write_text(make_deploy().replace("history_length: 2", "history_length: 3", 1))
+    with pytest.raises(ModelError, match="different lengths"):
+        Policy.load(policy, deployment=read_deployment(load("v3"), [deploy], policy))
+
+
+def test_disagreement_of_deployment_and_policy_is_a_remark(tmp_path: Path) -> None:
+    """The number of the deployment is simulated."""
+    policy, deploy = tmp_path / "policy.onnx", tmp_path / "deploy.yaml"
+    metadata = {"joint_names": ",".join(JOINTS), "joint_stiffness": ",".join(["9.0"] * 12)}
+    layers = [(np.zeros((2 * sum(SIZES), 12)), np.zeros(12))]
+    policy.write_bytes(made.dense_onnx(layers, "Tanh", metadata))
+    deploy.write_text(make_deploy())
+    found = Policy.load(policy, deployment=read_deployment(load("v3"), [deploy], policy))
+    assert found.contract.kp == pytest.approx(np.full(12, 5.0))
+    assert "deployment-differs" in {note.code for note in found.notes}
+
+
+def test_accelerometer_and_contacts_equal_mujoco_sensors() -> None:
+    """References: accelerometer of a site at the base, and touch sensors of the feet."""
+    robot = load("v3")
+    spec = mujoco.MjSpec.from_file(str(robot.description.mjcf_source))
+    spec.body("base_link").add_site(name="eye")
+    kind = mujoco.mjtSensor.mjSENS_ACCELEROMETER
+    spec.add_sensor(name="imu", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="eye")
+    policy = make_term_policy(("accelerometer", "contacts", "phase-sine", "phase-cosine"), feet=4)
+    stage = prepare_stage(robot, policy)
+    model = spec.compile()
+    model.actuator_gainprm[:], model.actuator_biasprm[:] = (
+        stage.model.actuator_gainprm, stage.model.actuator_biasprm
+    )  # fmt: skip
+    model.actuator_forcerange[:] = stage.model.actuator_forcerange
+    data, qpos = mujoco.MjData(model), stage.default.copy()
+    qpos[2] -= 0.002
+    qpos[3:7] = np.array([1.0, 0.02, 0.0, 0.3]) / np.linalg.norm([1.0, 0.02, 0.0, 0.3])
+    robot.mj_convention.set_state(data, qpos, 0.2 * np.ones(18))
+    data.ctrl[:] = stage.ctrl
+    mujoco.mj_forward(model, data)
+    observer = Observer(stage, np.zeros((1, 3)))
+    seen = observer.observe(full_state(model, data)[None], np.array([0]), 0)[0]
+    assert seen[:3] == pytest.approx(data.sensor("imu").data, abs=1e-6)
+    touching = {
+        int(geom) for contact in data.contact[: data.ncon] for geom in contact.geom
+    } & robot.foot_geoms.keys()
+    feet = {robot.foot_geoms[geom] for geom in touching}
+    assert seen[3:7].tolist() == [float(foot in feet) for foot in robot.feet]
+    assert 0 < len(feet) < 4
+    assert seen[7:] == pytest.approx([0.0, 1.0])  # the phase at the start: sine, cosine
+
+
+def make_term_policy(names: tuple[str, ...], feet: int = 0) -> Policy:
+    """The standing policy with other terms; its network is not evaluated."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        policy = Policy.load(made.write_standing_policy(Path(folder) / "still.json"))
+    contract = replace(policy.contract, terms=tuple(map(Term, names)), history=1, feet=feet)
+    return replace(policy, contract=contract)
+
+
+def test_parts_of_terms_equal_the_terms() -> None:
+    """Command and phase in parts; the action before the last."""
+    stage = prepare_stage(load("v3"), make_term_policy(("command", "phase", "last-action")))
+    names = ("command-velocity", "command-turning", "phase-cosine", "phase-sine",
+             "second-last-action")  # fmt: skip
+    parts = replace(stage, policy=make_term_policy(names))
+    state = np.zeros((1, 1 + stage.model.nq + stage.model.nv))
+    state[0, 4] = 1.0
+    commands = np.array([[0.1, 0.2, 0.3]])
+    whole, split = Observer(stage, commands), Observer(parts, commands)
+    split.second_last[0] = np.arange(12)
+    whole.last[0] = np.arange(12)
+    active = np.array([0])
+    assert (whole.observe(state, active, 3) == split.observe(state, active, 3)).all()
+
+
+def test_template_states_known_keys_and_asks_for_the_others(tmp_path: Path) -> None:
+    """Without the comment signs of known keys, the template equals the files."""
+    policy, deploy, robot = write_policy(tmp_path), tmp_path / "deploy.yaml", load("v3")
+    path, missing = write_template(policy, robot)
+    assert path == tmp_path / "policy.toml"
+    assert missing == ("observation", "default", "action-scale", "rate")
+    assert tomllib.loads(path.read_text()) == {}
+    text = path.read_text()
+    assert "# rate =   # unknown: complete this line" in text
+    path.unlink()
+    deploy.write_text(make_deploy())
+    path, missing = write_template(policy, robot, read_deployment(robot, [deploy], policy))
+    assert missing == ()
+    lines = [line.removeprefix("# ") for line in path.read_text().splitlines()
+             if " = " in line and "stated: " in line]  # fmt: skip
+    path.write_text("\n".join(lines))
+    stated = Policy.load(policy).contract
+    path.unlink()
+    found = Policy.load(policy, deployment=read_deployment(robot, [deploy], policy)).contract
+    for key in ("default", "action_scale", "kp", "kd", "effort", "rate", "history", "joints"):
+        assert np.array_equal(getattr(stated, key), getattr(found, key)), key
+    assert [term.name for term in stated.terms] == [term.name for term in found.terms]
+
+
+def test_words_are_separated_into_robot_policy_and_deployment(tmp_path: Path) -> None:
+    words = ("v3", "deploy.yaml", "env.py:ROBOT", "policy.onnx")
+    assert split_sources(words) == (("v3",), words[1:])
+    assert select_policy(None, words[1:]) == (Path("policy.onnx"), words[1:3])
+    folder = tmp_path / "params"
+    folder.mkdir()
+    (tmp_path / "exported").mkdir()
+    beside = tmp_path / "exported/policy.onnx"
+    beside.write_bytes(b"")
+    deploy = str(folder / "deploy.yaml")
+    assert select_policy(None, (deploy,)) == (folder.parent / "exported/policy.onnx", (deploy,))
+    (folder / "other.onnx").write_bytes(b"")
+    with pytest.raises(ConfigurationError, match="exactly one policy"):
+        select_policy(None, (deploy,))
+    with pytest.raises(ConfigurationError, match="exactly one policy"):
+        select_policy(Path("a.onnx"), ("b.onnx",))
+
+
+@pytest.mark.slow
+def test_command_reads_a_deployment_and_prints_sources(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    policy, deploy = write_policy(tmp_path), tmp_path / "deploy.yaml"
+    deploy.write_text(make_deploy())
+    words = ("walk", "v3", str(deploy), "--command", "0,0,0", "--seconds", "3", "-v")
+    _, out, err = run_command(capfd, *words, "--effort", "2")
+    assert "by policy.onnx" in out, err
+    assert "deploy.yaml:3" in out
+    assert "--effort" in out
+    assert "evidence: run in simulation" in out
+    status, out, err = run_command(capfd, "walk", "v3", str(policy), "--init")
+    assert (status, err) == (0, "")
+    assert "complete the lines of observation, default" in out
+    (tmp_path / "policy.toml").write_text("rate = 50\n")
+    status, _, err = run_command(capfd, "walk", "v3", str(policy), "--init")
+    assert status == 2, err
+    assert (tmp_path / "policy.toml").read_text() == "rate = 50\n"
+
+
+@pytest.mark.slow
+def test_unlimited_motor_is_not_at_its_limit(tmp_path: Path) -> None:
+    """No limit is stated, so no fraction of the time is printed."""
+    policy, toml, robot = write_policy(tmp_path), tmp_path / "policy.toml", load("v3")
+    toml.write_text(TOML)
+    walk = simulate_walk(robot, Policy.load(policy), (0, 0, 0), seconds=3.0)
+    gait = replace(walk.gaits[0], at_limit=np.full(12, np.nan))
+    unlimited = replace(walk, limits=np.full(12, np.inf), gaits=(gait,))
+    shown = str(walk_document(unlimited, robot).findings)
+    assert "limit=''" in shown or "no limit stated" in shown
