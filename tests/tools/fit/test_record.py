@@ -36,7 +36,9 @@ from pupper_analysis.tools.fit.record.recorder import (
     record_stands,
 )
 from pupper_analysis.tools.fit.record.simulated import SimulatedRobot
+from pupper_analysis.tools.fit.record.terminal import TypedBridge
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
+from tests.support.arm import arm
 
 Array = NDArray[np.float64]
 
@@ -328,6 +330,27 @@ def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
     assert not person.stops()
     terminal.close()
     os.close(ours)
+
+
+def test_positions_of_a_slide_are_typed_and_printed_in_millimetres(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The arm has a slide, b_slide; all typed values are 90, in degrees for the hinges."""
+    prompts: list[str] = []
+
+    def answer(prompt: str, **_: object) -> float:
+        prompts.append(prompt)
+        return 90.0
+
+    monkeypatch.setattr("click.prompt", answer)
+    robot = arm()
+    bridge = TypedBridge(robot)
+    _, positions = bridge.read()
+    is_slide = np.array([name == "b_slide" for name in robot.joint_names])
+    np.testing.assert_allclose(positions, np.where(is_slide, 0.09, math.pi / 2))
+    assert [("(mm)" in prompt) for prompt in prompts] == is_slide.tolist()
+    bridge.send(positions)
+    assert "command b_slide 90.000 mm" in capsys.readouterr().err
 
 
 def test_invalid_plan_is_refused_before_any_command(

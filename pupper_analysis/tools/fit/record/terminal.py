@@ -15,7 +15,9 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.units import READ_IN
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.tools.fit.record.bridge import WallClock
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
 
@@ -89,20 +91,23 @@ class TypedBridge(WallClock):
     ramps = False
 
     def __init__(self, robot: Robot) -> None:
-        self._names = robot.joint_names
+        shown = (READ_IN[unit] for unit in joint_units(robot))
+        self._joints = [
+            (name, *units) for name, units in zip(robot.joint_names, shown, strict=True)
+        ]
 
     def read(self) -> tuple[float, Array]:
-        """Prompt for each joint position in degrees; return time [s] and positions (nu,) [rad]."""
-        degrees = [
-            click.prompt(f"  position of {name} (deg)", type=float, err=True)
-            for name in self._names
+        """Prompt for the joint positions in deg or mm; return time [s], positions [rad, m]."""
+        positions = [
+            click.prompt(f"  position of {name} ({unit})", type=float, err=True) / scale
+            for name, scale, unit in self._joints
         ]
-        return self.now(), np.radians(degrees)
+        return self.now(), np.array(positions)
 
     def send(self, command: Array) -> None:
-        """Print the commanded joint positions, shape (nu,) [rad], in degrees."""
-        for name, value in zip(self._names, np.degrees(command).tolist(), strict=True):
-            click.echo(f"  command {name} {value:.3f} deg", err=True)
+        """Print the commanded joint positions, shape (nu,) [rad, m], in deg or mm."""
+        for (name, scale, unit), value in zip(self._joints, command.tolist(), strict=True):
+            click.echo(f"  command {name} {scale * value:.3f} {unit}", err=True)
 
     def close(self) -> None:
         """Do nothing: typed positions need no connection."""
