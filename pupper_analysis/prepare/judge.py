@@ -333,7 +333,7 @@ def judge_stand(
 ) -> Verdict:
     """Simulate a stand with and without feed-forward, and return its verdict.
 
-    Results such as `steady_state` and `payload_limit` are computed for the prepared robot. The
+    Unlike `steady_state` and `payload_limit`, which are results for the prepared robot only, the
     verdict includes the comparison with the published file.
 
     Args:

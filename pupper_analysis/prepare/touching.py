@@ -186,13 +186,13 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     depths: dict[tuple[str, str], float] = {}
     for touch, bodies in zip(data.contact, list_contact_bodies(model, data), strict=True):
         if 0 not in bodies and touch.dist < 0:
-            one, two = sorted(str(model.body(int(body)).name) for body in bodies)
-            depths[one, two] = max(depths.get((one, two), 0.0), -float(touch.dist))
+            first, second = sorted(str(model.body(int(body)).name) for body in bodies)
+            depths[first, second] = max(depths.get((first, second), 0.0), -float(touch.dist))
     if not depths:
         return robot, []
     pairs = [
-        diagnose("bodies-overlap", one=one, two=two, depth=Quantity(depth, "m"))
-        for (one, two), depth in depths.items()
+        diagnose("bodies-overlap", one=first, depth=Quantity(depth, "m"))
+        for (first, second), depth in depths.items()
     ]
     message = diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
     return with_additions(robot, *(ContactExclusion(message, *both) for both in depths)), [message]

@@ -91,7 +91,7 @@ class ServoBounds(Result):
     @property
     def uniform(self) -> bool:
         """Whether all driven joints have the same stiffness and the same damping."""
-        return len({(one.kp, one.kd) for one in self.classes}) == 1
+        return len({(bounds.kp, bounds.kd) for bounds in self.classes}) == 1
 
 
 def bound_servo_gains(
@@ -179,7 +179,10 @@ def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float
 def _bound_damping(
     loop: ControlledStand, kp: Array, kd: Array, least: float | None
 ) -> float | None:
-    """Return the largest stable factor on the damping, infinite without one; None if none is.
+    """Return the largest stable factor on the damping, infinite without a bound.
+
+    None without damping, or if no factor is stable. The stiffness is raised to ``_STABLE_RATIO``
+    times ``least``, if lower.
 
     Args:
         loop: Stand with an explicit PD controller, one command per time step.

@@ -46,8 +46,8 @@ with 8 or more the payload is 14.1 kg (measured). By symmetry the nominal stand 
 rounding errors determine the direction in which a descent leaves it."""
 
 _RANKING_ITERATIONS = 8
-"""SLSQP iterations of the first descent from each initial guess, which ranks the guesses.
-Chosen."""
+"""SLSQP iterations of the first descent from each initial guess, which ranks the guesses. Chosen,
+not tuned."""
 
 _FINALIST_COUNT = 6
 """Number of first descents that are continued, those with the best results. Measured: with 1, four

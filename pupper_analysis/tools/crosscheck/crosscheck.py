@@ -684,8 +684,7 @@ class CrossCheck(Result):
 
 
 MAX_CONFIGURATIONS = 100_000
-"""Largest number of configurations, which bounds the memory. More configurations find nothing new.
-"""
+"""Largest number of configurations, which bounds the memory. Chosen, not tuned."""
 
 
 def validate_state_request(count: int, seed: int) -> None:

@@ -486,17 +486,17 @@ def _differentiate(
     their spheres do not move. Swing feet, the height of the base, the horizontal CoM position,
     roll, pitch, yaw, and joints of a posture are linear in s.
     """
-    one, two = segment.start, segment.end
-    angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (one, two)])
+    start, end = segment.start, segment.end
+    angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (start, end)])
     rpy, change = angles[0] + share * (angles[1] - angles[0]), angles[1] - angles[0]
     turn = pin.rpy.computeRpyJacobian(rpy, pin.LOCAL)
     turn_rate = pin.rpy.computeRpyJacobianTimeDerivative(rpy, change, pin.LOCAL)
-    normals = ground_normals(robot, one.task.ground)
+    normals = ground_normals(robot, start.task.ground)
 
     still = Configuration(robot, qpos)
-    rows, rates = [np.eye(robot.nv)[2:6]], [[two.base[2] - one.base[2]], turn @ change]
+    rows, rates = [np.eye(robot.nv)[2:6]], [[end.base[2] - start.base[2]], turn @ change]
     rows.append(still.com_jacobian()[:2])
-    rates.append((two.com - one.com)[:2])
+    rates.append((end.com - start.com)[:2])
     offsets = {
         foot: -robot.contact_radius[foot] * normals[foot]
         if rolling and foot in segment.stance_feet
@@ -505,11 +505,11 @@ def _differentiate(
     }
     for foot, offset in offsets.items():
         rows.append(still.frame_jacobian(robot.contact_frames[foot], offset)[:3])
-        moves = np.zeros(3) if foot in segment.stance_feet else two.feet[foot] - one.feet[foot]
+        moves = np.zeros(3) if foot in segment.stance_feet else end.feet[foot] - start.feet[foot]
         rates.append(moves)
     placed = segment.find_specified_joints(robot)
     rows.append(np.eye(robot.nv)[robot.nv - robot.nu :][placed])
-    rates.append((two.joints - one.joints)[placed])
+    rates.append((end.joints - start.joints)[placed])
     jacobian = np.concatenate(rows)
     tangent: Array = np.linalg.lstsq(jacobian, np.concatenate(rates))[0]
 

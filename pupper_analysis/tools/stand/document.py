@@ -217,7 +217,7 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
     """State the motor with the largest utilisation, and the torque.
 
-    If loaded motors have a limit of zero, the motor with the largest torque is stated. Without any
+    If loaded motors have a limit of zero, the most loaded of these motors is stated. Without any
     known utilisation, the motor with the largest torque is stated.
     """
     statics = stance.statics
@@ -305,13 +305,13 @@ def _make_servo_table(servos: ServoBounds) -> doc.Table:
     """Create the table of the gains of joint classes, with their bounds."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(one.name),
-            doc.number_cell(one.kp, ".4g"),
-            doc.number_cell(_round_bound(one.least_kp), ".4g"),
-            doc.number_cell(one.kd, ".4g"),
-            doc.number_cell(_round_bound(one.largest_kd), ".4g"),
+            doc.Name(bounds.name),
+            doc.number_cell(bounds.kp, ".4g"),
+            doc.number_cell(_round_bound(bounds.least_kp), ".4g"),
+            doc.number_cell(bounds.kd, ".4g"),
+            doc.number_cell(_round_bound(bounds.largest_kd), ".4g"),
         )
-        for one in servos.classes
+        for bounds in servos.classes
     ]
     stiffness, damping = "N m/rad", "N m s/rad"
     return doc.Table(
