@@ -191,7 +191,7 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     if not depths:
         return robot, []
     pairs = [
-        diagnose("bodies-overlap", one=first, depth=Quantity(depth, "m"))
+        diagnose("bodies-overlap", one=first, two=second, depth=Quantity(depth, "m"))
         for (first, second), depth in depths.items()
     ]
     message = diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
