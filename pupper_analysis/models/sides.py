@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from typing import Final
 
 _SIDE_WORDS = (
     *(("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT")),
@@ -116,3 +117,22 @@ def find_unlike_pairs(
 def _are_equal(left: float, right: float) -> bool:
     """Return True if the difference is at most ``_MOTOR_PARAMETER_RTOL`` of the right value."""
     return left == right or abs(left - right) <= _MOTOR_PARAMETER_RTOL * abs(right)
+
+
+_LIMB_SHORT_NAMES: Final = ("fl", "fr", "rl", "rr", "hl", "hr", "bl", "br", "lf", "rf", "lh", "rh")
+"""Two-letter names of limbs: front, rear, hind or back, and left or right."""
+_SIDE_TOKENS: Final = frozenset(
+    {*_LIMB_SHORT_NAMES, "l", "r", "lr", "left", "right", "front", "rear", "hind", "back", "middle"}
+)
+"""Words in names that distinguish limbs. `strip_sides` removes these words from names to find the
+equal links or joints of several limbs."""
+
+
+def strip_sides(name: str) -> str:
+    """Return a name in lower case without the words that distinguish limbs.
+
+    Underscores, hyphens, points, spaces and capitals separate words; underscores join the others:
+    ``FL_calf`` becomes ``calf``.
+    """
+    words = re.split(r"[_\-. ]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
+    return "_".join(word for word in words if word not in _SIDE_TOKENS)

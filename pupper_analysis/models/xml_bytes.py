@@ -115,16 +115,21 @@ class XmlDocument:
 
     def render(self) -> bytes:
         """Return the bytes of the file with all changes of the elements applied."""
+        data = self.data
+        splices = self.list_splices()
+        for start, end, text in sorted(splices, key=lambda splice: splice[:2], reverse=True):
+            data = data[:start] + text + data[end:]
+        return data
+
+    def list_splices(self) -> list[tuple[int, int, bytes]]:
+        """Return (first byte, byte after the last, new bytes) of each changed part of the file."""
         splices: list[tuple[int, int, bytes]] = []
         for element in self.elements:
             splices += splice_attributes(self.data, element)
             new = [child for child in element.children if child.start < 0 and child.is_changed()]
             if new:
                 splices += _splice_children(self.data, element, new)
-        data = self.data
-        for start, end, text in sorted(splices, key=lambda splice: splice[:2], reverse=True):
-            data = data[:start] + text + data[end:]
-        return data
+        return splices
 
 
 def read_document(path: Path) -> XmlDocument:

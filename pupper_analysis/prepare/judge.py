@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -47,6 +48,7 @@ from pupper_analysis.simulation.trial import (
     simulate_nudges,
 )
 from pupper_analysis.simulation.verdict import (
+    IMPOSSIBLE_CODES,
     LOAD_QUESTIONS,
     Outcome,
     Question,
@@ -313,12 +315,87 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     if locked.size:
         messages.insert(0, diagnose("joints-locked-by-range", joints=locked.tolist()))
     assumptions = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
+    impossible = (
+        describe_impossible_masses(loaded.mj_model),
+        describe_impossible_inertias(loaded.mj_model),
+    )
     gravity_notes = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
     return (
+        *(message for message in impossible if message is not None),
         *assumptions,
         *gravity_notes,
         *report_placeholder_efforts(robot),
         *describe_import_failure(robot),
+    )
+
+
+_MAX_DENSITY, _MIN_RADIUS = 19_300.0, 0.02
+"""Density of tungsten [kg/m^3], above which the mean density of the ball around a body is reported,
+and lower bound of the radius of this ball [m]. The radius is chosen, not tuned."""
+
+
+def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
+    """Create the message about bodies that are denser than tungsten, however they are shaped.
+
+    The volume is that of the ball around the CoM that contains the bounding spheres of all geoms,
+    the frame of the body and the frames of its children. None without such bodies.
+    """
+    radii = np.linalg.norm(model.body_ipos, axis=1)
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        reach = float(np.linalg.norm(model.body_pos[body] - model.body_ipos[parent]))
+        radii[parent] = max(radii[parent], reach)
+    for geom in np.flatnonzero(model.geom_rbound > 0).tolist():
+        body = int(model.geom_bodyid[geom])
+        reach = float(np.linalg.norm(model.geom_pos[geom] - model.body_ipos[body]))
+        radii[body] = max(radii[body], reach + float(model.geom_rbound[geom]))
+    volumes = 4 / 3 * np.pi * np.maximum(radii, _MIN_RADIUS) ** 3
+    densities = np.where(model.body_weldid > 0, model.body_mass / volumes, 0.0)
+    bodies = np.flatnonzero(densities > _MAX_DENSITY)
+    if not bodies.size:
+        return None
+    worst = int(bodies[np.argmax(densities[bodies])])
+    return diagnose(
+        IMPOSSIBLE_CODES[0],
+        count=int(bodies.size),
+        worst=model.body(worst).name,
+        mass=Quantity(float(model.body_mass[worst]), "kg"),
+        radius=Quantity(max(float(radii[worst]), _MIN_RADIUS), "m"),
+        density=Quantity(float(densities[worst]), "kg/m^3"),
+    )
+
+
+def describe_impossible_inertias(model: mujoco.MjModel) -> Diagnostic | None:
+    """Create the message about bodies with a radius of gyration above the extent of the robot.
+
+    The radius of gyration is sqrt(I / m), with the largest principal moment I. The extent is the
+    diagonal of the box around the bounding spheres of all geoms and the frames of all bodies in
+    ``qpos0``. No part of the robot can have such a moment. None without such bodies.
+    """
+    moving = model.body_weldid > 0
+    heavy = moving & (model.body_mass > 0)
+    if not heavy.any():
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    own = (model.body_weldid[model.geom_bodyid] > 0) & (model.geom_rbound > 0)
+    radii = model.geom_rbound[own, None]
+    ends = (data.xpos[moving], data.geom_xpos[own] - radii, data.geom_xpos[own] + radii)
+    extent = float(np.linalg.norm(np.ptp(np.concatenate(ends), axis=0)))
+    moments = model.body_inertia.max(axis=1)
+    gyration = np.sqrt(moments / np.where(heavy, model.body_mass, np.inf))
+    bodies = np.flatnonzero(heavy & (gyration > extent))
+    if not bodies.size:
+        return None
+    worst = int(bodies[np.argmax(gyration[bodies])])
+    return diagnose(
+        IMPOSSIBLE_CODES[1],
+        count=int(bodies.size),
+        worst=model.body(worst).name,
+        moment=Quantity(float(moments[worst]), "kg m^2"),
+        mass=Quantity(float(model.body_mass[worst]), "kg"),
+        gyration=Quantity(float(gyration[worst]), "m"),
+        extent=Quantity(extent, "m"),
     )
 
 

@@ -39,6 +39,7 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.simulation.verdict import (
+    IMPOSSIBLE_CODES,
     UNKNOWN_CODES,
     Ending,
     Question,
@@ -71,21 +72,29 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Return the statements of a verdict, without repetitions.
 
     Statements that agree with the verdict come first. In a bad verdict, the causes (`_CAUSES`)
-    follow directly after the first statement.
+    follow directly after the first statement. Remarks about impossible masses and inertias precede
+    all statements of a bad verdict, because no simulation of such a file has a meaning.
     """
     run_clauses, fails = (
         tuple(make_keyframe_run_clauses(verdict.keyframe_run)),
         verdict.code is VerdictCode.OWN_DRIVES_FAIL,
     )
     deciding = [
-        remark for remark in verdict.remarks if remark.code == _DECIDING_REMARKS.get(verdict.code)
+        remark
+        for remark in verdict.remarks
+        if remark.code == _DECIDING_REMARKS.get(verdict.code)
+        or (not verdict.passed and remark.code in IMPOSSIBLE_CODES)
     ]
     messages = (
         *(Clause(False, remark) for remark in deciding),
         *(run_clauses if fails else ()),
         *make_replaced_clauses(verdict.servos.replacement_servos),
         *_make_simulation_clauses(verdict),
-        *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
+        *(
+            Clause(remark.severity is not Severity.ERROR, remark)
+            for remark in verdict.remarks
+            if remark not in deciding
+        ),
         *_make_creep_clauses(verdict),
         *(Clause(True, note) for note in verdict.notes),
         *make_published_clauses(verdict.published),

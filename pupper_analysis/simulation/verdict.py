@@ -57,6 +57,10 @@ UNKNOWN_CODES = (VerdictCode.LIMITS_UNKNOWN, VerdictCode.MASSES_UNKNOWN)
 """Verdicts of stances that hold in simulation, with values that no file states."""
 
 
+IMPOSSIBLE_CODES = ("mass-beyond-metal", "inertia-beyond-robot")
+"""Codes of remarks about masses and moments of inertia that no part of a robot can have."""
+
+
 class Question(StrEnum):
     """Question that a verdict answers."""
 

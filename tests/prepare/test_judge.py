@@ -14,14 +14,15 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
 from pupper_analysis.prepare.limits import describe_unknown_limits
-from pupper_analysis.present.verdict import format_verdict
+from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
-from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES, VerdictCode
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from tests.prepare.test_imported import four_legs, verdict_of
 from tests.support import arm, features, random_legged, slips
 from tests.support.legged import edited_by, quadruped, rewrite_file
+from tests.support.repository import ROOT
 
 Slip = Callable[[str], str]
 
@@ -217,3 +218,45 @@ def test_audit_errors_appear_in_the_verdict_of_a_held_posture(tmp_path: Path) ->
     slip, message = SLIPS["triangle-inequality"]
     robot = pa.load_robot(write_slip(tmp_path, slip), fixed_base=True)
     assert str(message) in format_verdict(pa.hold_posture(robot).verdict)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scale_mass", "code"), [(1.0, "inertia-beyond-robot"), (1e6, "mass-beyond-metal")]
+)
+def test_impossible_mass_or_inertia_comes_first_in_a_bad_verdict(
+    scale_mass: float, code: str, tmp_path: Path
+) -> None:
+    """Reference: the masses of the other file, compiled by bare MuJoCo.
+
+    Such links are in a file that many SpotMicro repositories have copied: 1000 kg m^2 at 50 g.
+    """
+    text = (ROOT / "urdf/pupper_skeleton.urdf").read_text()
+
+    def change(match: re.Match[str]) -> str:
+        inertial = re.sub(
+            r'mass value="([^"]*)"',
+            lambda mass: f'mass value="{scale_mass * float(mass[1])}"',
+            match[0],
+        )
+        return re.sub(r'(ixx|iyy|izz)="[^"]*"', r'\1="1000"', inertial)
+
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(re.sub(r'(?s)<link name=".._thigh">.*?</inertial>', change, text))
+    robot = pa.load_robot(urdf=urdf)
+    remarks = {remark.code: remark for remark in list_file_remarks(robot)}
+    message = remarks[code]
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "mjcf/pupper_skeleton.xml"))
+    mass = model.body(str(message.values["worst"])).mass[0] * scale_mass
+    assert message.values["count"] == 4
+    assert message.values["mass"].value == pytest.approx(mass)  # type: ignore[union-attr]
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot))
+    assert not verdict.passed
+    assert verdict_clauses(verdict)[0].message.code == code
+
+
+def test_sound_robots_have_no_impossible_mass_or_inertia() -> None:
+    """The own variants and the skeleton."""
+    for name in ("v3", "long-leg"):
+        codes = {remark.code for remark in list_file_remarks(pa.load_robot(name))}
+        assert not codes & set(IMPOSSIBLE_CODES)

@@ -60,7 +60,7 @@ def audit_model(
         disabled: Ids of rules that are not run.
 
     Returns:
-        Findings, sorted by severity.
+        Findings, sorted by severity; at equal severity, causes precede consequences.
 
     Raises:
         ModelError: If the file cannot be read.
@@ -129,6 +129,7 @@ def _run_rules(
     findings.sort(
         key=lambda finding: (
             finding.severity.rank,
+            _CONSEQUENCES.get(finding.diagnostic.code, RULES[finding.rule].precedence),
             finding.file,
             finding.line or 0,
             finding.prim or "",
@@ -149,6 +150,11 @@ def _run_rules(
         notes=robot.notes,
         floating=robot.has_free_base,
     )
+
+
+_CONSEQUENCES = {"hardly-any-mass": 3}
+"""{code: precedence} of messages of another precedence than their rule: a link that is light beside
+another link is a consequence if the mass of the other link is wrong."""
 
 
 def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:

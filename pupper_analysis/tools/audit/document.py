@@ -143,9 +143,15 @@ def _describe_repairs(finding: Finding) -> Iterable[doc.Words]:
 
 def _format_change(repair: ValueRepair) -> doc.Name:
     """Format old and new values: ``link 'FL_calf': mass value 0.05 -> 0.06``."""
-    changes = ", ".join(f"{word} {repair.old[word]} -> {new}" for word, new in repair.new.items())
-    part = f"{repair.child.rpartition('/')[2]} " if repair.child else ""
-    return doc.Name(f"{repair.tag} {repair.name!r}: {part}{changes}")
+    parts = []
+    for change in repair.list_changes():
+        values = ", ".join(
+            f"{word} {change.old[word]} -> {new}".replace("  ", " ")
+            for word, new in change.new.items()
+        )
+        part = f"{change.child.rpartition('/')[2]} " if change.child else ""
+        parts.append(f"{part}{values}")
+    return doc.Name(f"{repair.tag} {repair.name!r}: {'; '.join(parts)}")
 
 
 def get_rule_text(rule: str, what: str) -> doc.Text:

@@ -18,7 +18,6 @@ from pupper_analysis.models.xml_bytes import (
     Element,
     XmlDocument,
     read_document,
-    splice_attributes,
 )
 from pupper_analysis.tools.audit.registry import Audit, ValueRepair
 
@@ -36,13 +35,29 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
     count = 0
     for repair in list_unique_repairs(audits):
         document = documents.setdefault(repair.file, read_document(Path(repair.file)))
-        element = _find_element(document, repair)
-        if element is None or any(element.get(word) != text for word, text in repair.old.items()):
-            continue  # another repair has changed the element, or it is not unique
-        for word, text in repair.new.items():
-            element.set(word, text)
-        count += 1
+        count += _change_elements(document, repair)
     return [d for d in documents.values() if d.root.is_changed()], count
+
+
+def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
+    """Apply a repair to a file in memory, and return whether it was applied.
+
+    It is not applied if an element has other values than the repair expects, because another repair
+    has changed the element, or if the element is not unique.
+    """
+    changes = repair.list_changes()
+    for change in changes:
+        element = _find_element(document, change)
+        if element is None:
+            if any(change.old.values()) or _find_owner(document, change) is None:
+                return False
+        elif any((element.get(word) or "") != text for word, text in change.old.items()):
+            return False
+    for change in changes:
+        element = _find_element(document, change) or _ensure_element(document, change)
+        for word, text in change.new.items():
+            element.set(word, text)
+    return True
 
 
 def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
@@ -58,13 +73,33 @@ def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
 
 def _find_element(document: XmlDocument, repair: ValueRepair) -> Element | None:
     """Return the element that a repair changes; None if no or several elements fit the repair."""
-    named = [
+    named = _list_owners(document, repair)
+    found = [element for element in named if _descend(element, repair.child) is not None]
+    return _descend(found[0], repair.child) if len(found) == 1 else None
+
+
+def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[Element]:
+    """Return the elements with the tag and the name of a repair."""
+    return [
         element
         for element in document.elements
         if element.tag == repair.tag and element.get("name") == repair.name
     ]
-    found = [element for element in named if _descend(element, repair.child) is not None]
-    return _descend(found[0], repair.child) if len(found) == 1 else None
+
+
+def _find_owner(document: XmlDocument, repair: ValueRepair) -> Element | None:
+    """Return the child of the root that a repair names; None if there is none, or several."""
+    found = [one for one in _list_owners(document, repair) if one.parent is document.root]
+    return found[0] if len(found) == 1 else None
+
+
+def _ensure_element(document: XmlDocument, repair: ValueRepair) -> Element:
+    """Return the element that a repair changes, and create the missing elements on its path."""
+    element = _find_owner(document, repair)
+    assert element is not None
+    for tag in repair.child.split("/"):
+        element = element.ensure(tag)
+    return element
 
 
 def _descend(element: Element, path: str) -> Element | None:
@@ -79,16 +114,13 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
     """Return the byte ranges that a repair replaces in the file on disk.
 
     Returns:
-        (start [bytes], length [bytes], new text) of each value; empty if no or several elements
-        fit the repair.
+        (start [bytes], length [bytes], new text) of each value or new element; empty if no or
+        several elements fit the repair.
     """
     document = read_document(Path(repair.file))
-    element = _find_element(document, repair)
-    if element is None:
+    if not _change_elements(document, repair):
         return ()
-    for word, text in repair.new.items():
-        element.set(word, text)
-    splices = splice_attributes(document.data, element)
+    splices = sorted(document.list_splices(), key=lambda splice: splice[:2])
     return tuple((start, end - start, text.decode()) for start, end, text in splices)
 
 

@@ -37,6 +37,9 @@ class Rule:
         todo: Recommended repair.
         chinese: {``"title"``, ``"why"`` or ``"todo"``: text in Simplified Chinese}.
         formats: Members of `MODEL_FORMATS` to which the rule applies.
+        precedence: Position among findings of equal severity: 0 for an error that makes other
+            findings (a unit of length), 1 for wrong values, 2 for differences between left and
+            right, 3 for consequences, such as a robot that falls.
     """
 
     id: str
@@ -46,6 +49,7 @@ class Rule:
     todo: str
     chinese: Mapping[str, str]
     formats: tuple[str, ...] = MODEL_FORMATS
+    precedence: int = 1
 
 
 def _read_catalogue() -> dict[str, Rule]:
@@ -62,7 +66,10 @@ def _read_catalogue() -> dict[str, Rule]:
         chinese = _merge_texts(entry.get("zh", {}), entries[entry.get("like", name)]["zh"], "")
         stated = tuple(entry.get("formats", MODEL_FORMATS))
         severity = Severity(entry["severity"])
-        rules[name] = Rule(name, severity, **words, chinese=chinese, formats=stated)
+        precedence = int(entry.get("precedence", 1))
+        rules[name] = Rule(
+            name, severity, **words, chinese=chinese, formats=stated, precedence=precedence
+        )
     return rules
 
 
@@ -102,16 +109,17 @@ def rule(check: Check) -> Check:
 
 @dataclass(frozen=True)
 class ValueRepair(Result):
-    """New values of attributes of an element.
+    """New values of attributes of an element, or a new element.
 
     Attributes:
         file: File to be changed.
         tag: Tag of the named element, for example ``link``.
         name: Name of the element.
         child: Path from the named element to the changed element; "" for the named element.
-        old: {attribute: text in the file}.
+        old: {attribute: text in the file}; "" for an attribute of a new element.
         new: {attribute: new text}.
         reason: Source of the new values.
+        further: Changes of other elements that belong to the same repair.
     """
 
     file: str
@@ -121,6 +129,11 @@ class ValueRepair(Result):
     old: Mapping[str, str]
     new: Mapping[str, str]
     reason: Diagnostic
+    further: tuple[ValueRepair, ...] = ()
+
+    def list_changes(self) -> tuple[ValueRepair, ...]:
+        """Return this change and the changes that belong to it."""
+        return (self, *self.further)
 
 
 @dataclass(frozen=True, eq=False)

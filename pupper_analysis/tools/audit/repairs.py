@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import mujoco
@@ -18,12 +20,13 @@ import numpy as np
 from lxml import etree
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.sides import find_mirror_pairs
+from pupper_analysis.models.sides import find_mirror_pairs, strip_sides
 from pupper_analysis.models.stated.model import Array, Link, MjcfModel, RobotModel, UrdfModel
-from pupper_analysis.tools.audit.registry import ValueRepair
+from pupper_analysis.tools.audit.registry import ValueRepair, list_known_points, list_link_points
 from pupper_analysis.tools.audit.rules.mirror import find_mirror_plane, list_joint_pairs
+from pupper_analysis.tools.audit.rules.shapes import MAX_DENSITY, compute_median_density
 
 
 def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[ValueRepair, ...]:
@@ -53,6 +56,24 @@ def _make_urdf_repair(
     old = {attribute: str(element.get(attribute)) for attribute in new}
     if old != dict(new):
         yield ValueRepair(str(robot.file.path), tag, name, child, old, dict(new), reason)
+
+
+def _make_change(
+    robot: UrdfModel, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
+) -> ValueRepair | None:
+    """Return the change of an element below a link, which may be new; None without a difference."""
+    element = _find_element(robot, "link", name, child)
+    old = {word: "" if element is None else str(element.get(word) or "") for word in new}
+    if old == dict(new):
+        return None
+    return ValueRepair(str(robot.file.path), "link", name, child, old, dict(new), reason)
+
+
+def _join_changes(changes: Iterable[ValueRepair | None]) -> Iterator[ValueRepair]:
+    """Yield one repair that consists of several changes; nothing without a change."""
+    found = [change for change in changes if change is not None]
+    if found:
+        yield replace(found[0], further=tuple(found[1:]))
 
 
 def _find_element(robot: UrdfModel, tag: str, name: str, child: str) -> etree._Element | None:
@@ -119,38 +140,50 @@ def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
                 yield from _make_urdf_repair(robot, "joint", joint.name, "limit", new, reason)
 
 
-_LIMB_SHORT_NAMES: Final = ("fl", "fr", "rl", "rr", "hl", "hr", "bl", "br", "lf", "rf", "lh", "rh")
-"""Two-letter names of limbs: front, rear, hind or back, and left or right."""
-_SIDE_TOKENS: Final = frozenset(
-    {*_LIMB_SHORT_NAMES, "l", "r", "lr", "left", "right", "front", "rear", "hind", "back", "middle"}
-)
-"""Words in names that distinguish limbs. `strip_sides` removes these words from names to find the
-equal links or joints of several limbs."""
-
-
-def strip_sides(name: str) -> str:
-    """Return a name in lower case without the words that distinguish limbs.
-
-    Underscores, hyphens, points, spaces and capitals separate words; underscores join the others:
-    ``FL_calf`` becomes ``calf``.
-    """
-    words = re.split(r"[_\-. ]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
-    return "_".join(word for word in words if word not in _SIDE_TOKENS)
-
-
 MIN_SIBLINGS = 2
 """Smallest number of further limbs whose equal value decides which of two mirrored links or joints
 has the wrong value. Chosen, not tuned."""
 
 
 def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repairs of the masses of two mirrored links (`_repair_number`)."""
+    """Yield the repairs of the masses of two mirrored links (`_repair_number`).
+
+    If the tensors of both links have the ratio of the masses, the tensor is scaled with the mass.
+    """
     if isinstance(robot, UrdfModel):
         partner = str(found.message.values["other"])
-        yield from _repair_number(
+        links = robot.links
+        for repair in _repair_number(
             robot, (found.name, partner), "link", "inertial/mass", "value",
-            {name: link.mass for name, link in robot.links.items() if link.mass},
-        )  # fmt: skip
+            {name: link.mass for name, link in links.items() if link.mass},
+        ):  # fmt: skip
+            own = links[repair.name]
+            other = links[partner if repair.name == found.name else found.name]
+            factor = other.mass / own.mass if own.mass > 0 else math.nan
+            is_scaled = (
+                own.inertial is not None
+                and other.inertial is not None
+                and abs(math.log10(factor)) > 0.5
+                and np.allclose(
+                    factor * own.inertial.moments, other.inertial.moments, rtol=_MOMENT_RTOL
+                )
+            )
+            if is_scaled:
+                tensor = _scale_tensor(robot, own.name, factor)
+                yield from _join_changes(
+                    [
+                        repair,
+                        _make_change(robot, own.name, "inertial/inertia", tensor, repair.reason),
+                    ]
+                )
+            else:
+                yield repair
+
+
+_MOMENT_RTOL = 0.05
+"""Largest relative difference between the principal moments of a left and a right link, divided by
+the ratio of their masses, with which a tensor is scaled together with the mass. Chosen, not
+tuned."""
 
 
 def _repair_mirrored_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
@@ -215,9 +248,9 @@ def _repair_number(
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the possible repairs of an inertia tensor of a URDF.
 
-    These are the tensor with one decimal point moved, and the mirror image of the tensor of the
-    link on the other side. If exactly one moved decimal point agrees with the mirror image, only
-    this repair is yielded.
+    If the link on the other side has a possible tensor, this is the mirror image of that tensor, or
+    the own tensor with one decimal point moved if it agrees with the mirror image. Without such a
+    link, these are all possible tensors with one decimal point moved.
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -233,7 +266,7 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
             for word, text in repair.new.items()
         )
     ]
-    yield from confirmed if len(confirmed) == 1 else (*moved, *mirrored)
+    yield from confirmed if len(confirmed) == 1 else (mirrored or moved)
 
 
 _MIRROR_RTOL = 0.02
@@ -278,25 +311,36 @@ def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     Nothing if there is no twin on the other side, if the twin's tensor is physically impossible, or
     if the masses differ by more than 1 %.
     """
+    twin, link = _find_twin(robot, name), robot.links[name]
+    if twin is None or not math.isclose(link.mass, twin.mass, rel_tol=0.01):
+        return
+    new = _compute_mirrored_tensor(robot, link, twin)
+    if new is not None:
+        reason = diagnose("repair-mirrored", other=twin.name)
+        yield from _make_urdf_repair(robot, "link", name, "inertial/inertia", new, reason)
+
+
+def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[str, str] | None:
+    """Return the attributes of <inertia> for the mirror image of the tensor of ``twin``.
+
+    None if the tensor of ``twin`` is missing or physically impossible.
+    """
     mirror = find_mirror_plane(robot)
-    twin = None if mirror is None else _find_twin(robot, name)
-    link = robot.links[name]
-    if mirror is None or twin is None or link.inertial is None or twin.inertial is None:
-        return
+    if mirror is None or twin.inertial is None:
+        return None
     smallest, middle, largest = twin.inertial.moments
-    is_possible = smallest > 0 and smallest + middle >= largest * (1 - 1e-5)
-    if not is_possible or not math.isclose(link.mass, twin.mass, rel_tol=0.01):
-        return
-    turn = robot.file.tree.links[name].inertial_rotation
+    if not (smallest > 0 and smallest + middle >= largest * (1 - 1e-5)):
+        return None
+    turn = (
+        np.eye(3) if link.inertial is None else robot.file.tree.links[link.name].inertial_rotation
+    )
     in_base = mirror.matrix @ _rotate(twin.inertial.inertia, twin.pose.rotation) @ mirror.matrix
     tensor = _rotate(in_base, (link.pose.rotation @ turn).T)
     scale = float(np.abs(tensor).max())
-    new = {
+    return {
         word: _format_value(0.0 if abs(tensor[index]) < 1e-9 * scale else float(tensor[index]))
         for word, index in INERTIA_ENTRIES.items()
     }
-    reason = diagnose("repair-mirrored", other=twin.name)
-    yield from _make_urdf_repair(robot, "link", name, "inertial/inertia", new, reason)
 
 
 def _find_twin(robot: RobotModel, name: str) -> Link | None:
@@ -313,6 +357,392 @@ def _rotate(tensor: Array, rotation: Array) -> Array:
     return rotated
 
 
+def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Exchange the lower and the upper limit of a URDF joint with lower > upper."""
+    limit = (
+        _find_element(robot, "joint", found.name, "limit") if isinstance(robot, UrdfModel) else None
+    )
+    if not isinstance(robot, UrdfModel) or limit is None or found.message.code != "range-empty":
+        return
+    lower, upper = limit.get("lower", "0"), limit.get("upper", "0")
+    if float(lower) > float(upper):
+        new = {"lower": upper, "upper": lower}
+        reason = diagnose("repair-exchanged")
+        yield from _make_urdf_repair(robot, "joint", found.name, "limit", new, reason)
+
+
+def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the mass of the link on the other side, for a link without mass.
+
+    If the link has no <inertial>, it gets the mirrored CoM and tensor, too.
+    """
+    if not isinstance(robot, UrdfModel) or found.message.code == "hardly-any-mass":
+        return
+    twin = _find_twin(robot, found.name)
+    link = robot.links.get(found.name)
+    if link is None or twin is None or twin.mass <= 0:
+        return
+    reason = diagnose("repair-of-twin", other=twin.name)
+    mass = _find_element(robot, "link", twin.name, "inertial/mass")
+    if mass is None:
+        return
+    if _find_element(robot, "link", link.name, "inertial/mass") is not None:
+        new = {"value": str(mass.get("value"))}
+        yield from _join_changes([_make_change(robot, link.name, "inertial/mass", new, reason)])
+        return
+    com, tensor = _mirror_com(robot, link, twin), _compute_mirrored_tensor(robot, link, twin)
+    if com is not None and tensor is not None:
+        changes = (
+            ("inertial/origin", {"xyz": _format_vector(com), "rpy": "0 0 0"}),
+            ("inertial/mass", {"value": str(mass.get("value"))}),
+            ("inertial/inertia", tensor),
+        )
+        yield from _join_changes(
+            _make_change(robot, link.name, child, new, reason) for child, new in changes
+        )
+
+
+def _format_vector(vector: Array) -> str:
+    """Format a vector with at most six digits; parts below 1e-9 are zero."""
+    return " ".join("0" if abs(part) < 1e-9 else _format_value(float(part)) for part in vector)
+
+
+def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
+    """Return the mirror image of the CoM of ``twin`` in the frame of ``link``, shape (3,) [m]."""
+    mirror = find_mirror_plane(robot)
+    if mirror is None or twin.inertial is None:
+        return None
+    return link.pose.inverse().point(mirror.reflect_point(twin.pose.point(twin.inertial.com)))
+
+
+def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the mirrored CoM of the link on the other side.
+
+    If only the difference of both CoMs is reported, and at least `MIN_SIBLINGS` equal links of
+    other limbs have the same distances of the CoM from the planes of their frames, only the link
+    that deviates is repaired. Otherwise both links are candidates.
+    """
+    link = robot.links.get(found.name)
+    twin = None if link is None else _find_twin(robot, found.name)
+    if not isinstance(robot, UrdfModel) or link is None or twin is None:
+        return
+    wrong = [(link, twin)]
+    if found.message.code == "mirror-com":
+        kind = strip_sides(link.name)
+        wrong = _select_deviating(
+            [(link, twin), (twin, link)],
+            {
+                name: np.abs(other.inertial.com)
+                for name, other in robot.links.items()
+                if other.inertial is not None and strip_sides(name) == kind
+            },
+        )
+    for own, other in wrong:
+        com = _mirror_com(robot, own, other)
+        if com is not None:
+            reason = diagnose("repair-mirrored-com", other=other.name)
+            new = {"xyz": _format_vector(com)}
+            yield from _join_changes(
+                [_make_change(robot, own.name, "inertial/origin", new, reason)]
+            )
+
+
+def _select_deviating(
+    pairs: list[tuple[Link, Link]], values: Mapping[str, Array]
+) -> list[tuple[Link, Link]]:
+    """Return the pairs whose first link deviates from the links that are in neither pair.
+
+    If these are fewer than `MIN_SIBLINGS`, or differ from each other by more than `SIBLING_ATOL`,
+    all pairs are returned. No pair is returned if not exactly one first link deviates.
+    """
+    names = {link.name for link, _ in pairs}
+    others = [value for name, value in values.items() if name not in names]
+    if len(others) < MIN_SIBLINGS or not np.allclose(others, others[0], atol=SIBLING_ATOL):
+        return pairs
+    wrong = [
+        pair
+        for pair in pairs
+        if not np.allclose(values[pair[0].name], others[0], atol=SIBLING_ATOL)
+    ]
+    return wrong if len(wrong) == 1 else []
+
+
+SIBLING_ATOL = 2e-3
+"""Largest difference between positions on equal links of several limbs [m] that count as equal.
+Chosen, not tuned: left and right CAD parts differ by less."""
+
+
+MAX_DENSITY_RATIO = 3.0
+"""Largest ratio between the density of a repaired link and the median density of the other links,
+in either direction: masses that differ by a power of ten are then distinct. Derived from
+sqrt(10)."""
+
+
+def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield masses of a link whose density is impossible.
+
+    Candidates are the mass divided by a power of ten that agrees with the link on the other side
+    within 1 %. Without such a link, they are the mass divided by the power of ten whose density is
+    within `MAX_DENSITY_RATIO` of the median of the other links. If the density is less than ten
+    times too large, the volume times this median is a candidate. The tensor is divided, too, if it
+    fits the stated mass.
+    """
+    link = robot.links.get(found.name)
+    if not isinstance(robot, UrdfModel) or link is None or link.inertial is None:
+        return
+    if found.message.code not in ("denser-than-metal", "denser-than-others"):
+        return
+    mass, density = (found.message.values[word].value for word in ("mass", "density"))  # type: ignore[union-attr]
+    typical = compute_median_density(robot, found.name)
+    twin = _find_twin(robot, found.name)
+    shifts = range(1, MAX_DECIMAL_SHIFT + 1)
+    if twin is not None and 0 < twin.mass < 0.5 * link.mass:
+        agreeing = [n for n in shifts if math.isclose(link.mass / 10**n, twin.mass, rel_tol=0.01)]
+    elif typical is not None:
+        agreeing = [
+            n
+            for n in shifts
+            if 1 / MAX_DENSITY_RATIO < density / 10**n / typical < MAX_DENSITY_RATIO
+        ]
+    else:
+        agreeing = []
+    for shift in agreeing:
+        reason = diagnose("repair-decimal-point", shift=-shift)
+        factor = 10.0**-shift
+        new = {"value": _format_value(link.mass * factor)}
+        changes = [_make_change(robot, link.name, "inertial/mass", new, reason)]
+        if _fits_shapes(robot, link):
+            tensor = _scale_tensor(robot, link.name, factor)
+            changes.append(_make_change(robot, link.name, "inertial/inertia", tensor, reason))
+        yield from _join_changes(changes)
+    if typical is not None and density < 10 * MAX_DENSITY and link.mass == mass:
+        value = link.mass * typical / density
+        reason = diagnose("repair-density", density=Quantity(typical, "kg/m^3"))
+        new = {"value": _format_value(value)}
+        yield from _join_changes([_make_change(robot, link.name, "inertial/mass", new, reason)])
+
+
+def _fits_shapes(robot: RobotModel, link: Link) -> bool:
+    """Return True if the largest moment of a link is at most 2 m R^2, with R its reach [m].
+
+    The tensor then probably has the unit of the mass.
+    """
+    assert link.inertial is not None
+    points, _ = list_known_points(robot.fixed_group(link.name), link)
+    ends = list_link_points(robot, link)
+    points = ends if points is None else np.concatenate([points, ends])
+    reach = float(np.linalg.norm(points - link.inertial.com, axis=1).max())
+    return 0 < float(link.inertial.moments[-1]) <= 2 * link.mass * reach**2
+
+
+def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
+    """Return the attributes of the tensor of a link, multiplied by a factor."""
+    element = _find_element(robot, "link", name, "inertial/inertia")
+    return {
+        word: _format_value(factor * float(str(element.get(word))))
+        for word in INERTIA_ENTRIES
+        if element is not None and element.get(word) is not None
+    }
+
+
+def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the paths of existing mesh files whose names differ from a missing one in the suffix.
+
+    Files in the same folder are compared without the last suffix, and without regard to capitals.
+    Only the mesh of a link with a single element of this path is repaired.
+    """
+    if not isinstance(robot, UrdfModel) or found.message.code != "mesh-missing":
+        return
+    names = found.message.values["meshes"]
+    link = robot.file.tree.links.get(found.name)
+    if not isinstance(names, tuple) or len(names) != 1 or link is None:
+        return
+    name = str(names[0])
+    paths = ("visual/geometry/mesh", "collision/geometry/mesh")
+    places = [
+        path for path in paths if [e.get("filename") for e in link.element.iterfind(path)] == [name]
+    ]
+    users = [mesh for mesh in robot.file.root.iter("mesh") if mesh.get("filename") == name]
+    if len(places) != len(users):
+        return
+    folder, _, last = name.rpartition("/")
+    prefix = f"{folder}/" if folder else ""
+    for alternative in _list_similar_files(robot, prefix, last):
+        reason = diagnose("repair-existing-file")
+        new = {"filename": alternative}
+        yield from _join_changes(
+            _make_change(robot, found.name, path, new, reason) for path in places
+        )
+
+
+def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
+    """Return the paths of existing files that may be meant by a missing file in a folder.
+
+    The first group of matches counts: the name without the last suffix, then the name with other
+    capitals, then the stem with another suffix.
+    """
+    stem = name.rpartition(".")[0]
+    if stem and robot.file.resolve_mesh(prefix + stem) is not None:
+        return [prefix + stem]
+    sample = next(
+        (
+            path
+            for mesh in robot.file.root.iter("mesh")
+            if mesh.get("filename", "").rpartition("/")[0] == prefix.rstrip("/")
+            and (path := robot.file.resolve_mesh(mesh.get("filename", ""))) is not None
+        ),
+        robot.file.path.parent / prefix / "_" if "://" not in prefix else None,
+    )
+    folder = None if sample is None else Path(sample).parent
+    if folder is None or not folder.is_dir():
+        return []
+    files = sorted(path.name for path in folder.iterdir() if path.is_file())
+    same = [prefix + file for file in files if file.lower() == name.lower()]
+    other = [prefix + file for file in files if stem and Path(file).stem.lower() == stem.lower()]
+    return same or other
+
+
+def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the axes that the equal joints of the other limbs have in their own frames."""
+    if not isinstance(robot, UrdfModel) or found.name not in robot.joints:
+        return
+    kind = strip_sides(found.name)
+    texts: dict[str, str] = {}
+    for name, joint in robot.joints.items():
+        axis = _find_element(robot, "joint", name, "axis")
+        alike = name != found.name and strip_sides(name) == kind and joint.moves
+        if alike and axis is not None and joint.raw_axis.any():
+            texts.setdefault(_format_vector(joint.raw_axis), name)
+    for text, name in texts.items():
+        reason = diagnose("repair-of-limb", other=name)
+        yield from _make_urdf_repair(robot, "joint", found.name, "axis", {"xyz": text}, reason)
+
+
+def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the reversed axis of the joint whose axis points against those of the other joints."""
+    if not isinstance(robot, UrdfModel) or found.message.code != "axis-reversed":
+        return
+    reason = diagnose("repair-of-limb", other=str(found.message.values["like"]))
+    names = (
+        (found.name,)
+        if found.message.values["certain"]
+        else (
+            found.name,
+            str(found.message.values["other"]),
+        )
+    )
+    for name in names:
+        new = {"xyz": _format_vector(-robot.joints[name].raw_axis)}
+        yield from _make_urdf_repair(robot, "joint", name, "axis", new, reason)
+
+
+def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the origin of a joint that is no mirror image of its partner.
+
+    With two further equal joints of other limbs, only the joint whose origin differs in magnitude
+    from theirs is repaired. Otherwise both joints are candidates.
+    """
+    mirror = find_mirror_plane(robot)
+    partner = next(
+        (
+            pair[0] if pair[1] == found.name else pair[1]
+            for pair in find_mirror_pairs(robot.joints)
+            if found.name in pair
+        ),
+        None,
+    )
+    if not isinstance(robot, UrdfModel) or mirror is None or partner is None:
+        return
+    kind = strip_sides(found.name)
+    origins = {
+        name: np.abs(robot.file.tree.joints[name].origin.translation)
+        for name in robot.joints
+        if strip_sides(name) == kind
+    }
+    others = [value for name, value in origins.items() if name not in (found.name, partner)]
+    agreeing = len(others) >= MIN_SIBLINGS and np.allclose(others, others[0], atol=1e-3)
+    wrong = [
+        name
+        for name in (found.name, partner)
+        if agreeing and not np.allclose(origins[name], others[0], atol=1e-3)
+    ]
+    for name in wrong if len(wrong) == 1 else () if agreeing else (found.name, partner):
+        other = partner if name == found.name else found.name
+        joint = robot.joints[name]
+        place = mirror.reflect_point(robot.joints[other].position)
+        local = robot.links[joint.parent].pose.inverse().point(place)
+        reason = diagnose("repair-mirrored-place", other=other)
+        new = {"xyz": _format_vector(local)}
+        yield from _make_urdf_repair(robot, "joint", name, "origin", new, reason)
+
+
+def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the collision shape of an equal limb for a link without, or with a displaced one.
+
+    The other link must have the same visual shapes, with the same origins, and a single collision
+    shape. For a displaced shape, the visual shape with the same mesh is an example, too.
+    """
+    link = robot.file.tree.links.get(found.name) if isinstance(robot, UrdfModel) else None
+    if not isinstance(robot, UrdfModel) or link is None:
+        return
+    own = [etree.tostring(shape, method="c14n") for shape in link.element.iterfind("visual")]
+    shapes = link.element.findall("collision")
+    if not own or len(shapes) > 1:
+        return
+    kind = strip_sides(found.name)
+    candidates: dict[tuple[tuple[str, str], ...], ValueRepair] = {}
+    for name, other in robot.file.tree.links.items():
+        theirs = other.element.findall("collision")
+        if name == found.name or strip_sides(name) != kind or len(theirs) != 1:
+            continue
+        drawn = [etree.tostring(shape, method="c14n") for shape in other.element.iterfind("visual")]
+        if _strip_space(own) == _strip_space(drawn):
+            reason = diagnose("repair-of-limb", other=name)
+            _add_shape(candidates, robot, found.name, theirs[0], reason)
+    if not candidates and len(own) == 1:
+        visual = link.element.find("visual")
+        meshes = [shape.find("geometry/mesh") for shape in (visual, *shapes)]
+        if shapes and all(m is not None for m in meshes) and _same_mesh(*meshes):
+            _add_shape(candidates, robot, found.name, visual, diagnose("repair-of-visual"))
+    yield from candidates.values()
+
+
+def _strip_space(texts: Iterable[bytes]) -> list[bytes]:
+    """Return texts of elements without white space."""
+    return [re.sub(rb"\s+", b"", text) for text in texts]
+
+
+def _same_mesh(first: etree._Element, second: etree._Element) -> bool:
+    """Return True if two <mesh> elements have the same stem of the file, and the same scale."""
+    stems = {Path(mesh.get("filename", "")).stem for mesh in (first, second)}
+    return len(stems) == 1 and first.get("scale", "1 1 1") == second.get("scale", "1 1 1")
+
+
+def _add_shape(
+    candidates: dict[tuple[tuple[str, str], ...], ValueRepair],
+    robot: UrdfModel,
+    name: str,
+    example: etree._Element,
+    reason: Diagnostic,
+) -> None:
+    """Add the repair that gives a link the collision shape of an example, unless it is there.
+
+    An existing shape only gets the origin of the example.
+    """
+    origin, geometry = example.find("origin"), example.find("geometry")
+    texts = {"xyz": "0 0 0", "rpy": "0 0 0"}
+    texts |= {} if origin is None else {word: str(text) for word, text in origin.attrib.items()}
+    changes = [("collision/origin", texts)]
+    if _find_element(robot, "link", name, "collision") is None:
+        for shape in geometry.iterchildren(tag=etree.Element):
+            new = {word: str(text) for word, text in shape.attrib.items()}
+            changes.append((f"collision/geometry/{shape.tag}", new))
+    key = tuple(sorted((child, str(sorted(new.items()))) for child, new in changes))
+    found = [_make_change(robot, name, child, new, reason) for child, new in changes]
+    for repair in _join_changes(found):
+        candidates.setdefault(key, repair)
+
+
 _PROPOSALS: Final[Mapping[str, Callable[[RobotModel, CheckFinding], Iterator[ValueRepair]]]] = {
     "limits-in-wrong-unit": _repair_limits_in_degrees,
     "command-range-in-degrees": _repair_command_range,
@@ -320,6 +750,21 @@ _PROPOSALS: Final[Mapping[str, Callable[[RobotModel, CheckFinding], Iterator[Val
     "effort-negative": _repair_effort,
     "mirror-mass": _repair_mirrored_mass,
     "mirror-limits": _repair_mirrored_effort,
+    "range-empty": _repair_exchanged_limits,
+    "mass-not-positive": _repair_mass,
+    "moving-body-without-mass": _repair_mass,
+    "link-without-inertial": _repair_mass,
+    "density-implausible": _repair_dense_mass,
+    "com-outside-shapes": _repair_com,
+    "mirror-com": _repair_com,
+    "shape-off-link": _repair_collision,
+    "mesh-missing": _repair_mesh_path,
+    "axis-zero": _repair_axis_of_zeros,
+    "mirror-axis": _repair_axis_sense,
+    "mirror-position": _repair_joint_place,
+    "mirror-shapes": _repair_collision,
+    "collision-off-visual": _repair_collision,
+    "moving-link-without-collision": _repair_collision,
     "triangle-inequality": _repair_tensor,
     "inertia-not-positive-definite": _repair_tensor,
 }

@@ -54,6 +54,7 @@ from pupper_analysis.simulation.stability import (
     measure_response,
     simulate_nudge,
 )
+from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.tools.convert.draft import ConversionDraft, draft_mjcf, draft_urdf
@@ -167,6 +168,8 @@ def convert_model(
             kept = run_from_keyframe(output)
             why = [] if kept is None else kept.failures
             failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
+    if failures:  # no simulation with an impossible mass has a meaning: it precedes the others
+        failures[:0] = [one for one in unlike if one.code in IMPOSSIBLE_CODES]
     return Conversion(
         source=name,
         output=str(output),

@@ -9,11 +9,14 @@ import re
 from pathlib import Path
 
 import pytest
+import trimesh
 from click.testing import CliRunner
 
 from pupper_analysis.cli import group
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.tools.audit.audit import Audit, audit_model
 from pupper_analysis.tools.audit.fix import apply_repairs, write_documents
+from pupper_analysis.tools.audit.registry import ValueRepair
 from tests.support.repository import ROOT
 
 URDF = ROOT / "urdf/pupper_skeleton.urdf"
@@ -47,6 +50,18 @@ def repairs_of(audit: Audit, rule: str) -> list[dict[str, str]]:
     [
         ('<link name="FR_calf">', 'value="0.05"', 'value="0.5"', "mirror-mass"),
         ('<link name="FL_calf">', 'value="0.05"', 'value="0.0005"', "mirror-mass"),
+        ('<link name="FL_calf">', 'value="0.05"', 'value="0"', "mass-not-positive"),
+        ('<link name="RR_calf">', '"0 0 -0.055"', '"0 0 0.4"', "com-outside-shapes"),
+        ('<link name="RR_calf">', '"0 0 -0.055"', '"0 0.007 -0.055"', "mirror-com"),
+        ('<joint name="RL_KFE"', '"0 1 0"', '"0 0 0"', "axis-zero"),
+        ('<joint name="RR_HAA"', '"1 0 0"', '"-1 0 0"', "mirror-axis"),
+        ('<joint name="RR_KFE"', '"0 0 -0.08"', '"0 0 -0.03"', "mirror-position"),
+        (
+            '<joint name="FR_HFE"',
+            'lower="-1.8" upper="1.2"',
+            'lower="1.2" upper="-1.8"',
+            "range-empty",
+        ),
         ('<joint name="FL_HFE"', 'effort="18"', 'effort="0"', "effort-or-velocity-zero"),
         ('<joint name="FL_HFE"', 'effort="18"', 'effort="-1"', "effort-negative"),
         ('<joint name="RR_KFE"', 'effort="18"', 'effort="9"', "mirror-limits"),
@@ -140,3 +155,145 @@ def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
     start, end = region["byteOffset"], region["byteOffset"] + region["byteLength"]
     mended = data[:start] + replacement["insertedContent"]["text"].encode() + data[end:]
     assert mended == read_original()
+
+
+def find_first(audit: Audit) -> tuple[str, str, list[ValueRepair]]:
+    """Return severity, rule and repairs of the first finding."""
+    first = audit.findings[0]
+    return str(first.severity), first.rule, list(first.repairs)
+
+
+@pytest.mark.slow
+def test_mass_and_inertia_in_grams_are_one_error_with_one_repair(tmp_path: Path) -> None:
+    """Reference: the original file. The difference of the sides is a consequence."""
+    text = URDF.read_text()
+    start = text.index('<link name="FL_calf">')
+    end = text.index("</inertial>", start)
+
+    def enlarge(match: re.Match[str]) -> str:
+        return f'{match[1]}="{1000 * float(match[2]):.17g}"'
+
+    part = re.sub(r'(value|i[xyz]{2})="([^"]*)"', enlarge, text[start:end])
+    path = tmp_path / "robot.urdf"
+    path.write_text(text[:start] + part + text[end:])
+    audit = audit_model(path)
+    severity, rule, repairs = find_first(audit)
+    assert (severity, rule, len(repairs)) == ("error", "density-implausible", 1)
+    assert "mirror-mass" in {finding.rule for finding in audit.findings}
+    write_documents(apply_repairs([audit])[0])
+    repaired, original = (read_urdf(file).tree.links["FL_calf"].inertia for file in (path, URDF))
+    assert repaired is not None
+    assert original is not None
+    assert repaired.isApprox(original, 1e-5)
+
+
+@pytest.mark.slow
+def test_lost_inertial_is_copied_from_the_mirrored_link(tmp_path: Path) -> None:
+    """Reference: Pinocchio's inertia of the original link."""
+    text = URDF.read_text()
+    start = text.index("<inertial>", text.index('<link name="RR_thigh">'))
+    end = text.index("</inertial>", start) + len("</inertial>")
+    path = tmp_path / "robot.urdf"
+    path.write_text(text[:start] + text[end:])
+    audit = audit_model(path)
+    assert find_first(audit)[1] == "moving-body-without-mass"
+    write_documents(apply_repairs([audit])[0])
+    repaired, original = (read_urdf(file).tree.links["RR_thigh"].inertia for file in (path, URDF))
+    assert repaired is not None
+    assert original is not None
+    assert repaired.isApprox(original, 1e-5)
+    assert audit_model(path).counts == audit_model(URDF).counts
+
+
+@pytest.mark.slow
+def test_displaced_or_lost_collision_shape_is_that_of_another_limb(tmp_path: Path) -> None:
+    """Reference: the numbers of the original collision shape."""
+    text = URDF.read_text()
+    start = text.index("<collision>", text.index('<link name="RL_hip">'))
+    end = text.index("</collision>", start) + len("</collision>")
+    moved = text[start:end].replace('"0 0 0"', '"0.1 0 0"')
+    path = tmp_path / "robot.urdf"
+    for changed in (text[:start] + moved + text[end:], text[:start] + text[end:]):
+        path.write_text(changed)
+        audit = audit_model(path)
+        assert find_first(audit)[1] in ("collision-off-visual", "moving-link-without-collision")
+        write_documents(apply_repairs([audit])[0])
+        (shape,) = read_urdf(path).tree.links["RL_hip"].element.findall("collision")
+        assert shape.find("geometry/sphere").get("radius") == "0.026"
+        assert shape.find("origin").get("xyz") == "0 0 0"
+
+
+def test_broken_mesh_path_becomes_the_existing_file(tmp_path: Path) -> None:
+    """The suffix of the path, or its capitals, are wrong."""
+    mesh = trimesh.creation.box((0.1, 0.1, 0.1))
+    mesh.export(tmp_path / "Body.stl")
+    path = tmp_path / "robot.urdf"
+    for name in ("Body.stl.missing", "body.STL"):
+        path.write_text(
+            '<robot name="r"><link name="b"><inertial><mass value="1"/><inertia ixx="0.002"'
+            ' iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry>'
+            f'<mesh filename="{name}"/></geometry></collision></link></robot>'
+        )
+        if (tmp_path / name).exists():  # a file system without capitals
+            continue
+        assert repairs_of(audit_model(path), "mesh-missing") == [{"filename": "Body.stl"}]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "repair"), [(1000.0, 0.001), (0.001, 1000.0)])
+def test_all_lengths_in_a_wrong_unit_are_the_first_error(
+    factor: float, repair: float, tmp_path: Path
+) -> None:
+    def scale(match: re.Match[str]) -> str:
+        values = " ".join(repr(factor * float(part)) for part in match[2].split())
+        return f'{match[1]}="{values}"'
+
+    path = tmp_path / "robot.urdf"
+    path.write_text(re.sub(r'(xyz|size|radius|length)="([^"]*)"', scale, URDF.read_text()))
+    first = audit_model(path).findings[0]
+    assert first.diagnostic.code == "joints-out-of-scale"
+    assert first.diagnostic.values["factor"] == repair
+
+
+@pytest.mark.slow
+def test_limits_in_degrees_of_a_wide_range_are_found_by_the_other_limbs(tmp_path: Path) -> None:
+    """A range of 10 rad is 573 degrees, which alone may mean no limit."""
+    text = URDF.read_text().replace('lower="-1.8" upper="1.2"', 'lower="-10" upper="10"')
+    start = text.index('<joint name="FL_HFE"')
+    changed = text[start:].replace('lower="-10" upper="10"', 'lower="-573" upper="573"', 1)
+    path = tmp_path / "robot.urdf"
+    path.write_text(text[:start] + changed)
+    first = audit_model(path).findings[0]
+    assert first.rule == "limits-in-wrong-unit"
+    assert [dict(repair.new) for repair in first.repairs] == [
+        {"lower": "-10.0007", "upper": "10.0007"}
+    ]
+
+
+def test_link_denser_than_steel_and_the_other_links_gets_candidates(tmp_path: Path) -> None:
+    """The numbers are those of a published arm: 42.872 kg in a tube of 110 x 360 mm."""
+    links, joints = "", ""
+    sizes = {"base": (2.0, 0.08, 0.1), "a": (4.0, 0.06, 0.16), "b": (42.872, 0.055, 0.36)}
+    previous = ""
+    for name, (mass, radius, length) in {**sizes, "c": (2.4, 0.045, 0.3)}.items():
+        moment = mass * length**2 / 12 if mass < 9 else 0.55
+        links += (
+            f'<link name="{name}"><inertial><mass value="{mass}"/><inertia ixx="{moment}"'
+            f' iyy="{moment}" izz="{moment / 2}" ixy="0" ixz="0" iyz="0"/></inertial><collision>'
+            f'<geometry><cylinder radius="{radius}" length="{length}"/></geometry></collision>'
+            "</link>"
+        )
+        if previous:
+            joints += (
+                f'<joint name="to_{name}" type="revolute"><parent link="{previous}"/>'
+                f'<child link="{name}"/><axis xyz="0 1 0"/>'
+                '<limit lower="-2" upper="2" effort="150" velocity="3"/></joint>'
+            )
+        previous = name
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    (found,) = (f for f in audit_model(path).findings if f.rule == "density-implausible")
+    assert found.diagnostic.code == "denser-than-others"
+    assert found.element == "link 'b'"
+    assert len(found.repairs) == 2  # a decimal point, and the density of the other links
+    assert found.repairs[0].new == {"value": "4.2872"}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -25,6 +25,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.models.efforts import Motor, null_efforts, placeholder_efforts
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.sides import strip_sides
 from pupper_analysis.models.stated.mjcf import find_element_place
 from pupper_analysis.models.stated.model import (
     HINGE_JOINT,
@@ -208,9 +209,10 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinge limits that appear to be in the wrong unit.
 
     Limits with a magnitude of 12 to 400 rad are probably degrees; 10 rad is a common way to specify
-    no limit. ERROR instead of WARNING for ten turns or more, unless the limits are symmetric, since
-    +-100 rad may specify no limit. If the unit of the file is degrees, and no limit of at least
-    three hinges is above 2 pi degrees, the limits are probably radians.
+    no limit. Larger limits are degrees if the equal joint of another limb has them in radians. The
+    severity is ERROR instead of WARNING for ten turns or more, unless the limits are symmetric,
+    since +-100 rad may specify no limit. If the unit of the file is degrees, and no limit of at
+    least three hinges is above 2 pi degrees, the limits are probably radians.
     """
     hinges = [
         j
@@ -219,7 +221,8 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     ]
     for joint in hinges:
         limits = (joint.lower, joint.upper)
-        if 12 <= max(map(abs, limits)) <= 400:
+        largest = max(map(abs, limits))
+        if 12 <= largest <= 400 or (largest > 400 and _equals_other_limb(joint, hinges)):
             lower, upper = (Quantity(value, "rad") for value in limits)
             message = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
             impossible = max(map(abs, limits)) >= 10 * 2 * math.pi and sum(limits) != 0
@@ -237,6 +240,21 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
             upper=Quantity(widest.upper, "rad"),
         )
         yield CheckFinding("joint", widest.name, message)
+
+
+def _equals_other_limb(joint: Joint, hinges: Sequence[Joint]) -> bool:
+    """Return True if the limits of a joint, in radians, are those of an equal joint elsewhere.
+
+    The limits of the other joint may have the opposite sign. The relative tolerance is 1 %.
+    """
+    lower, upper = np.deg2rad((joint.lower, joint.upper))
+    kind = strip_sides(joint.name)
+    return any(
+        np.allclose(limits, (other.lower, other.upper), rtol=0.01)
+        for other in hinges
+        if other is not joint and strip_sides(other.name) == kind
+        for limits in ((lower, upper), (-upper, -lower))
+    )
 
 
 @rule

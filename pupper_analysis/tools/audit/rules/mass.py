@@ -8,6 +8,7 @@ and with each other.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -115,9 +116,9 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find a CoM outside the convex hull of a link's shapes, joints and frames.
 
     Shapes of links fixed to the link are included. The tolerance is `MAX_COM_OFFSET` plus a
-    fraction of the extent. If there are no shapes, or the size of one is unknown, a finding is a
-    CoM whose distance from the hull of the link's joints and frames exceeds the length of the
-    longest limb.
+    fraction of the extent. If the size of a visual shape is unknown, the collision shapes count
+    alone. If there are none, or the size of one is unknown, a finding is a CoM whose distance from
+    the hull of the link's joints and frames exceeds the length of the longest limb.
     """
     span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
@@ -125,7 +126,16 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
         if inertial is None or not inertial.stated or robot.is_negligible(body):
             continue
         group = robot.fixed_group(body.name)
-        points = list_extent_points(group, body)
+        shapes = [shape for part in group for shape in part.shapes]
+        points, drawn = (
+            list_extent_points(group, body),
+            any(shape.kind == "mesh" or not shape.collides for shape in shapes),
+        )
+        if points is None:
+            solid = [
+                replace(part, shapes=tuple(s for s in part.shapes if s.collides)) for part in group
+            ]
+            points, drawn = list_extent_points(solid, body), False
         if points is None:
             outside = compute_hull_distance(list_link_points(robot, body), inertial.com)
             if 0 < span < outside:
@@ -143,8 +153,6 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
         points = np.concatenate([points, list_link_points(robot, body)])
         size = float(np.ptp(points, axis=0).max())
         outside = compute_hull_distance(points, inertial.com)
-        shapes = [shape for part in group for shape in part.shapes]
-        drawn = any(shape.kind == "mesh" or not shape.collides for shape in shapes)
         if outside > MAX_COM_OFFSET + (DRAWN_FRACTION if drawn else SIMPLIFIED_FRACTION) * size:
             message = diagnose(
                 "com-outside-shapes",
@@ -296,22 +304,32 @@ def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]
 def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find stated inertias with a negative or zero principal moment.
 
-    Zero is a finding only for a moving link without fixed links. A negative moment is compared with
-    the greatest moment and the rounding of the stated numbers, not with the mass: a tensor of
-    -5e-20 kg m^2 about each axis is a finding.
+    A moment of zero is a finding for a moving link without fixed links, and, with severity WARNING,
+    for a moving link with more than half of the mass of itself and its fixed links. A negative
+    moment is compared with the greatest moment and the rounding of the stated numbers, not with the
+    mass: a tensor of -5e-20 kg m^2 about each axis is a finding.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
         scale = max(abs(least), greatest)
         zero = max(1e-9 * scale, MIN_GYRATION_SQUARED * inertial.mass)
-        alone = body.moving and len(robot.fixed_group(body.name)) == 1
-        if least < -max(1e-9 * scale, inertial.rounding) or (alone and least <= zero):
+        group = robot.fixed_group(body.name)
+        alone = body.moving and len(group) == 1
+        heaviest = (
+            body.moving
+            and not robot.is_negligible(body)
+            and 2 * inertial.mass > sum(part.mass for part in group)
+        )
+        is_negative = least < -max(1e-9 * scale, inertial.rounding)
+        if is_negative or ((alone or heaviest) and least <= zero):
             message = diagnose(
                 "inertia-not-positive-definite",
                 least=Quantity(least, "kg m^2"),
                 greatest=Quantity(greatest, "kg m^2"),
             )
-            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("inertia"))
+            severity = None if is_negative or alone else Severity.WARNING
+            part = robot.inertial_path("inertia")
+            yield CheckFinding(robot.link_tag, body.name, message, part, severity=severity)
 
 
 @rule

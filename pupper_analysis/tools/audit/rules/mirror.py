@@ -17,6 +17,7 @@ import numpy as np
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.base.diagnostics import (
     Quantity,
+    Severity,
     Term,
     Vector,
     describe_effort,
@@ -24,7 +25,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs
+from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs, strip_sides
 from pupper_analysis.models.stated.model import (
     HINGE_JOINT,
     Array,
@@ -222,7 +223,10 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find left-right pairs of links whose masses differ by more than 1 %."""
+    """Find left-right pairs of links whose masses differ by more than 1 %.
+
+    The severity is WARNING, and ERROR if one mass is `IMPOSSIBLE_FACTOR` times the other or more.
+    """
     for first, second in _list_body_pairs(robot):
         if not _masses_agree(first, second):
             message = diagnose(
@@ -231,7 +235,15 @@ def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
                 other=first.name,
                 its=Quantity(first.mass, "kg"),
             )
-            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_path("mass"))
+            low, high = sorted((first.mass, second.mass))
+            severity = Severity.ERROR if 0 < IMPOSSIBLE_FACTOR * low <= high else None
+            part = robot.inertial_path("mass")
+            yield CheckFinding(robot.link_tag, second.name, message, part, severity=severity)
+
+
+IMPOSSIBLE_FACTOR = 10.0
+"""Ratio of the masses of a left and a right link from which the difference is an error. Chosen, not
+tuned."""
 
 
 @rule
@@ -343,7 +355,11 @@ def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> flo
 
 @rule
 def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find left-right pairs of joints whose axes, up to sign, are no mirror images within 1 deg."""
+    """Find left-right pairs of joints whose axes, up to sign, are no mirror images within 1 deg.
+
+    A pair is a finding, too, if its sense is the exception (`_find_reversed_axis`).
+    """
+    yield from _find_reversed_axis(robot)
     for mirror, first, second in list_joint_pairs(robot):
         if first.axis.any() and second.axis.any():
             cosine = abs(_compute_axis_sense(mirror, first, second))
@@ -356,6 +372,53 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
                     image=Vector(tuple(mirror.matrix @ first.axis), "1"),
                 )
                 yield CheckFinding("joint", second.name, message, "axis")
+
+
+MIN_EQUAL_SENSES = 2
+"""Smallest number of pairs of joints whose axes follow one convention, besides the exception.
+Chosen, not tuned: 66 published robots with pairs have no exception at all."""
+
+
+def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
+    """Yield the joint of the only left-right pair whose axes have another sense than in all others.
+
+    In published robots, the axes of all pairs are parallel, or they are all mirror images. The
+    finding is about the joint whose axis points against those of the equal joints of other limbs,
+    or else against those of all other joints with a parallel axis.
+    """
+    pairs, parallel = [], []
+    for mirror, first, second in list_joint_pairs(robot):
+        cosine = float(first.axis @ second.axis)
+        sense = _compute_axis_sense(mirror, first, second)
+        if abs(cosine) > 0.9 and abs(sense) > 0.9 and first.kind == HINGE_JOINT:
+            pairs.append((first, second))
+            parallel.append((cosine > 0, sense > 0))
+    if len(pairs) <= MIN_EQUAL_SENSES:
+        return
+    of_axes, of_mirror = np.array(parallel).T
+    if of_axes.all() or of_mirror.all():
+        return
+    odd = np.flatnonzero(~of_axes if (~of_axes).sum() == 1 else ~of_mirror)
+    if len(odd) != 1:
+        return
+    first, second = pairs[int(odd[0])]
+    kind = strip_sides(first.name)
+    hinges = [joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT]
+    others = [joint for joint in hinges if joint not in (first, second)]
+    equal = [joint for joint in others if strip_sides(joint.name) == kind]
+    for group in (equal, others):
+        votes = sum(np.sign(j.axis @ second.axis) for j in group if abs(j.axis @ second.axis) > 0.9)
+        if votes:
+            break
+    joint, other = (second, first) if votes < 0 else (first, second)
+    message = diagnose(
+        "axis-reversed",
+        other=other.name,
+        pairs=len(pairs) - 1,
+        certain=bool(votes),
+        like=(equal or others)[0].name,
+    )
+    yield CheckFinding("joint", joint.name, message, "axis")
 
 
 @rule

@@ -7,6 +7,8 @@ they are expressed [m].
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import PurePath
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -20,7 +22,8 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import Shape
-from pupper_analysis.models.stated.model import Array, Link, RobotModel
+from pupper_analysis.models.stated.model import Array, Link, RobotModel, UrdfModel
+from pupper_analysis.models.urdf_tree import origin_of
 from pupper_analysis.tools.audit.registry import (
     list_extent_points,
     list_known_points,
@@ -290,6 +293,10 @@ MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
 """Extent of all joint positions of a robot [m] above and below which the size is reported as
 implausible, for example because of a wrong unit of length. Chosen, not tuned."""
 
+MIN_USUAL_EXTENT, MAX_USUAL_EXTENT = 0.05, 5.0
+"""Extent of all joint positions of a robot [m] between which a factor of 1000 is proposed as the
+repair of its lengths. Chosen, not tuned."""
+
 MAX_SHAPE_RATIO = 20.0
 """Extent of a link's shapes, relative to the extent of all joints, above which the shapes are
 reported as too large. Measured: the largest ratio of 1500 published links is 2.3."""
@@ -301,7 +308,8 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The mass is the sum of a root link or moving link and all links fixed to it. Visual and
     collision shapes, and the origins of the link, its frames and its children, define the hull.
-    Plausible are 2 to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read.
+    Plausible are 2 to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read. The severity
+    is WARNING, and ERROR above `IMPOSSIBLE_FACTOR` times `MAX_DENSITY`.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`), bodies with small shapes
     (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
@@ -321,6 +329,21 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
             continue
         volume = _compute_hull_volume(np.concatenate([points, links]))
         density = mass / volume if volume > 0 else np.inf
+        typical = compute_median_density(robot, body.name) if whole else None
+        if (
+            typical is not None
+            and DENSITY_OF_STEEL < density <= most
+            and density > MIN_DENSITY_RATIO * typical
+        ):
+            message = diagnose(
+                "denser-than-others",
+                mass=Quantity(mass, "kg"),
+                volume=Quantity(volume, "m^3"),
+                density=Quantity(density, "kg/m^3"),
+                times=density / typical,
+                typical=Quantity(typical, "kg/m^3"),
+            )
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("mass"))
         if volume > 0 and not (MIN_DENSITY if whole else 0.0) <= density <= most:
             message = diagnose(
                 "denser-than-metal" if density > most else "lighter-than-foam",
@@ -328,7 +351,122 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
                 volume=Quantity(volume, "m^3"),
                 density=Quantity(density, "kg/m^3"),
             )
-            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("mass"))
+            impossible = density > IMPOSSIBLE_FACTOR * MAX_DENSITY
+            severity = Severity.ERROR if impossible else None
+            part = robot.inertial_path("mass")
+            yield CheckFinding(robot.link_tag, body.name, message, part, severity=severity)
+
+
+DENSITY_OF_STEEL, MIN_DENSITY_RATIO = 7900.0, 5.0
+"""Density of steel [kg/m^3], and ratio to the median density of the other links: a link above both
+is reported. Chosen, not tuned: motors and gears fill a part of a hull."""
+
+MIN_OTHER_LINKS = 3
+"""Smallest number of other links with known density for which a median density is computed. Chosen,
+not tuned."""
+
+
+def compute_median_density(robot: RobotModel, name: str) -> float | None:
+    """Compute the median of mass per volume of the convex hull over all other links [kg/m^3].
+
+    Light links (`MIN_MASS_FRACTION`), and links with a shape of unknown size are left out. None if
+    fewer than `MIN_OTHER_LINKS` remain.
+    """
+    densities = []
+    for body in _list_moving_links(robot):
+        group = robot.fixed_group(body.name)
+        mass = sum(part.mass for part in group)
+        points, whole = list_known_points(group, body)
+        light = mass < MIN_MASS_FRACTION * (robot.total_mass - robot.links[name].mass)
+        if body.name == name or light or not whole or points is None:
+            continue
+        volume = _compute_hull_volume(np.concatenate([points, list_link_points(robot, body)]))
+        if volume > 0 and mass > 0:
+            densities.append(mass / volume)
+    return float(np.median(densities)) if len(densities) >= MIN_OTHER_LINKS else None
+
+
+@rule
+def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find the only drawn moving link of a URDF without collision shapes.
+
+    Links that are fixed to the link are included. Links below 1 % of the mass of the robot, and
+    robots with fewer than `MIN_OTHER_LINKS` other drawn moving links are skipped.
+    """
+    drawn = []
+    for body in robot.links.values():
+        group = robot.fixed_group(body.name)
+        shapes = [shape for part in group for shape in part.shapes if shape.kind != "none"]
+        heavy = sum(part.mass for part in group) >= MIN_MASS_FRACTION * robot.total_mass
+        if body.moving and heavy and any(not shape.collides for shape in shapes):
+            drawn.append((body.name, any(shape.collides for shape in shapes)))
+    bare = [name for name, collides in drawn if not collides]
+    if len(bare) == 1 and len(drawn) > MIN_OTHER_LINKS:
+        message = diagnose("moving-link-without-collision", others=len(drawn) - 1)
+        yield CheckFinding("link", bare[0], message)
+
+
+@rule
+def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find links whose collision shapes are apart from their visual shapes.
+
+    The bounding boxes along the axes of the link must overlap within `MIN_GAP_FRACTION` of the
+    extent of the visual shapes. Links with a mesh that was not read are compared only if the same
+    file is a visual shape and a collision shape: the distance is then that of the origins.
+    """
+    for body in robot.links.values():
+        sides = [
+            replace(body, shapes=tuple(s for s in body.shapes if s.collides == collides))
+            for collides in (False, True)
+        ]
+        if not all(side.shapes for side in sides):
+            continue
+        visual, solid = (list_extent_points([side], body) for side in sides)
+        if visual is None or solid is None:
+            gap = _measure_equal_mesh_gap(robot, body.name)
+            size = 0.0 if gap is None else _compute_reach_of_children(robot, body)
+        else:
+            gaps = np.maximum(
+                solid.min(axis=0) - visual.max(axis=0), visual.min(axis=0) - solid.max(axis=0)
+            )
+            gap, size = float(gaps.max()), _compute_extent(visual)
+        if gap is not None and gap > max(MIN_GAP_FRACTION * size, POSITION_TOLERANCE):
+            message = diagnose("collision-off-visual", gap=Quantity(gap, "m"))
+            yield CheckFinding("link", body.name, message, "collision")
+
+
+MIN_GAP_FRACTION = 0.1
+"""Gap between the bounding boxes of visual and collision shapes, relative to the extent of the
+visual shapes, from which the gap is reported. Chosen, not tuned."""
+
+
+def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
+    """Return the extent of the origins of a link, its frames and its children [m]."""
+    return _compute_extent(list_link_points(robot, body))
+
+
+def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
+    """Return the distance between the origins of equal visual and collision meshes of a link [m].
+
+    None unless the link has one visual and one collision mesh, whose files have the same stem.
+    """
+    link = robot.file.tree.links[name]
+    pairs = {}
+    for tag, shape, geometry in link.shapes:
+        if geometry is None or geometry.tag != "mesh" or tag in pairs:
+            return None
+        pairs[tag] = (PurePath(geometry.get("filename", "")).stem, origin_of(shape))
+    if len(pairs) != 2 or pairs["visual"][0] != pairs["collision"][0]:
+        return None
+    gap: float = np.linalg.norm(
+        pairs["visual"][1].translation - pairs["collision"][1].translation
+    ).item()
+    return gap
+
+
+IMPOSSIBLE_FACTOR = 10.0
+"""Ratio of a density or a size to the largest plausible value from which it is an error: no robot
+has ten times the density of tungsten. Chosen, not tuned."""
 
 
 @rule
@@ -337,20 +475,31 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The extent of all joint positions at zero angles must be 0, or between `MIN_ROBOT_EXTENT` and
     `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most `MAX_SHAPE_RATIO` times
-    this extent, unless that is below `MIN_EXTENT`.
+    this extent, unless that is below `MIN_EXTENT`. The severity is WARNING, and ERROR if the extent
+    of the joints is `IMPOSSIBLE_FACTOR` times beyond a bound.
     """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:
         return
     size = _compute_extent(places)
     if size > MAX_ROBOT_EXTENT or 0 < size < MIN_ROBOT_EXTENT:
+        factor = 1e-3 if size > MAX_ROBOT_EXTENT else 1e3
+        usual = MIN_USUAL_EXTENT < size * factor < MAX_USUAL_EXTENT
         message = diagnose(
             "joints-out-of-scale",
             size=Quantity(size, "m"),
             least=Quantity(MIN_ROBOT_EXTENT, "m"),
             most=Quantity(MAX_ROBOT_EXTENT, "m"),
+            factor=factor if usual else None,
+            meant=Quantity(size * factor, "m"),
         )
-        yield CheckFinding(robot.link_tag, robot.base, message)
+        impossible = (
+            not MIN_ROBOT_EXTENT
+            < IMPOSSIBLE_FACTOR * size
+            < IMPOSSIBLE_FACTOR**2 * MAX_ROBOT_EXTENT
+        )
+        severity = Severity.ERROR if impossible else None
+        yield CheckFinding(robot.link_tag, robot.base, message, severity=severity)
     if size < MIN_EXTENT:
         return
     for body in robot.links.values():
