@@ -427,8 +427,8 @@ class HoldCommands:
             position servos on tendons and sites; zero for other actuators.
         act: States of the actuator filters, shape (model.na,).
         external: External servos, which the simulation computes for n joints without position
-            servo: dof addresses, kp [N m/rad], kd [N m s/rad], target positions [rad], feed-forward
-            torques [N m], each of shape (n,).
+            servo: dof addresses, kp [N m/rad], kd [N m s/rad], target positions [rad, m],
+            feed-forward torques [N m], each of shape (n,).
         motor_laws: {dof: (index of the control, lever, offset)} of the joints with an external
             servo that have an actuator: at rest the joint torque [N m] is lever * ctrl + offset.
     """
@@ -470,7 +470,7 @@ def compute_hold_commands(
         robot: Prepared robot, with the gains of the added servos.
         data: State of the published model; not modified.
         torques: Feed-forward torques, shape (nu,) [N m]; None for position commands alone.
-        targets: Target positions, shape (nu,) [rad].
+        targets: Target positions, shape (nu,) [rad, m].
     """
     model = published.model
     at_joints = np.setdiff1d(np.arange(model.nactuator), list_uncommanded_actuators(model))
@@ -513,7 +513,7 @@ def _set_tendon_commands(
         published: Published model.
         robot: Prepared robot.
         ctrl: Controls, shape (model.nu,); those of these servos are set.
-        targets: Target positions, shape (nu,) [rad].
+        targets: Target positions, shape (nu,) [rad, m].
         torques: Joint torques, shape (nu,) [N m]; the torques of these servos are subtracted.
 
     Returns:

@@ -193,7 +193,7 @@ def suggest_standing_gains(
         robot: Robot.
         stand: Stand.
         torques: Static torques, shape (nu,) [N m].
-        sag: Deflection of the most loaded joint [rad].
+        sag: Deflection of the most loaded joint [rad, m].
         parts: Divisor of the model's time step; the gains are those for this shorter step.
         damping: Factor of the default damping, kd = 0.05 s * kp.
 
@@ -212,7 +212,7 @@ def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) ->
 
     Args:
         model: Model with a fixed base, or with a free base that is held.
-        sag: Deflection of a joint under gravity [rad].
+        sag: Deflection of a joint under gravity [rad, m].
 
     Returns:
         kp [N m/rad] and kd [N m s/rad], each with a value per joint that is not free, in the order

@@ -338,7 +338,7 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
         robot: Robot with feet.
         pose: Joint positions that the solution is close to, shape (nu,) [rad or m].
         height: Height of the base above the ground [m].
-        margin: Distance of the joints from their limits [rad]; at most 40 % of a joint's range.
+        margin: Distance of the joints from their limits [rad, m]; at most 40 % of a joint's range.
 
     Returns:
         Joint positions, shape (nu,) [rad or m]; None if an error exceeds ``_MAX_SOLE_ERROR``.

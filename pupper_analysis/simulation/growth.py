@@ -192,8 +192,8 @@ def simulate_growth(
         start: State (mjSTATE_FULLPHYSICS) at rest.
         ctrl: Command of the actuators, shape (model.nu,).
         modes: Modes along which the state is displaced.
-        angle: Largest initial deviation of a position [rad, m].
-        speed: Largest initial deviation of a velocity [rad/s, m/s].
+        angle: Upper bound of the initial deviation of a position [rad, m].
+        speed: Upper bound of the initial deviation of a velocity [rad/s, m/s].
     """
     displacement = _make_displacement(model, modes, angle, speed)
     joints = scalar_joints(model)

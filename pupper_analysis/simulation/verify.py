@@ -696,7 +696,7 @@ def describe_drive_limits(
         robot: The robot.
         run: Simulation that deviates from the prediction.
         predicted: Predicted motor torques, shape (nu,) [N m].
-        positions: Predicted joint positions, shape (nu,) [rad].
+        positions: Predicted joint positions, shape (nu,) [rad, m].
     """
     weakest, strongest = robot.effort_ranges.T * (1 - _SATURATION_RTOL)
     saturated = (run.joint_torques <= weakest) | (run.joint_torques >= strongest)

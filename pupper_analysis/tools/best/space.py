@@ -59,8 +59,8 @@ push topples the robot. The value is chosen.
 """
 
 JOINT_RESERVE = 0.02
-"""Distance from the joint limits [rad] that is required in addition to the task's joint margin, if
-the initial stand has as much. The reserve covers the deflection of servos, and the extension of
+"""Distance from the joint limits [rad, m] that is required in addition to the task's joint margin,
+if the initial stand has as much. The reserve covers the deflection of servos, and the extension of
 legs whose feet sink into soft ground. Chosen. Without a reserve, a small disturbance is enough to
 fail: with the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg failed."""
 
@@ -87,8 +87,8 @@ class StanceSlack:
     Attributes:
         singular_values: Shape (n,); smallest singular value of the Jacobian of each contact point
             less the lower bound, relative to the initial value.
-        joints: Shape (2 nu,) [rad]; distances from the lower, then the upper joint limits, less the
-            joint margin and the reserve. Values are at most 1.
+        joints: Shape (2 nu,) [rad, m]; distances from the lower, then the upper joint limits, less
+            the joint margin and the reserve. Values are at most 1.
         edges: Shape (m,) [m]; signed distances of the projected CoM from the edges of the support
             polygon, less the CoM margin. The order is continuous in the positions of the feet.
         penetration: Negative total penetration [m] of pairs of geoms that do not touch in the
@@ -290,8 +290,8 @@ class StanceSpace:
     def compute_slack(self, stand: Stand) -> StanceSlack:
         """Compute the slacks of the constraints on a stand; an allowed stand has slacks >= 0.
 
-        The constraints bound the singular values of the legs' Jacobians, the joint positions [rad],
-        the CoM margin [m] and penetrations that the initial stand does not have [m].
+        The constraints bound the singular values of the legs' Jacobians, the joint positions, the
+        CoM margin [m] and penetrations that the initial stand does not have [m].
         """
         config, task = Configuration(self.robot, stand.qpos), self.nominal.task
         min_values = MIN_SINGULAR_VALUE_RATIO * self._initial_singular_values
@@ -401,7 +401,7 @@ class StanceSpace:
         return result
 
     def _compute_limit_distances(self, stand: Stand) -> Array:
-        """Return the distances from the lower, then the upper joint limits, shape (2 nu,) [rad]."""
+        """Return the distances [rad, m] from the lower, then the upper limits, shape (2 nu,)."""
         joints = stand.joint_positions(self.robot)
         return np.concatenate([joints - self.robot.lower_limits, self.robot.upper_limits - joints])
 

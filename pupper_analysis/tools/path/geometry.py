@@ -174,7 +174,7 @@ def interpolate_task(
         segment: Segment of the path.
         stance_feet: Contact points that carry load.
         share: Path parameter s of the segment, from 0 to 1.
-        ik_seed: Shape (nu,) [rad]; initial guess of the joint positions.
+        ik_seed: Shape (nu,) [rad, m]; initial guess of the joint positions.
         away: Displacement of each contact point by rolling, shape (3,) [m].
 
     Raises:
@@ -243,7 +243,7 @@ def interpolate_task(
 
 
 MAX_JUMP = 0.5
-"""Upper bound of the joint motion between two samples [rad]. A larger motion means that the IK
+"""Upper bound of the joint motion between two samples [rad, m]. A larger motion means that the IK
 branch has changed, and the path is refused. Chosen, not tuned."""
 
 _ROLL_TOLERANCE = 1e-8
@@ -439,7 +439,7 @@ class _RollingFeet:
             segment: Segment of the path.
             stance_feet: Contact points that carry load.
             share: Path parameter s of the segment, from 0 to 1.
-            ik_seed: Initial guess of the joint positions, shape (nu,) [rad].
+            ik_seed: Initial guess of the joint positions, shape (nu,) [rad, m].
             rolling: Whether feet roll; otherwise the stand is solved once.
 
         Raises:

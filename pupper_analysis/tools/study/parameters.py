@@ -167,9 +167,9 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
 
     Args:
         robot: Robot.
-        factors: {``KIND:PATTERN``: value}. A factor is finite and >= 0; factors of `BODY_KINDS` are
-            > 0. The value of ``com_x``, ``com_y`` and ``com_z`` is an offset [m] in the axes of the
-            URDF's link.
+        factors: {``KIND:PATTERN``: value}. A factor is finite and >= 0; factors of `BODY_KINDS` and
+            `SERVO_KINDS` are > 0. The value of ``com_x``, ``com_y`` and ``com_z`` is an offset [m]
+            in the axes of the URDF's link.
 
     Raises:
         ConfigurationError: If a value is out of range.
