@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 from dataclasses import replace
@@ -16,7 +17,8 @@ from pupper_analysis.cli.shared import TYPED_WORDS
 from pupper_analysis.present.document import NextStep
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.audit.document import audit_document
-from tests.support.commands import run_command
+from tests.support import arm
+from tests.support.commands import answer, run_command
 from tests.support.repository import ROOT
 
 
@@ -131,3 +133,41 @@ def test_refusal_of_a_fixed_base_prints_hold_with_the_typed_robot(
     status, _, err = run_command(capfd, "stand", str(path), "--payload", "1kg", "--height", "1m")
     assert status == 2
     assert err.splitlines()[-1] == f"  next: pupper-analysis hold {path} --payload 1kg"
+
+
+def list_next_lines(output: str) -> list[list[str]]:
+    """Return the words of each suggested command line in the output of a command."""
+    found = re.findall(r"^ *next: pupper-analysis (.+)$", output, flags=re.M)
+    return [shlex.split(line) for line in found]
+
+
+PRINTED = [
+    "audit v3", "contract v3 --no-stand", "crosscheck v3", "diff v3 v3-heavy", "diff v3 v3",
+    "sync v3", "stand v3", "check", "audit arm.urdf", "audit arm.xml",
+    "contract arm.xml", "contract arm.urdf arm.xml", "crosscheck arm.xml arm.urdf",
+    "diff arm.xml arm.xml", "sync arm.xml arm.urdf", "convert arm.urdf -o new.xml",
+    "convert arm.xml -o new.urdf", "hold arm.xml arm.urdf", "stand arm.xml", "payload arm.urdf",
+    "gains arm.urdf", "fit arm.urdf --plan 2 -o plan.csv",
+]  # fmt: skip
+"""Command lines whose next commands are tested: a legged robot, and an arm with a fixed base."""
+
+TESTED = {"audit", "contract", "crosscheck", "sync", "check", "hold"}
+"""Commands that are also run as the next command; the parsers of the others check their words."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", PRINTED)
+def test_printed_next_command_is_accepted(line: str, tmp_path: Path) -> None:
+    """Reference: exit status of the next command, or click's parser for slow commands."""
+    (tmp_path / "arm.urdf").write_text(arm.URDF)
+    (tmp_path / "arm.xml").write_text(arm.MJCF)
+    done = answer(*shlex.split(line), folder=tmp_path)
+    steps = list_next_lines(done.stdout + done.stderr)
+    assert len(steps) == 1, done
+    [step] = steps
+    if step[0] in TESTED and step[0] not in line:
+        assert answer(*step, folder=tmp_path).returncode in (0, 1), step
+    else:
+        with contextlib.chdir(tmp_path):
+            cli.find_command(step[0]).make_context(step[0], step[1:]).close()
+    assert ("arm" in line or "new" in line) <= (step[0] not in ("stand", "payload")), step

@@ -396,6 +396,7 @@ class FilesCompared(Tabular):
             file only, and no objection.
         same_robot: Whether the models agree except for the conventions: frame of the base and zeros
             of joints.
+        floating: Whether the MJCF has a free base, or a base with at least two limbs.
     """
 
     urdf: str
@@ -417,6 +418,7 @@ class FilesCompared(Tabular):
     objections: tuple[Diagnostic, ...]
     agree: bool
     same_robot: bool
+    floating: bool
 
     @property
     def unexplained_differences(self) -> list[list[Difference]]:
@@ -563,6 +565,7 @@ def compare_files(
         objections=objections,
         agree=not (differences or unmatched or objections),
         same_robot=not (_has_mechanical_difference(differences) or unmatched or objections),
+        floating=read_mjcf_model(mjcf_file).has_free_base,
     )
     return Compared(result, matched, explanation, sources)
 

@@ -84,6 +84,7 @@ class Contract(Result):
             simulated in a default pose.
         passed: True if every disagreement is less severe than ``fail_on``, and everything was
             compared or ``fail_on`` is ``error``.
+        floating: True if the model has a free base, or at least two limbs.
     """
 
     model: str
@@ -96,6 +97,7 @@ class Contract(Result):
     notes: tuple[Diagnostic, ...]
     evidence: str
     passed: bool
+    floating: bool
 
 
 @check_arguments
@@ -141,7 +143,8 @@ def read_contract(
     # The joint order is that of the MJCF if there is one: trainers and engines use this order.
     models.sort(key=lambda source: source.path.suffix.lower() not in (".xml", ".mjcf"))
     names, notes = match_joint_names(models, names or {})
-    joints = RobotJoints.from_model(read_model_file(models[0].path), models[0].order, names)
+    model = read_model_file(models[0].path)
+    joints = RobotJoints.from_model(model, models[0].order, names)
     for folder in folders:
         folder_sources, folder_notes = read_folder(folder, read, joints)
         read += folder_sources
@@ -189,6 +192,7 @@ def read_contract(
         tuple(notes),
         SIMULATED if any(pose.stays is not None for pose in poses) else PARSED,
         passed,
+        model.has_free_base,
     )
 
 

@@ -62,7 +62,9 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
             *_describe_first(contract),
         ),
         details=(text(f"contract-evidence-{contract.evidence}"),),
-        next_step=doc.NextStep("stand", (contract.model,), robot_typed=False),
+        next_step=doc.NextStep(
+            "stand" if contract.floating else "hold", (contract.model,), robot_typed=False
+        ),
         notes=tuple(map(doc.diagnostic_text, contract.notes)),
     )
 

@@ -208,7 +208,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         details=explained if comparison.complete else (),
         brief=agree and not assumed,
         notes=tuple(notes),
-        next_step=doc.NextStep("stand" if agree else "sync"),
+        next_step=doc.NextStep(("stand" if comparison.floating else "hold") if agree else "sync"),
     )
 
 
