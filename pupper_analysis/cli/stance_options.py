@@ -329,7 +329,7 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
     ]
 
 
-def _match_joints(option: str, pattern: str, robot: Robot) -> list[bool]:
+def match_joints(option: str, pattern: str, robot: Robot) -> list[bool]:
     """Return for each joint True if the name matches a pattern.
 
     Raises:
@@ -350,7 +350,7 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
     """Return {joint: effort limit [N m]} of the texts of ``--effort`` or of another option."""
     efforts: dict[str, float] = {}
     for pattern, value in _parse_assignments(option, texts):
-        matches = _match_joints(option, pattern, robot)
+        matches = match_joints(option, pattern, robot)
         efforts |= {
             name: value
             for name, matches_pattern in zip(robot.joint_names, matches, strict=True)
@@ -385,7 +385,7 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
         return values[-1][1]
     gains = None
     for pattern, value in values:
-        matches = _match_joints(option, pattern, robot)
+        matches = match_joints(option, pattern, robot)
         if gains is None:
             gains = (
                 [value] * robot.nu

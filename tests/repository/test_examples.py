@@ -43,6 +43,14 @@ SEEN: dict[str, tuple[tuple[object, ...], object, tuple[str, ...]]] = {
             "explained: 100%",
         ),
     ),
+    "hot_motors": (
+        (),
+        None,
+        (
+            r"payload 0 kg: all motors \d+\.\d W, leg_\w+_3 settles at \d+\.\d degC",
+            r"payload 2 kg: all motors",
+        ),
+    ),
     "own_robot": ((), None, ("holds in MuJoCo: True",)),
     "path_to_csv": ((), None, ("zero-moment point:",)),
     "payload": (

@@ -1,0 +1,101 @@
+"""MuJoCo's ``dcmotor``: a motor from an actuator of a model, and the element of a motor.
+
+A ``dcmotor`` has one thermal node: dT/dt = (R(T) i^2 - (T - T_ambient) / R_th) / C, with R(T) =
+R (1 + alpha (T - T_0)). Its activation is the rise of the temperature above the ambient air.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.motors.motor import Motor
+
+
+def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
+    """Return the motor of a ``dcmotor`` actuator.
+
+    Numbers that MuJoCo stores as zero are unknown; a gear has no losses in this actuator.
+
+    Args:
+        model: MuJoCo model.
+        actuator: Id of the actuator.
+        source: Name of the file, for messages.
+
+    Raises:
+        ModelError: If the actuator is no ``dcmotor``.
+    """
+    name = model.actuator(actuator).name
+    if model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_DCMOTOR.value:
+        raise ModelError(source, diagnose("motor-no-dcmotor", name=name))
+    gain, dynamics = model.actuator_gainprm[actuator], model.actuator_dynprm[actuator]
+    heats = dynamics[2] > 0 and dynamics[3] > 0
+    limited, high = bool(model.actuator_forcelimited[actuator]), model.actuator_forcerange[actuator]
+    control = int(model.actuator_ctrladr[actuator])
+    return Motor(
+        name=name,
+        source=source,
+        torque_constant=float(gain[1]),
+        resistance=float(gain[0]),
+        gear_ratio=float(abs(model.actuator_gear[actuator, 0])),
+        gear_efficiency=1.0,
+        resistance_rise=float(gain[2]) if heats else None,
+        resistance_temperature=float(gain[3]) if heats else None,
+        winding_resistance=float(dynamics[2]) if heats else None,
+        winding_capacity=float(dynamics[3]) if heats else None,
+        ambient_temperature=float(dynamics[4]) if heats else None,
+        rotor_inertia=float(model.actuator_armature[actuator]) or None,
+        supply_voltage=float(np.abs(model.actuator_ctrlrange[control]).max())
+        if model.actuator_ctrllimited[control]
+        else None,
+        current_limit=float(high[1] / gain[1]) if limited and high[1] > 0 else None,
+    )
+
+
+def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
+    """Return the ``dcmotor`` element of a motor at a joint.
+
+    A network of two thermal nodes is replaced by one node with the sum of the thermal resistances
+    and the sum of the heat capacities: the final temperature is equal, the winding heats up more
+    slowly. Unknown numbers are omitted.
+
+    Args:
+        motor: Motor.
+        joint: Name of the joint.
+        name: Name of the actuator; by default that of the joint.
+
+    Raises:
+        ModelError: If torque constant, resistance or gear ratio are unknown.
+    """
+    constant = motor.get("torque_constant")
+    words = {
+        "name": name or joint,
+        "joint": joint,
+        "motorconst": f"{constant:.9g}",
+        "resistance": f"{motor.winding_ohms:.9g}",
+        "gear": f"{motor.get('gear_ratio'):.9g}",
+    }
+    if motor.rotor_inertia is not None:
+        words["armature"] = f"{motor.rotor_inertia:.9g}"
+    if motor.supply_voltage is not None:
+        words["ctrlrange"] = f"-{motor.supply_voltage:.9g} {motor.supply_voltage:.9g}"
+    if motor.current_limit is not None:
+        words["saturation"] = f"{constant * motor.current_limit:.9g} 0 0"
+    resistance, capacity = motor.winding_resistance, motor.winding_capacity
+    if resistance is not None and capacity is not None:
+        numbers = [
+            resistance + (motor.housing_resistance or 0.0),
+            capacity + (motor.housing_capacity or 0.0),
+            0.0,
+            motor.get("resistance_rise"),
+            motor.get("resistance_temperature"),
+            motor.get("ambient_temperature"),
+        ]
+        if not all(map(math.isfinite, numbers)):
+            raise ModelError(motor.name, diagnose("motor-numbers-unknown", numbers=["thermal"]))
+        words["thermal"] = " ".join(f"{number:.9g}" for number in numbers)
+    return "<dcmotor " + " ".join(f'{key}="{value}"' for key, value in words.items()) + "/>"

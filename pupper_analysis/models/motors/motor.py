@@ -1,0 +1,220 @@
+"""Numbers of a motor with gear, and the quantities that follow from them.
+
+Each number may be unknown (None). A function that needs an unknown number raises a ModelError that
+names it: an unknown number is never replaced by a favourable one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.motors.units import KINDS
+
+MAX_STALL_RATIO = 1.1
+"""Largest ratio of a stated stall torque to Kt V N / R of the same motor. A gear only reduces the
+torque; 10 % permit rounded numbers. Chosen, not tuned."""
+
+MIN_STALL_RATIO = 0.3
+"""Smallest such ratio: below, friction and gear would lose more than 70 % of the torque, which
+suggests other units. The worst published servo in the data has 0.8. Chosen, not tuned."""
+
+
+def _number(kind: str) -> float | None:
+    """Return the field of a number of a kind of quantity; its default is unknown."""
+    found: float | None = field(default=None, metadata={"kind": kind, "unit": KINDS[kind].unit})
+    return found
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Motor with gear. Numbers are at the rotor unless the text names the output of the gear.
+
+    Attributes:
+        name: Name.
+        source: Address of the source of the numbers.
+        sources: {number: address} of numbers from another source.
+        torque_constant: Torque per current of the rotor [N m/A].
+        resistance: Resistance of the winding for this current [ohm].
+        resistance_temperature: Temperature at which the resistance was measured [degC].
+        resistance_rise: Relative rise of the resistance per kelvin [1/K].
+        gear_ratio: Turns of the rotor per turn of the output.
+        gear_efficiency: Output power per rotor power of the gear, if the motor drives.
+        output_torque_constant: Torque at the output per current [N m/A], with all losses.
+        rotor_inertia: Inertia of the rotor [kg m^2].
+        coulomb_friction: Dry friction at the output [N m].
+        viscous_friction: Viscous friction at the output [N m s/rad].
+        load_friction: Dry friction per torque, as a fraction.
+        supply_voltage: Voltage of the supply [V].
+        current_limit: Largest current [A].
+        peak_torque: Largest torque at the output [N m], as limited by the drive.
+        stall_torque: Torque at the output, at rest with the supply voltage [N m].
+        stall_current: Current at rest with the supply voltage [A].
+        no_load_speed: Speed of the output without load [rad/s].
+        winding_resistance: Thermal resistance from the winding to the housing, or to the ambient
+            air if no number of the housing is known [K/W].
+        housing_resistance: Thermal resistance from the housing to the ambient air [K/W].
+        winding_capacity: Heat capacity of the winding [J/K].
+        housing_capacity: Heat capacity of the housing [J/K].
+        ambient_temperature: Temperature of the ambient air for the thermal resistances [degC].
+        limit_temperature: Largest temperature of the winding [degC].
+        mass: Mass with gear [kg].
+        price: Price [USD].
+    """
+
+    name: str
+    source: str
+    sources: dict[str, str] = field(default_factory=dict)
+    torque_constant: float | None = _number("torque constant")
+    resistance: float | None = _number("resistance")
+    resistance_temperature: float | None = _number("temperature")
+    resistance_rise: float | None = _number("relative rise")
+    gear_ratio: float | None = _number("ratio")
+    gear_efficiency: float | None = _number("fraction")
+    output_torque_constant: float | None = _number("torque constant")
+    rotor_inertia: float | None = _number("inertia")
+    coulomb_friction: float | None = _number("friction torque")
+    viscous_friction: float | None = _number("viscous friction")
+    load_friction: float | None = _number("fraction")
+    supply_voltage: float | None = _number("voltage")
+    current_limit: float | None = _number("current")
+    peak_torque: float | None = _number("torque")
+    stall_torque: float | None = _number("torque")
+    stall_current: float | None = _number("current")
+    no_load_speed: float | None = _number("speed")
+    winding_resistance: float | None = _number("thermal resistance")
+    housing_resistance: float | None = _number("thermal resistance")
+    winding_capacity: float | None = _number("heat capacity")
+    housing_capacity: float | None = _number("heat capacity")
+    ambient_temperature: float | None = _number("temperature")
+    limit_temperature: float | None = _number("temperature")
+    mass: float | None = _number("mass")
+    price: float | None = _number("price")
+
+    def __post_init__(self) -> None:
+        """Check the numbers against each other.
+
+        Raises:
+            ModelError: If numbers contradict each other.
+        """
+        torque, current = self.stall_torque, self.stall_current
+        resistance, voltage = self.resistance, self.supply_voltage
+        if None not in (self.torque_constant, self.gear_ratio, resistance, voltage, torque):
+            expected = self.get("torque_constant") * self.get("gear_ratio")
+            expected *= self.get("supply_voltage") / self.get("resistance")
+            ratio = self.get("stall_torque") / expected
+            if not MIN_STALL_RATIO <= ratio <= MAX_STALL_RATIO:
+                raise ModelError(
+                    self.name,
+                    diagnose(
+                        "motor-stall-torque",
+                        stated=Quantity(self.get("stall_torque"), "N m"),
+                        expected=Quantity(expected, "N m"),
+                    ),
+                )
+        if current is not None and resistance is not None and voltage is not None:
+            expected = voltage / resistance
+            if not 1 / MAX_STALL_RATIO <= current / expected <= MAX_STALL_RATIO:
+                raise ModelError(
+                    self.name,
+                    diagnose("motor-stall-current", stated=current, expected=expected),
+                )
+        ambient, limit = self.ambient_temperature, self.limit_temperature
+        if ambient is not None and limit is not None and limit <= ambient:
+            raise ModelError(
+                self.name, diagnose("motor-limit-below-ambient", limit=limit, ambient=ambient)
+            )
+
+    def get(self, number: str) -> float:
+        """Return a number of the motor.
+
+        Args:
+            number: Name of the field.
+
+        Raises:
+            ModelError: If the number is unknown.
+        """
+        value: float | None = getattr(self, number)
+        if value is None:
+            raise ModelError(self.name, diagnose("motor-numbers-unknown", numbers=[number]))
+        return value
+
+    def list_unknown(self, *numbers: str) -> tuple[str, ...]:
+        """Return the unknown numbers among the named ones."""
+        return tuple(number for number in numbers if getattr(self, number) is None)
+
+    @property
+    def output_torque_per_ampere(self) -> float:
+        """Torque at the output per current of a motor that drives [N m/A].
+
+        The stated `output_torque_constant`; otherwise stall torque / stall current; otherwise
+        torque constant x gear ratio x gear efficiency.
+
+        Raises:
+            ModelError: If the numbers are unknown.
+        """
+        if self.output_torque_constant is not None:
+            return self.output_torque_constant
+        if self.stall_torque is not None and self.stall_current is not None:
+            return self.stall_torque / self.stall_current
+        needed = ("torque_constant", "gear_ratio", "gear_efficiency")
+        unknown = self.list_unknown(*needed)
+        if unknown:
+            raise ModelError(
+                self.name,
+                diagnose("motor-numbers-unknown", numbers=["output_torque_constant", *unknown]),
+            )
+        return self.get("torque_constant") * self.get("gear_ratio") * self.get("gear_efficiency")
+
+    @property
+    def winding_ohms(self) -> float:
+        """Resistance of the winding [ohm]: the stated one, or supply voltage / stall current.
+
+        Raises:
+            ModelError: If the numbers are unknown.
+        """
+        if self.resistance is not None:
+            return self.resistance
+        if self.supply_voltage is not None and self.stall_current is not None:
+            return self.supply_voltage / self.stall_current
+        unknown = ["resistance", *self.list_unknown("supply_voltage", "stall_current")]
+        raise ModelError(self.name, diagnose("motor-numbers-unknown", numbers=unknown))
+
+    def compute_current(self, torque: float) -> float:
+        """Return the current of a motor that exerts a torque at the output at rest [A], at least 0.
+
+        Dry friction is not counted: it may help to hold a load, but it is not reliable.
+
+        Args:
+            torque: Torque at the output [N m].
+        """
+        return abs(torque) / self.output_torque_per_ampere
+
+    def compute_available_torque(self, speed: float) -> float:
+        """Return the largest torque at the output at a speed [N m], at least 0.
+
+        The supply voltage less the back-EMF drives the current through the cold winding; current
+        limit and peak torque cut it off. tau = min(I_max, (V - Ke w) / R) Kt N eta. The constant Ke
+        of the back-EMF is Kt N. If Kt or N are unknown, it is supply voltage / speed without load,
+        an upper bound.
+
+        Args:
+            speed: Speed of the output, in the direction of the torque [rad/s].
+
+        Raises:
+            ModelError: If a number is unknown.
+        """
+        if self.list_unknown("torque_constant", "gear_ratio"):
+            back_emf = self.get("supply_voltage") / self.get("no_load_speed") * speed
+        else:
+            back_emf = self.get("torque_constant") * self.get("gear_ratio") * speed
+        current = (self.get("supply_voltage") - back_emf) / self.winding_ohms
+        if self.current_limit is not None:
+            current = min(current, self.current_limit)
+        torque = max(current, 0.0) * self.output_torque_per_ampere
+        return torque if self.peak_torque is None else min(torque, self.peak_torque)
+
+
+NUMBERS = {one.name: one.metadata["kind"] for one in fields(Motor) if "kind" in one.metadata}
+"""{name of a number of a motor: kind of quantity}."""

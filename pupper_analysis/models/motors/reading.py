@@ -1,0 +1,144 @@
+"""Read motors: data files of this package, TOML files, and parameter files of servo models.
+
+`find_motor` accepts a name of `list_motors` or a file. `read_bam_parameters` reads the JSON files
+of the servo models m1 to m6 (Duclusaud, Passault, Padois and Ly 2024, "Extended Friction Models for
+the Physics Simulation of Servo Actuators").
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError, UnknownNameError
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input, read_toml
+from pupper_analysis.models.motors.motor import NUMBERS, Motor
+from pupper_analysis.models.motors.units import KINDS, parse_quantity
+
+_DATA = files("pupper_analysis.models.motors") / "data"
+
+BAM_MODELS = {
+    "m1": (),
+    "m2": (),
+    "m3": ("load_friction_base",),
+    "m4": ("load_friction_base",),
+    "m5": ("load_friction_motor",),
+    "m6": ("load_friction_motor",),
+}
+"""{servo model: parameters of the load-dependent friction of a motor that drives}."""
+
+
+def list_motors() -> tuple[str, ...]:
+    """Return the names of the motors in the data files of this package."""
+    return tuple(
+        sorted(
+            path.name.removesuffix(".toml")
+            for path in _DATA.iterdir()
+            if path.name.endswith(".toml")
+        )
+    )
+
+
+def find_motor(name: str) -> Motor:
+    """Return a motor by the name of a data file, or from a TOML or JSON file.
+
+    Args:
+        name: Name of `list_motors`, or path.
+
+    Raises:
+        UnknownNameError: If the text is neither a known name nor a file.
+        ModelError: If the file is not valid.
+    """
+    if name in list_motors():
+        return read_motor(Path(str(_DATA / f"{name}.toml")))
+    path = Path(name)
+    if not path.exists() and not path.suffix:
+        raise UnknownNameError("motors", "motor", name, list_motors())
+    return read_bam_parameters(path) if path.suffix.lower() == ".json" else read_motor(path)
+
+
+def read_motor(path: Path) -> Motor:
+    """Read a motor from a TOML file: ``name``, ``source``, and numbers with units.
+
+    Args:
+        path: File.
+
+    Raises:
+        ModelError: If the file cannot be read, a key is unknown, a number is not valid, or numbers
+            contradict each other.
+    """
+    try:
+        _, stated = read_toml(path)
+    except InputError as error:
+        raise ModelError(path, error.cause) from error
+    name, source = stated.pop("name", path.stem), stated.pop("source", "")
+    sources = stated.pop("sources", {})
+    if not all(isinstance(text, str) for text in (name, source)) or not isinstance(sources, dict):
+        raise ModelError(path, diagnose("motor-name-or-source"))
+    if not source:
+        raise ModelError(path, diagnose("motor-without-source"))
+    for key in (*stated, *sources):
+        if key not in NUMBERS:
+            raise UnknownNameError(path, "number", key, NUMBERS)
+    return _make_motor(path, name, source, stated, {key: str(sources[key]) for key in sources})
+
+
+def read_bam_parameters(path: Path) -> Motor:
+    """Read the parameter file of a servo model, m1 to m6.
+
+    Torque constant, friction and armature of these files are those at the output; the gear ratio is
+    therefore 1. A motor that drives loses the fraction of its torque that the load-dependent
+    friction of the model states. Models m1 and m2 have no such friction, so that the efficiency is
+    unknown. Other terms of the models are not read.
+
+    Args:
+        path: JSON file.
+
+    Raises:
+        ModelError: If the file is not valid.
+    """
+    try:
+        stated = json.loads(read_input(path, MAX_TEXT_BYTES))
+    except InputError as error:
+        raise ModelError(path, error.cause) from error
+    except ValueError as error:
+        raise ModelError(path, diagnose("motor-not-json", message=str(error))) from error
+    model = stated.get("model") if isinstance(stated, dict) else None
+    if model not in BAM_MODELS:
+        raise ModelError(path, diagnose("motor-no-bam-model", models=list(BAM_MODELS)))
+    if "kt" not in stated or "actuator" not in stated:
+        raise ModelError(path, diagnose("motor-numbers-unknown", numbers=["kt", "actuator"]))
+    numbers: dict[str, Any] = {
+        "torque_constant": f"{stated['kt']!r} N m/A",
+        "gear_ratio": 1,
+    }
+    for key in BAM_MODELS[model]:
+        if key not in stated:
+            raise ModelError(path, diagnose("motor-numbers-unknown", numbers=[key]))
+        numbers |= {"gear_efficiency": 1 - stated[key], "load_friction": stated[key]}
+    for key, name, unit in (
+        ("R", "resistance", "ohm"),
+        ("armature", "rotor_inertia", "kg m^2"),
+        ("friction_base", "coulomb_friction", "N m"),
+        ("friction_viscous", "viscous_friction", "N m s/rad"),
+    ):
+        if key in stated:
+            numbers[name] = f"{stated[key]!r} {unit}"
+    return _make_motor(path, f"{stated['actuator']} ({model})", str(path), numbers, {})
+
+
+def _make_motor(
+    path: Path, name: str, source: str, stated: dict[str, Any], sources: dict[str, str]
+) -> Motor:
+    """Create a motor from numbers with units; errors name the file."""
+    try:
+        numbers = {
+            key: parse_quantity(key, text, KINDS[NUMBERS[key]]) for key, text in stated.items()
+        }
+    except ConfigurationError as error:
+        problem = diagnose("motor-number", name=error.field, problem=error.problem)
+        raise ModelError(path, problem) from error
+    return Motor(name=name, source=source, sources=sources, **numbers)

@@ -1,0 +1,193 @@
+"""Temperature of the winding of a motor over time, at a constant current.
+
+Copper heats the winding, which is connected to the housing, and the housing to the ambient air:
+
+    C_w dT_w/dt = i^2 R (1 + alpha (T_w - T_0)) - (T_w - T_h) / R_wh
+    C_h dT_h/dt = (T_w - T_h) / R_wh - (T_h - T_a) / R_ha
+
+The heat is linear in T_w, so that the temperatures are sums of exponentials. Without numbers of a
+housing, the network has one node. R (1 + alpha (T - T_0)) is the resistance of copper; iron losses
+are zero at rest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.motors.motor import Motor
+
+Array = NDArray[np.float64]
+
+THERMAL_NUMBERS = (
+    "winding_resistance",
+    "winding_capacity",
+    "resistance_rise",
+    "resistance_temperature",
+)
+"""Numbers of a motor without which no temperature can be computed; those of the housing are left
+out together."""
+
+_TIME_TOLERANCE = 1e-12
+"""Relative tolerance of the time at which a temperature is reached. Chosen, not tuned."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalNetwork:
+    """Thermal network of a motor at a constant current.
+
+    Attributes:
+        resistances: Thermal resistances from each node to the next, the last to the ambient air,
+            shape (n,) [K/W]; the winding is the first of one or two nodes.
+        capacities: Heat capacities of the nodes, shape (n,) [J/K].
+        ambient: Temperature of the ambient air [degC].
+        current: Current [A].
+        ohms: Resistance of the winding at ``reference`` [ohm].
+        rise: Relative rise of this resistance per kelvin [1/K].
+        reference: Temperature of ``ohms`` [degC].
+    """
+
+    resistances: Array
+    capacities: Array
+    ambient: float
+    current: float
+    ohms: float
+    rise: float
+    reference: float
+
+    @classmethod
+    def of_motor(cls, motor: Motor, current: float, ambient: float | None = None) -> ThermalNetwork:
+        """Create the network of a motor.
+
+        Args:
+            motor: Motor.
+            current: Current [A].
+            ambient: Temperature of the ambient air [degC]; that of the motor by default.
+
+        Raises:
+            ModelError: If a number is unknown; the message lists all.
+        """
+        unknown = [*motor.list_unknown(*THERMAL_NUMBERS)]
+        if ambient is None:
+            unknown += motor.list_unknown("ambient_temperature")
+        housing = motor.list_unknown("housing_resistance", "housing_capacity")
+        if len(housing) == 1:
+            unknown += housing
+        if unknown:
+            raise ModelError(motor.name, diagnose("motor-numbers-unknown", numbers=unknown))
+        names = ("winding",) if housing else ("winding", "housing")
+        return cls(
+            resistances=np.array([motor.get(f"{name}_resistance") for name in names]),
+            capacities=np.array([motor.get(f"{name}_capacity") for name in names]),
+            ambient=motor.get("ambient_temperature") if ambient is None else ambient,
+            current=current,
+            ohms=motor.winding_ohms,
+            rise=motor.get("resistance_rise"),
+            reference=motor.get("resistance_temperature"),
+        )
+
+    def compute_loss(self, temperature: float) -> float:
+        """Return the copper loss at a temperature of the winding [degC], in W."""
+        ohms = self.ohms * (1 + self.rise * (temperature - self.reference))
+        return self.current**2 * ohms
+
+    def _matrices(self) -> tuple[Array, Array]:
+        """Return A (n, n) [1/s] and b (n,) [K/s] of dx/dt = A x + b, x relative to the ambient."""
+        size = len(self.resistances)
+        flows = np.zeros((size, size))  # heat flow into each node per temperature [W/K]
+        for node, resistance in enumerate(self.resistances.tolist()):
+            flows[node, node] -= 1 / resistance
+            if node + 1 < size:
+                flows[node, node + 1] += 1 / resistance
+                flows[node + 1, node] += 1 / resistance
+                flows[node + 1, node + 1] -= 1 / resistance
+        flows[0, 0] += self.current**2 * self.ohms * self.rise
+        heat = np.zeros(size)
+        heat[0] = self.compute_loss(self.ambient)
+        return flows / self.capacities[:, None], heat / self.capacities
+
+    @property
+    def steady_temperature(self) -> float:
+        """Final temperature of the winding [degC]; infinite in a thermal runaway.
+
+        In a runaway, the loss grows faster with the temperature than the flow to the ambient air.
+        """
+        total = float(self.resistances.sum())
+        slope = 1 / total - self.current**2 * self.ohms * self.rise
+        if slope <= 0:
+            return math.inf
+        return self.ambient + self.compute_loss(self.ambient) / slope
+
+    def compute_temperatures(self, times: ArrayLike) -> Array:
+        """Return the temperatures of the nodes over time, from the ambient temperature.
+
+        Args:
+            times: Times since the current was switched on, shape (m,) [s].
+
+        Returns:
+            Shape (m, n) [degC].
+        """
+        matrix, rate = self._matrices()
+        # Symmetric in the scaled coordinates sqrt(C) x, so that the eigenvalues are real.
+        scale = np.sqrt(self.capacities)
+        values, vectors = np.linalg.eigh(matrix * scale[:, None] / scale)
+        along = vectors.T @ (scale * rate)
+        spans = np.asarray(times, dtype=float)[:, None]
+        growth = np.where(
+            values == 0, spans, np.expm1(values * spans) / np.where(values == 0, 1.0, values)
+        )
+        temperatures: Array = self.ambient + (growth * along) @ vectors.T / scale
+        return temperatures
+
+    def find_time(self, limit: float) -> float:
+        """Return the time until the winding reaches a temperature [degC], in s; infinite if never.
+
+        The temperature grows monotonically from the ambient temperature.
+
+        Args:
+            limit: Temperature [degC].
+        """
+        if limit <= self.ambient:
+            return 0.0
+        if self.steady_temperature <= limit or self.current == 0:
+            return math.inf
+        low, high = 0.0, float(self.capacities.sum() * self.resistances.sum())
+        while self.compute_temperatures([high])[0, 0] < limit:
+            low, high = high, 2 * high
+        while high - low > _TIME_TOLERANCE * high:
+            middle = (low + high) / 2
+            if middle in (low, high):
+                break
+            if self.compute_temperatures([middle])[0, 0] < limit:
+                low = middle
+            else:
+                high = middle
+        return high
+
+
+def compute_continuous_torque(
+    motor: Motor, ambient: float | None = None, limit: float | None = None
+) -> float:
+    """Return the torque at the output at which the winding finally reaches its limit [N m].
+
+    i^2 R (1 + alpha (T_limit - T_0)) = (T_limit - T_a) / R_th.
+
+    Args:
+        motor: Motor.
+        ambient: Temperature of the ambient air [degC]; that of the motor by default.
+        limit: Largest temperature of the winding [degC]; that of the motor by default.
+
+    Raises:
+        ModelError: If a number is unknown.
+    """
+    highest = motor.get("limit_temperature") if limit is None else limit
+    network = ThermalNetwork.of_motor(motor, 1.0, ambient)
+    heat = (highest - network.ambient) / float(network.resistances.sum())
+    current = math.sqrt(max(heat, 0.0) / network.compute_loss(highest))
+    torque = current * motor.output_torque_per_ampere
+    return torque if motor.peak_torque is None else min(torque, motor.peak_torque)

@@ -1,0 +1,101 @@
+"""Quantities of motors with their units, as written in data files: ``"80 mN m/A"``, ``"25 degC"``.
+
+The unit is part of the text, so that mN m, kgf cm and rpm cannot be mistaken for SI units. A number
+without unit is accepted only for a quantity without unit, such as a gear ratio.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+
+_KGF = 9.80665
+"""Weight of a kilogram in standard gravity [N] (ISO 80000-3)."""
+
+_TORQUE = {"N m": 1.0, "mN m": 1e-3, "kgf cm": _KGF * 1e-2, "kgf m": _KGF, "ozf in": 7.061552e-3}
+_PER_REVOLUTION = 2 * math.pi / 60
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Kind of quantity.
+
+    Attributes:
+        unit: SI unit.
+        factors: {accepted unit: factor to the SI unit}.
+        offset: {unit: value that is added after the multiplication}, for temperatures.
+        signed: Whether zero and negative values are accepted; otherwise values are positive.
+        zero: Whether zero is accepted.
+        most: Largest accepted value [SI].
+    """
+
+    unit: str
+    factors: dict[str, float]
+    offset: dict[str, float] = field(default_factory=dict)
+    signed: bool = False
+    zero: bool = False
+    most: float = math.inf
+
+
+KINDS = {
+    "torque": Kind("N m", _TORQUE),
+    "friction torque": Kind("N m", _TORQUE, zero=True),
+    "torque constant": Kind("N m/A", {f"{unit}/A": factor for unit, factor in _TORQUE.items()}),
+    "resistance": Kind("ohm", {"ohm": 1.0, "mohm": 1e-3}),
+    "relative rise": Kind("1/K", {"1/K": 1.0, "%/K": 1e-2}, zero=True, most=0.1),
+    "ratio": Kind("1", {"": 1.0}),
+    "fraction": Kind("1", {"": 1.0, "%": 1e-2}, zero=True, most=1.0),
+    "inertia": Kind("kg m^2", {"kg m^2": 1.0, "g cm^2": 1e-7, "kg cm^2": 1e-4}),
+    "viscous friction": Kind(
+        "N m s/rad",
+        {"N m s/rad": 1.0, "mN m s/rad": 1e-3, "N m/rpm": 1 / _PER_REVOLUTION},
+        zero=True,
+    ),
+    "voltage": Kind("V", {"V": 1.0}),
+    "current": Kind("A", {"A": 1.0, "mA": 1e-3}),
+    "speed": Kind("rad/s", {"rad/s": 1.0, "rpm": _PER_REVOLUTION, "deg/s": math.pi / 180}),
+    "thermal resistance": Kind("K/W", {"K/W": 1.0}),
+    "heat capacity": Kind("J/K", {"J/K": 1.0}),
+    "temperature": Kind("degC", {"degC": 1.0, "K": 1.0}, {"K": -273.15}, signed=True),
+    "mass": Kind("kg", {"kg": 1.0, "g": 1e-3}),
+    "price": Kind("USD", {"USD": 1.0}),
+}
+"""{kind of quantity: units}."""
+
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*\Z")
+
+
+def parse_quantity(name: str, text: object, kind: Kind) -> float:
+    """Convert a number with its unit to SI units; temperatures to degC.
+
+    Args:
+        name: Name of the quantity, for messages.
+        text: Text with number and unit; a number if the quantity has no unit.
+        kind: Kind of quantity.
+
+    Raises:
+        ConfigurationError: If the text has no number, a missing or another unit, or a value outside
+            of the permitted range.
+    """
+    units = [unit for unit in kind.factors if unit]
+    if isinstance(text, bool) or not isinstance(text, str | int | float):
+        raise ConfigurationError(name, diagnose("motor-no-quantity", given=repr(text), units=units))
+    match = _NUMBER.match(str(text))
+    if match is None:
+        raise ConfigurationError(name, diagnose("motor-no-quantity", given=str(text), units=units))
+    number, unit = float(match[1]), " ".join(match[2].replace("Nm", "N m").split())
+    if unit not in kind.factors:
+        code = "motor-other-unit" if unit else "motor-without-unit"
+        raise ConfigurationError(name, diagnose(code, given=str(text), unit=unit, units=units))
+    value = number * kind.factors[unit] + kind.offset.get(unit, 0.0)
+    low = -273.15 if kind.signed else 0.0
+    valid = low <= value if kind.signed or kind.zero else low < value
+    if not (valid and value <= kind.most and math.isfinite(value)):
+        raise ConfigurationError(
+            name, diagnose("motor-out-of-range", given=str(text), low=low, most=kind.most)
+        )
+    return value

@@ -1,0 +1,128 @@
+"""Command ``pupper-analysis heat``: predict how hot the motors of a stance become."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.robots import robot_argument
+from pupper_analysis.cli.stance_options import RobotAndTask, match_joints, robot_and_stance
+
+if TYPE_CHECKING:
+    from pupper_analysis.models.motors.motor import Motor
+    from pupper_analysis.robot.robot import Robot
+
+
+@shared.command("heat")
+@robot_argument
+@click.option(
+    "--motor",
+    "motors",
+    multiple=True,
+    required=True,
+    metavar="[JOINTS=]MOTOR",
+    help="Motor of all joints, or of the joints that a pattern names: a name of --list-motors, or "
+    "a TOML or JSON file. Repeatable; later options have priority.",
+)
+@click.option(
+    "--list-motors",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=lambda context, _, given: _print_motors(context) if given else None,
+    help="List the known motors, and exit.",
+)
+@click.option(
+    "--ambient",
+    type=float,
+    metavar="DEGC",
+    help="Temperature of the ambient air (degC). Default: that of the motor's data.",
+)
+@click.option(
+    "--limit",
+    type=float,
+    metavar="DEGC",
+    help="Largest temperature of the windings (degC). Default: that of the motor's data.",
+)
+@click.option("--battery", type=float, metavar="WH", help="Energy of the battery (W h); e.g. 74.")
+@robot_and_stance
+@shared.figure_option
+@shared.json_option
+@shared.report_option
+def command(
+    request: RobotAndTask,
+    words: tuple[str, ...],
+    motors: tuple[str, ...],
+    ambient: float | None,
+    limit: float | None,
+    battery: float | None,
+    figure: Path | None,
+    json_path: Path | None,
+    report_path: Path | None,
+) -> None:
+    """Predict how hot the motors become that hold a stance, and how long a battery lasts.
+
+    The torque of each joint at rest determines the current of its motor, the copper loss, and the
+    temperature of the winding over time. Robot and stance are given as for `stand`. Numbers that
+    the data of a motor do not state are named, not guessed.
+
+    \b
+    Examples:
+      pupper-analysis heat v3 --motor mit-mini-cheetah --limit 80
+      pupper-analysis heat v3 --motor steadywin-gim4305-10 --battery 74
+      pupper-analysis heat v3 --motor dephy-actpack --motor '*_3=my-motor.toml' \\
+        --payload 1 --figure heat.png
+
+    Exit status: 0 no motor reaches its limit, 1 a motor does or a number is unknown, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.tools.heat.heat import study_heat
+
+    task = request.task()
+    robot = request.robot(words)
+    assigned = _assign_motors(motors, robot)
+    with shared.show_progress("computing the heat of the motors"):
+        result = study_heat(
+            robot,
+            task,
+            assigned,
+            ambient=ambient,
+            limit=limit,
+            battery_energy=None if battery is None else 3600 * battery,
+        )
+    request.show(result, robot)
+    if figure is not None:
+        from pupper_analysis.tools.heat.figures import heat_figure
+
+        heat_figure(result, figure)
+        shared.confirm_written(figure)
+    shared.write_page(report_path, result, [robot])
+    shared.finish_command(json_path, result, passed=result.passed)
+
+
+def _assign_motors(texts: tuple[str, ...], robot: Robot) -> dict[str, Motor]:
+    """Return {joint: motor} of the texts ``[JOINTS=]MOTOR``, of which later ones have priority."""
+    from pupper_analysis.models.motors.reading import find_motor
+
+    assigned: dict[str, Motor] = {}
+    for text in texts:
+        pattern, _, name = text.rpartition("=")
+        motor = find_motor(name)
+        matches = match_joints("motor", pattern or "*", robot)
+        assigned |= {
+            joint: motor
+            for joint, matched in zip(robot.joint_names, matches, strict=True)
+            if matched
+        }
+    return assigned
+
+
+def _print_motors(context: click.Context) -> None:
+    """Print the names of the known motors with their sources, and exit."""
+    from pupper_analysis.models.motors.reading import find_motor, list_motors
+
+    for name in list_motors():
+        click.echo(f"{name:<26} {find_motor(name).source}")
+    context.exit()

@@ -1,0 +1,188 @@
+"""Document of heat: first motor to reach its limit, losses, battery, and temperatures over time.
+
+Input is a `HeatStudy`; output is a document that is independent of the output format.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import NextStep, join_words, text
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.standing import robot_notes, task_text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat
+
+_MAX_CURVES = 4
+"""Largest number of motors in the plot of temperatures, the hottest first. Chosen, not tuned."""
+
+
+@build_document.register(HeatStudy)
+def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
+    """Create the report of the heat of a stance; see ``build_document``."""
+    key = "heat-cool" if study.passed else "heat-hot" if study.overheats else "UNKNOWN"
+    first = _describe_first(study.first)
+    unknown = tuple(_describe_unknown(study))
+    losses = _describe_losses(study)
+    return doc.Document(
+        text("heat"),
+        doc.Name(study.name),
+        (_make_table(study), *_list_plots(study)),
+        passed=study.passed,
+        verdict=text(key),
+        failures=() if study.passed else ((first, *unknown) if study.overheats else unknown),
+        findings=(first, losses) if study.passed else (losses,),
+        details=(task_text(study.stand.task), text("heat-model")),
+        brief=True,
+        notes=robot_notes(robot),
+        next_step=_select_next_step(study),
+    )
+
+
+def _select_next_step(study: HeatStudy) -> NextStep:
+    """Return the next command: `best` if a motor becomes hot, otherwise `payload` or `stand`."""
+    if study.overheats:
+        return NextStep("best", ("utilisation",))
+    return NextStep("payload" if study.passed else "stand")
+
+
+def _format_minutes(seconds: float) -> str:
+    """Return a time [s] in minutes, with three digits below 100 minutes."""
+    minutes = seconds / 60
+    return f"{minutes:.0f}" if minutes >= 100 else f"{minutes:.3g}"
+
+
+def _describe_first(motor: MotorHeat) -> doc.Words:
+    """State the time to the limit, or the final temperature, of a motor."""
+    time, final = motor.time_to_limit, motor.steady_temperature
+    values = {
+        "joint": doc.Name(motor.joint),
+        "torque": f"{abs(motor.torque):.2f}",
+        "loss": f"{motor.loss:.3g}",
+    }
+    limit = "" if motor.limit_temperature is None else f"{motor.limit_temperature:.3g}"
+    if time is not None and math.isfinite(time):
+        return text("heat-reaches", minutes=_format_minutes(time), limit=limit, **values)
+    if final is not None and math.isfinite(final):
+        return text("heat-settles", final=f"{final:.3g}", limit=limit, **values)
+    return text("heat-runs-away", **values)
+
+
+def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
+    """Yield the unknown numbers of each kind of motor, and the joints without motor."""
+    lacking: dict[str, tuple[str, ...]] = {}
+    for motor in study.motors:
+        if motor.unknown and motor.torque:
+            lacking.setdefault(motor.motor, motor.unknown)
+    for name, numbers in lacking.items():
+        yield text(
+            "heat-unknown",
+            motor=doc.Name(name),
+            numbers=join_words([doc.Name(number) for number in numbers]),
+        )
+    if study.omitted:
+        yield text(
+            "heat-omitted", joints=join_words([doc.Name(joint) for joint in study.omitted[:4]])
+        )
+
+
+def _describe_losses(study: HeatStudy) -> doc.Words:
+    """State the copper loss of all motors, and current and time of the battery if known."""
+    current, time = study.battery_current, study.battery_time
+    return text(
+        "heat-losses",
+        loss=f"{study.loss:.3g}",
+        current="" if current is None else f"{current:.3g}",
+        voltage="" if study.supply_voltage is None else f"{study.supply_voltage:.3g}",
+        minutes="" if time is None or math.isinf(time) else _format_minutes(time),
+    )
+
+
+def _make_table(study: HeatStudy) -> doc.Table:
+    """Create the table of the motors."""
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.Name(motor.joint),
+            doc.Name(motor.motor),
+            doc.number_cell(motor.torque, "+.3f"),
+            doc.number_cell(motor.continuous_torque, ".3g"),
+            doc.number_cell(motor.current, ".3g"),
+            doc.number_cell(motor.cold_loss, ".3g"),
+            doc.number_cell(_finite(motor.steady_loss), ".3g"),
+            doc.number_cell(_finite(motor.steady_temperature), ".1f"),
+            doc.number_cell(motor.limit_temperature, ".0f"),
+            doc.number_cell(_finite(motor.time_to_limit), ".1f", scale=1 / 60),
+        )
+        for motor in study.motors
+    ]
+    return doc.Table(
+        text("heat-by-joint"),
+        (
+            doc.Column(text("heat-joint"), left=True),
+            doc.Column(text("heat-motor"), left=True),
+            doc.Column(text("heat-torque"), "N m"),
+            doc.Column(text("heat-continuous"), "N m"),
+            doc.Column(text("heat-current"), "A"),
+            doc.Column(text("heat-cold-loss"), "W"),
+            doc.Column(text("heat-final-loss"), "W"),
+            doc.Column(text("heat-final"), "°C"),
+            doc.Column(text("heat-limit"), "°C"),
+            doc.Column(text("heat-minutes"), "min"),
+        ),
+        tuple(rows),
+        (text("heat-table-note"),),
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    """Return a finite value; None if it is infinite or None."""
+    return None if value is None or not math.isfinite(value) else value
+
+
+def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
+    """Return the plot of the temperatures over time.
+
+    Raises:
+        ConfigurationError: If no temperature is known.
+    """
+    plots = list(_list_plots(study))
+    if not plots:
+        raise ConfigurationError("figure", diagnose("no-temperature-known"))
+    return plots
+
+
+def _list_plots(study: HeatStudy) -> Iterable[doc.LinePlot]:
+    """Yield the plot of the temperatures of the hottest motors, if a temperature is known."""
+    known = [
+        index for index, motor in enumerate(study.motors) if motor.steady_temperature is not None
+    ]
+    if not known or not study.times[-1]:
+        return
+    ends = study.temperatures[-1]
+    hottest = sorted(known, key=lambda index: -float(ends[index]))[:_MAX_CURVES]
+    first = study.motors.index(study.first)
+    if first in known and first not in hottest:
+        hottest[-1] = first
+    hottest.sort(key=lambda index: index != first)
+    minutes = study.times / 60
+    series = [
+        doc.Series(doc.Name(study.motors[index].joint), minutes, study.temperatures[:, index])
+        for index in hottest
+    ]
+    limits = {study.motors[index].limit_temperature for index in hottest} - {None}
+    series += [
+        doc.Series(text("heat-limit"), minutes, np.full(len(minutes), limit), reference=True)
+        for limit in sorted(limit for limit in limits if limit is not None)
+    ]
+    yield doc.LinePlot(
+        text("heat-plot"),
+        doc.Axis(text("heat-time"), "min", ".3g"),
+        doc.Axis(text("heat-temperature"), "°C", ".3g"),
+        series,
+    )

@@ -1,0 +1,23 @@
+"""Figure of heat: temperatures of the windings over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pupper_analysis.present.figures.drawing import write_plots
+from pupper_analysis.tools.heat.document import heat_plots
+from pupper_analysis.tools.heat.heat import HeatStudy
+
+
+def heat_figure(study: HeatStudy, path: str | Path) -> None:
+    """Draw the temperatures of the hottest windings over time.
+
+    Args:
+        study: Heat of the motors of a stance.
+        path: PNG file that is written.
+
+    Raises:
+        ConfigurationError: If no temperature is known.
+        OutputError: If the file cannot be written.
+    """
+    write_plots(heat_plots(study), path)

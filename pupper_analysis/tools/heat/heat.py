@@ -1,0 +1,309 @@
+"""Heat of the motors that hold a stance: losses, temperatures, minutes until hot, battery.
+
+`study_heat` computes the torques of a stand at rest. Each torque determines a current, the current
+a copper loss, and the loss the temperature of the winding (``models/motors/thermal.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.results import Result
+from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.thermal import (
+    THERMAL_NUMBERS,
+    ThermalNetwork,
+    compute_continuous_torque,
+)
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+_NUM_TIMES = 121
+"""Number of times of the curves of temperature. Chosen, not tuned."""
+
+_MAX_DURATION = 86400.0
+"""Largest duration of the curves [s]: a day. Chosen, not tuned."""
+
+_SETTLED_FRACTION = 0.95
+"""Fraction of the final rise of the temperature at which the curve of a motor that stays within its
+limit ends. Chosen, not tuned."""
+
+TEMPERATURE_RANGE = (-60.0, 300.0)
+"""Accepted ambient and limit temperatures [degC]: insulation of windings ends at 250."""
+
+
+@dataclass(frozen=True)
+class MotorHeat(Result):
+    """Heat of a motor that holds a stance.
+
+    Attributes:
+        joint: Joint.
+        motor: Name of the motor.
+        torque: Torque of the stance (N m).
+        current: Current (A).
+        cold_loss: Copper loss in the winding at ambient temperature, or at the temperature of the
+            stated resistance if temperatures are unknown (W).
+        steady_loss: Copper loss at the final temperature (W); None if unknown, infinite if the
+            temperature grows without bound.
+        steady_temperature: Final temperature of the winding (degC); None if unknown, infinite if it
+            grows without bound.
+        limit_temperature: Largest permitted temperature of the winding (degC); None if unknown.
+        time_to_limit: Time until the winding reaches this temperature (s); None if unknown,
+            infinite if never.
+        continuous_torque: Torque at which the winding finally reaches its limit (N m); None if
+            unknown.
+        unknown: Unknown numbers of the motor that the temperatures need.
+    """
+
+    joint: str
+    motor: str
+    torque: float = field(metadata={"unit": "N m"})
+    current: float = field(metadata={"unit": "A"})
+    cold_loss: float = field(metadata={"unit": "W"})
+    steady_loss: float | None = field(metadata={"unit": "W"})
+    steady_temperature: float | None = field(metadata={"unit": "degC"})
+    limit_temperature: float | None = field(metadata={"unit": "degC"})
+    time_to_limit: float | None = field(metadata={"unit": "s"})
+    continuous_torque: float | None = field(metadata={"unit": "N m"})
+    unknown: tuple[str, ...]
+
+    @property
+    def loss(self) -> float:
+        """Copper loss [W] at the final temperature if it is known and finite, otherwise cold."""
+        if self.steady_loss is None or math.isinf(self.steady_loss):
+            return self.cold_loss
+        return self.steady_loss
+
+    @property
+    def overheats(self) -> bool:
+        """Whether the winding reaches its limit, or grows hotter without bound."""
+        reached = self.time_to_limit is not None and math.isfinite(self.time_to_limit)
+        return reached or (
+            self.steady_temperature is not None and math.isinf(self.steady_temperature)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class HeatStudy(Result):
+    """Heat of the motors that hold a stance.
+
+    Attributes:
+        name: Name of the robot.
+        stand: Stand, on MuJoCo's soft ground.
+        motors: Motors with their heat, in actuator order.
+        omitted: Joints without an assigned motor.
+        loss: Copper loss of all assigned motors (W), at the final temperatures as far as known.
+        supply_voltage: Voltage of the battery (V); None if unknown, or if motors differ.
+        battery_current: Current of the battery (A); None if the voltage is unknown.
+        battery_energy: Energy of the battery (J); None if not given.
+        battery_time: Time until the battery is empty (s); None without its energy.
+        times: (n,) times of the temperatures (s).
+        temperatures: (n, motors) temperatures of the windings (degC); NaN if unknown.
+    """
+
+    name: str
+    stand: Stand
+    motors: tuple[MotorHeat, ...]
+    omitted: tuple[str, ...]
+    loss: float = field(metadata={"unit": "W"})
+    supply_voltage: float | None = field(metadata={"unit": "V"})
+    battery_current: float | None = field(metadata={"unit": "A"})
+    battery_energy: float | None = field(metadata={"unit": "J"})
+    battery_time: float | None = field(metadata={"unit": "s"})
+    times: Array = field(metadata={"unit": "s"})
+    temperatures: Array = field(metadata={"unit": "degC"})
+
+    @property
+    def first(self) -> MotorHeat:
+        """Motor that reaches its limit first; without one, the motor closest to its limit.
+
+        Motors with unknown temperatures follow, ordered by their copper loss.
+        """
+
+        def rank(motor: MotorHeat) -> tuple[float, float, float]:
+            """Return a key that is smallest for the motor that is stated first."""
+            time = math.inf if motor.time_to_limit is None else motor.time_to_limit
+            final, limit = motor.steady_temperature, motor.limit_temperature
+            margin = math.inf if final is None or limit is None else limit - final
+            return time, margin, -motor.cold_loss
+
+        return min(self.motors, key=rank)
+
+    @property
+    def overheats(self) -> bool:
+        """Whether a motor reaches its limit."""
+        return any(motor.overheats for motor in self.motors)
+
+    @property
+    def known(self) -> bool:
+        """Whether all loaded joints have a motor with a known temperature and limit."""
+        judged = all(
+            motor.time_to_limit is not None or motor.torque == 0.0 for motor in self.motors
+        )
+        return judged and not self.omitted
+
+    @property
+    def passed(self) -> bool:
+        """Whether all motors are known to stay below their limits."""
+        return self.known and not self.overheats
+
+
+@check_arguments
+def study_heat(
+    robot: Robot,
+    stance: StandTask | Stand,
+    motors: Mapping[str, Motor],
+    *,
+    ambient: float | None = None,
+    limit: float | None = None,
+    battery_energy: float | None = None,
+) -> HeatStudy:
+    """Predict the heat of the motors that hold a stance at rest.
+
+    Args:
+        robot: Robot.
+        stance: Stand task, or a stand that satisfies a task on rigid ground.
+        motors: {joint: motor}.
+        ambient: Temperature of the ambient air [degC]; that of each motor by default.
+        limit: Largest temperature of the windings [degC]; that of each motor by default.
+        battery_energy: Energy of the battery [J].
+
+    Raises:
+        StanceUnreachableError: If the stance is out of reach.
+        StaticsInfeasibleError: If no contact forces balance the stance.
+        NotSettlingError: If the depths of the feet in the soft ground do not converge.
+        ConfigurationError: If an argument is not valid, or no joint of the robot has a motor.
+        ModelError: If the torque per current or the resistance of a motor are unknown.
+    """
+    _check_request(ambient, limit, battery_energy)
+    stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
+    robot = stand.check(robot)
+    held = solve_stand_as_simulated(robot, stand)
+    torques = stand_statics(robot, held).joint_torques
+    driven = robot.mj_convention.actuator_index >= 0
+    names = [name for name, has in zip(robot.joint_names, driven, strict=True) if has]
+    assigned = [name for name in names if name in motors]
+    if not assigned:
+        raise ConfigurationError("motors", diagnose("no-motor-assigned"))
+    loads = dict(zip(robot.joint_names, torques.tolist(), strict=True))
+    heats = tuple(
+        _compute_heat(name, motors[name], float(loads[name]), ambient, limit) for name in assigned
+    )
+    loss = sum(heat.loss for heat in heats)
+    voltages = {motors[name].supply_voltage for name in assigned}
+    voltage = voltages.pop() if len(voltages) == 1 else None
+    times = _choose_times(heats, [motors[name] for name in assigned], ambient)
+    curves = [_compute_curve(heat, motors[heat.joint], times, ambient) for heat in heats]
+    return HeatStudy(
+        name=robot.name,
+        stand=held,
+        motors=heats,
+        omitted=tuple(name for name in names if name not in motors),
+        loss=loss,
+        supply_voltage=voltage,
+        battery_current=None if voltage is None else loss / voltage,
+        battery_energy=battery_energy,
+        battery_time=None
+        if battery_energy is None
+        else (battery_energy / loss if loss else math.inf),
+        times=times,
+        temperatures=np.stack(curves, axis=1),
+    )
+
+
+def _check_request(
+    ambient: float | None, limit: float | None, battery_energy: float | None
+) -> None:
+    """Raise a ConfigurationError if a temperature or the battery is out of range."""
+    low, high = TEMPERATURE_RANGE
+    for name, value in (("ambient", ambient), ("limit", limit)):
+        if value is not None and not low <= value <= high:
+            problem = diagnose("temperature-out-of-range", given=value, low=low, high=high)
+            raise ConfigurationError(name, problem)
+    if ambient is not None and limit is not None and limit <= ambient:
+        raise ConfigurationError(
+            "limit", diagnose("motor-limit-below-ambient", limit=limit, ambient=ambient)
+        )
+    if battery_energy is not None and not 0 < battery_energy < math.inf:
+        raise ConfigurationError("battery", diagnose("battery-not-valid"))
+
+
+def _compute_heat(
+    joint: str, motor: Motor, torque: float, ambient: float | None, limit: float | None
+) -> MotorHeat:
+    """Compute the heat of a motor with a torque [N m]; temperatures [degC] replace the motor's."""
+    current = motor.compute_current(torque)
+    unknown = [*motor.list_unknown(*THERMAL_NUMBERS)]
+    if ambient is None:
+        unknown += motor.list_unknown("ambient_temperature")
+    try:
+        network = ThermalNetwork.of_motor(motor, current, ambient)
+    except ModelError:
+        network = None
+        housing = motor.list_unknown("housing_resistance", "housing_capacity")
+        unknown += housing if len(housing) == 1 else ()
+    highest = motor.limit_temperature if limit is None else limit
+    if highest is None:
+        unknown.append("limit_temperature")
+    steady = None if network is None else network.steady_temperature
+    continuous = None
+    if network is not None and highest is not None:
+        continuous = compute_continuous_torque(motor, ambient, limit)
+    return MotorHeat(
+        joint=joint,
+        motor=motor.name,
+        torque=torque,
+        current=current,
+        cold_loss=current**2 * motor.winding_ohms
+        if network is None
+        else network.compute_loss(network.ambient),
+        steady_loss=None
+        if network is None or steady is None
+        else (network.compute_loss(steady) if math.isfinite(steady) else math.inf),
+        steady_temperature=steady,
+        limit_temperature=highest,
+        time_to_limit=None if network is None or highest is None else network.find_time(highest),
+        continuous_torque=continuous,
+        unknown=tuple(unknown),
+    )
+
+
+def _choose_times(
+    heats: tuple[MotorHeat, ...], motors: list[Motor], ambient: float | None
+) -> Array:
+    """Return the times of the curves [s]: to the last limit, or to the final temperatures."""
+    longest = 0.0
+    for heat, motor in zip(heats, motors, strict=True):
+        if heat.steady_temperature is None or not heat.current:
+            continue
+        network = ThermalNetwork.of_motor(motor, heat.current, ambient)
+        end = heat.steady_temperature
+        if heat.time_to_limit is not None and math.isfinite(heat.time_to_limit):
+            time = heat.time_to_limit
+        elif math.isfinite(end):
+            time = network.find_time(network.ambient + _SETTLED_FRACTION * (end - network.ambient))
+        else:
+            time = float(network.capacities.sum() * network.resistances.sum())
+        longest = max(longest, time)
+    return np.linspace(0.0, min(longest, _MAX_DURATION), _NUM_TIMES)
+
+
+def _compute_curve(heat: MotorHeat, motor: Motor, times: Array, ambient: float | None) -> Array:
+    """Return the temperatures of a winding at times [s], shape (n,) [degC]; NaN if unknown."""
+    if heat.steady_temperature is None:
+        return np.full(len(times), np.nan)
+    network = ThermalNetwork.of_motor(motor, heat.current, ambient)
+    curve: Array = network.compute_temperatures(times)[:, 0]
+    return curve

@@ -1,0 +1,198 @@
+"""Motors as data: units, unknown numbers, contradictions, files of this package and of others."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.models.motors.motor import NUMBERS, Motor
+from pupper_analysis.models.motors.reading import (
+    find_motor,
+    list_motors,
+    read_bam_parameters,
+    read_motor,
+)
+from pupper_analysis.models.motors.units import KINDS, parse_quantity
+
+TEXT = """name = "test"
+source = "bench"
+torque_constant = "0.1 N m/A"
+resistance = "0.5 ohm"
+gear_ratio = 6
+supply_voltage = "24 V"
+"""
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "motor.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [
+        ("torque constant", "80 mN m/A", 0.08),
+        ("torque constant", "1 kgf cm/A", 0.0980665),
+        ("torque", "20 kgf cm", 1.96133),
+        ("torque", "3Nm", 3.0),
+        ("speed", "60 rpm", 2 * math.pi),
+        ("speed", "180 deg/s", math.pi),
+        ("temperature", "300 K", 26.85),
+        ("inertia", "1340 g cm^2", 1.34e-4),
+        ("fraction", "85 %", 0.85),
+        ("ratio", 6, 6.0),
+    ],
+)
+def test_numbers_are_converted_from_their_unit(kind: str, text: object, value: float) -> None:
+    """Reference: definitions of the units (a kgf is 9.80665 N)."""
+    assert parse_quantity("number", text, KINDS[kind]) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "words"),
+    [
+        ("torque constant", "0.08", "no unit; write one of N m/A"),
+        ("torque constant", "0.08 rpm", "rpm is not a unit"),
+        ("torque", "3 mNm/A", "mN m/A is not a unit"),
+        ("speed", 400, "no unit"),
+        ("resistance", "-0.2 ohm", "out of range"),
+        ("resistance", "0 ohm", "out of range"),
+        ("mass", "heavy", "no number"),
+        ("ratio", True, "no number"),
+        ("fraction", "120 %", "at most 1"),
+        ("temperature", "-300 degC", "out of range"),
+        ("current", "inf A", "no number"),
+    ],
+)
+def test_numbers_with_another_unit_or_range_are_refused(
+    kind: str, text: object, words: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        parse_quantity("number", text, KINDS[kind])
+
+
+def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:
+    """Reference: the text."""
+    motor = read_motor(write(tmp_path, TEXT + 'mass = "140 g"\nlimit_temperature = "85 degC"\n'))
+    assert (motor.name, motor.source) == ("test", "bench")
+    assert (motor.torque_constant, motor.gear_ratio, motor.mass) == (0.1, 6.0, 0.14)
+    assert motor.limit_temperature == 85.0
+    assert motor.price is None
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ('stall_torque = "288 N m"', r"stall torque of 288 N m contradicts Kt V N / R = 28\.8 N m"),
+        ('stall_torque = "0.3 N m"', "check the units"),
+        ('stall_current = "5 A"', r"contradicts supply voltage / resistance = 48 A"),
+        ('ambient_temperature = "90 degC"\nlimit_temperature = "85 degC"', "not above the ambient"),
+        ("torque_constnt = 1", "torque_constant"),
+        ("mass = 3", "no unit"),
+    ],
+)
+def test_contradictions_are_named(tmp_path: Path, more: str, words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        read_motor(write(tmp_path, f"{TEXT}{more}\n"))
+
+
+def test_a_file_without_source_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="no source"):
+        read_motor(write(tmp_path, TEXT.replace('source = "bench"\n', "")))
+
+
+def test_what_needs_an_unknown_number_names_it() -> None:
+    motor = Motor("test", "bench", torque_constant=0.1, gear_ratio=6.0)
+    with pytest.raises(ModelError, match="output_torque_constant, gear_efficiency"):
+        _ = motor.output_torque_per_ampere
+    with pytest.raises(ModelError, match="resistance, supply_voltage, stall_current"):
+        _ = motor.winding_ohms
+    with pytest.raises(ModelError, match="supply_voltage"):
+        motor.compute_available_torque(1.0)
+
+
+def test_torque_falls_with_speed_between_the_limits() -> None:
+    """Reference: tau = Kt N eta (V - Kt N w) / R, cut off by current limit and peak torque."""
+    motor = Motor(
+        *("test", "bench"),
+        torque_constant=0.1,
+        gear_ratio=6.0,
+        gear_efficiency=0.9,
+        resistance=0.5,
+        supply_voltage=24.0,
+        current_limit=30.0,
+        peak_torque=15.0,
+    )
+    assert motor.compute_available_torque(0.0) == 15.0
+    assert motor.compute_available_torque(20.0) == pytest.approx(0.54 * (24 - 12) / 0.5)
+    assert motor.compute_available_torque(40.0) == 0.0
+    assert motor.compute_available_torque(50.0) == 0.0
+    assert motor.compute_current(-2.7) == pytest.approx(5.0)
+
+
+def test_ten_motors_have_a_source_and_numbers_without_contradiction() -> None:
+    motors = [find_motor(name) for name in list_motors()]
+    assert len(motors) >= 10
+    for motor in motors:
+        assert motor.source.startswith("http")
+        assert set(motor.sources) <= set(NUMBERS)
+        assert all(getattr(motor, number) is not None for number in motor.sources)
+    servo = find_motor("dynamixel-xm540-w270")
+    assert servo.output_torque_per_ampere == pytest.approx(2.409, abs=1e-3)  # as the manual states
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(UnknownNameError, match="dephy-actpack"):
+        find_motor("dephy-actpak")
+
+
+BAM = {
+    "kt": 1.6,
+    "R": 2.3,
+    "armature": 0.012,
+    "friction_base": 0.06,
+    "friction_viscous": 0.025,
+    "actuator": "mx64",
+}
+
+
+@pytest.mark.parametrize("model", ["m1", "m2", "m3", "m4", "m5", "m6"])
+def test_servo_models_are_read(tmp_path: Path, model: str) -> None:
+    """Reference: the equations of the models. m1 and m2 have no load-dependent friction."""
+    loads = {"m3": "base", "m4": "base", "m5": "motor", "m6": "motor"}
+    more = {f"load_friction_{loads[model]}": 0.3} if model in loads else {}
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps({**BAM, **more, "model": model}))
+    motor = read_bam_parameters(path)
+    assert motor.name == f"mx64 ({model})"
+    assert (motor.resistance, motor.viscous_friction, motor.coulomb_friction) == (2.3, 0.025, 0.06)
+    assert motor.rotor_inertia == 0.012
+    if model in loads:
+        assert motor.output_torque_per_ampere == pytest.approx(1.6 * 0.7)
+        assert find_motor(str(path)) == motor
+    else:
+        assert motor.gear_efficiency is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"model": "m7"}, "m1, m2, m3"),
+        ({"model": "m5"}, "load_friction_motor"),
+        ({"model": "m1", "R": -2.0}, "R|resistance: "),
+        ({"model": "m1", "kt": None}, "torque_constant"),
+    ],
+)
+def test_invalid_servo_models_are_refused(tmp_path: Path, change: dict, words: str) -> None:
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps({**BAM, **change}))
+    with pytest.raises(ModelError, match=words):
+        read_bam_parameters(path)
+    path.write_text("{")
+    with pytest.raises(ModelError, match="no valid JSON"):
+        read_bam_parameters(path)

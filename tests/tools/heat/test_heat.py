@@ -1,0 +1,129 @@
+"""Heat of the motors of a stance, and the command ``heat``."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.reading import find_motor
+from pupper_analysis.tools.heat.heat import study_heat
+from tests.support.commands import answer
+from tests.support.variants import load, stand_of
+
+WEAK = """name = "weak"
+source = "bench"
+output_torque_constant = "0.4 N m/A"
+resistance = "2 ohm"
+resistance_temperature = "25 degC"
+resistance_rise = "0.00393 1/K"
+winding_resistance = "30 K/W"
+winding_capacity = "20 J/K"
+ambient_temperature = "25 degC"
+limit_temperature = "80 degC"
+supply_voltage = "24 V"
+"""
+
+
+def motors_of(motor: Motor) -> dict[str, Motor]:
+    return dict.fromkeys(load("v3").joint_names, motor)
+
+
+@pytest.mark.slow
+def test_losses_and_temperatures_follow_from_the_torques() -> None:
+    """References: statics of the stand; i = tau / (Kt N), P = i^2 R; balance of the final heat."""
+    motor = find_motor("dephy-actpack")
+    robot = load("v3")
+    study = study_heat(robot, stand_of("v3"), motors_of(motor), battery_energy=3600.0)
+    statics = pa.stance.stand_statics(robot, study.stand)
+    np.testing.assert_array_equal([one.torque for one in study.motors], statics.joint_torques)
+    for one in study.motors:
+        assert one.current == pytest.approx(abs(one.torque) / 0.1133)
+        final = one.steady_temperature
+        assert final is not None
+        loss = one.current**2 * 0.376 * (1 + 0.00393 * (final - 65))
+        assert one.steady_loss == pytest.approx(loss)
+        assert final == pytest.approx(21 + loss * (1.0702867186480716 + 1.9406620046327363))
+        assert one.time_to_limit == math.inf
+    assert study.loss == pytest.approx(sum(one.loss for one in study.motors))
+    assert study.battery_time == pytest.approx(3600 / study.loss)
+    assert study.battery_current is None  # the voltage of this motor is unknown
+    assert study.passed
+    assert study.temperatures.shape == (len(study.times), 12)
+    assert study.first.joint.endswith("_3")
+
+
+@pytest.mark.slow
+def test_the_first_hot_motor_is_named_with_its_minutes(tmp_path: Path) -> None:
+    """Reference: R_th C ln(...) of one node in closed form, from the numbers of the result."""
+    path = tmp_path / "weak.toml"
+    path.write_text(WEAK)
+    figure, page, data = tmp_path / "heat.png", tmp_path / "heat.html", tmp_path / "heat.json"
+    done = answer(
+        *("heat", "v3", "--motor", "dephy-actpack", "--motor", f"*_3={path}", "--battery", "10"),
+        *("--figure", str(figure), "--json", str(data), "--report", str(page)),
+    )
+    assert done.returncode == 1, done.stderr
+    result = json.loads(data.read_text())
+    first = min(
+        (one for one in result["motors"] if one["motor"] == "weak"),
+        key=lambda one: one["time_to_limit"],
+    )
+    heat = first["current"] ** 2 * 2.0
+    slope = 1 / 30 - heat * 0.00393
+    expected = -20 / slope * math.log1p(-55 * slope / heat)
+    assert first["time_to_limit"] == pytest.approx(expected, rel=1e-9)
+    line = done.stdout.splitlines()[0]
+    assert line.startswith(f"HOT v3: {first['joint']} reaches 80 °C after {expected / 60:.3g} min")
+    assert figure.stat().st_size > 10_000
+    assert "heat" in page.read_text().lower()
+
+
+@pytest.mark.slow
+def test_unknown_numbers_are_named_and_do_not_pass() -> None:
+    done = answer("heat", "v3", "--motor", "steadywin-gim4305-10")
+    assert done.returncode == 1
+    first, second, *_ = done.stdout.splitlines()
+    assert first.startswith(
+        "UNKNOWN v3: temperatures unknown: the data of SteadyWin GIM4305-10 lack"
+    )
+    assert "winding_resistance, winding_capacity" in first
+    assert "A at 24 V" in second
+    few = answer("heat", "v3", "--motor", "*_1=dephy-actpack")
+    assert few.returncode == 1
+    assert "no motor assigned to leg_front_r_2" in few.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"ambient": 400.0}, "-60 to 300"),
+        ({"ambient": 90.0, "limit": 80.0}, "not above the ambient"),
+        ({"battery_energy": -1.0}, "finite positive"),
+    ],
+)
+def test_invalid_requests_are_refused(options: dict[str, float], words: str) -> None:
+    motor = find_motor("dephy-actpack")
+    with pytest.raises(ConfigurationError, match=words):
+        study_heat(load("v3"), pa.StandTask(), motors_of(motor), **options)
+
+
+@pytest.mark.slow
+def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
+    unknown = answer("heat", "v3", "--motor", "dephy-actpak")
+    assert unknown.returncode == 2
+    assert "dephy-actpack" in unknown.stderr
+    listed = answer("heat", "--list-motors")
+    assert listed.returncode == 0
+    assert "https://emanual.robotis.com" in listed.stdout
+    path = tmp_path / "bad.toml"
+    path.write_text(WEAK.replace("2 ohm", "2 rpm"))
+    bad = answer("heat", "v3", "--motor", str(path))
+    assert bad.returncode == 2
+    assert "resistance: 2 rpm: rpm is not a unit" in bad.stderr
