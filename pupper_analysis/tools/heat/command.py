@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import RobotAndTask, match_joints, robot_and_stance
 
@@ -22,19 +25,11 @@ if TYPE_CHECKING:
     "--motor",
     "motors",
     multiple=True,
-    required=True,
     metavar="[JOINTS=]MOTOR",
     help="Motor of all joints, or of the joints that a pattern names: a name of --list-motors, or "
     "a TOML or JSON file. Repeatable; later options have priority.",
 )
-@click.option(
-    "--list-motors",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=lambda context, _, given: _print_motors(context) if given else None,
-    help="List the known motors, and exit.",
-)
+@click.option("--list-motors", is_flag=True, help="List the known motors with their sources.")
 @click.option(
     "--ambient",
     type=float,
@@ -56,6 +51,7 @@ def command(
     request: RobotAndTask,
     words: tuple[str, ...],
     motors: tuple[str, ...],
+    list_motors: bool,
     ambient: float | None,
     limit: float | None,
     battery: float | None,
@@ -78,6 +74,12 @@ def command(
 
     Exit status: 0 no motor reaches its limit, 1 a motor does or a number is unknown, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    if list_motors:
+        refuse_unused("--list-motors", {"--list-motors": {"list_motors"}})
+        _print_motors()
+        return
+    if not motors:
+        raise ConfigurationError("--motor", diagnose("motor-not-given"))
     from pupper_analysis.tools.heat.heat import study_heat
 
     task = request.task()
@@ -119,10 +121,9 @@ def _assign_motors(texts: tuple[str, ...], robot: Robot) -> dict[str, Motor]:
     return assigned
 
 
-def _print_motors(context: click.Context) -> None:
-    """Print the names of the known motors with their sources, and exit."""
+def _print_motors() -> None:
+    """Print the names of the known motors with their sources."""
     from pupper_analysis.models.motors.reading import find_motor, list_motors
 
     for name in list_motors():
         click.echo(f"{name:<26} {find_motor(name).source}")
-    context.exit()

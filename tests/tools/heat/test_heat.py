@@ -122,6 +122,9 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     listed = answer("heat", "--list-motors")
     assert listed.returncode == 0
     assert "https://emanual.robotis.com" in listed.stdout
+    missing = answer("heat", "v3")
+    assert missing.returncode == 2
+    assert "--motor: no motor is given" in missing.stderr
     path = tmp_path / "bad.toml"
     path.write_text(WEAK.replace("2 ohm", "2 rpm"))
     bad = answer("heat", "v3", "--motor", str(path))
