@@ -254,7 +254,9 @@ def test_fields_of_a_result_without_a_page_are_written_out() -> None:
     assert rows["foot_targets"]["value"].startswith(f"FR: ({place}); FL: (")
     torques = ", ".join(f"{value:.6g}" for value in statics.joint_torques)
     assert rows["joint_torques"]["value"] == f"({torques})"
-    assert rows["joint_torques"]["meaning and unit"] == "Motor torques, shape (nu,) (N m)."
+    assert rows["joint_torques"]["meaning and unit"] == (
+        "Motor torques or forces, shape (nu,) (N m or N)."
+    )
     assert rows["ground_clearance"]["value"].startswith("distance 0.0")
     assert registry.value_cell(np.zeros(25)) == Name("<array 25>")
 

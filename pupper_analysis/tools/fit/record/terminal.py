@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.units import READ_IN
+from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.tools.fit.record.bridge import WallClock
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
 
@@ -91,7 +91,7 @@ class TypedBridge(WallClock):
     ramps = False
 
     def __init__(self, robot: Robot) -> None:
-        shown = (READ_IN[unit] for unit in joint_units(robot))
+        shown = (READ_IN[unit] for unit in list_position_units(robot))
         self._joints = [
             (name, *units) for name, units in zip(robot.joint_names, shown, strict=True)
         ]
