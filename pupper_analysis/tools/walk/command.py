@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click import get_current_context
+from click.core import ParameterSource
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.walk.gait import Walk
     from pupper_analysis.tools.walk.intervals import TrackedIntervals
     from pupper_analysis.tools.walk.orders import Orders
+    from pupper_analysis.tools.walk.response import ResponseMap
 
 
 @shared.command("walk")
@@ -49,7 +52,7 @@ if TYPE_CHECKING:
 @click.option(
     "--seeds",
     type=int,
-    help=("Number of runs with different initial states; by default 1, with --vary 3; e.g. 20."),
+    help=("Number of runs with different initial states; by default 1, with --vary 5; e.g. 20."),
 )
 @click.option(
     "--seconds",
@@ -80,6 +83,14 @@ if TYPE_CHECKING:
         "histories."
     ),
 )
+@click.option(
+    "--response",
+    is_flag=True,
+    help=(
+        "Map the achieved velocity over commands up to those of --command (by default 1,0.5,1), "
+        "with dead zones."
+    ),
+)
 @shared.text_format_option
 @shared.verbose_option
 @shared.json_option
@@ -98,6 +109,7 @@ def command(
     vary: str | None,
     fitted: Path | None,
     orders: bool,
+    response: bool,
     style: str,
     everything: bool,
     json_path: Path | None,
@@ -120,12 +132,16 @@ def command(
       pupper-analysis walk v3 --policy policy_latest.json --vary mass,kp,delay \\
         --fit fit.json
       pupper-analysis walk v3 --policy policy_latest.json --orders
+      pupper-analysis walk v3 --policy policy_latest.json --response
 
     Exit status: 0 every run tracks the command (with --fit, within the intervals of the fit; with
-    --orders, no interpretation walks better than the stated one), 1 otherwise, 2 bad input.
+    --orders, no interpretation walks better than the stated one; with --response, no run falls and
+    no command is ignored), 1 otherwise, 2 bad input.
     """  # noqa: D301 - click reads the \b
     if orders:
         refuse_idle("--orders", "command_text", "seeds", "vary", "fitted")
+    if response:
+        refuse_idle("--response", "vary", "fitted", "orders")
     if vary is None:
         refuse_alone(["--vary"], "fitted")
     from pupper_analysis.tools.contract.deployment import read_deployment
@@ -137,6 +153,7 @@ def command(
     )
     from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
+    from pupper_analysis.tools.walk.response import DEFAULT_LIMITS, map_response
     from pupper_analysis.tools.walk.runs import replace_efforts
 
     checked_command = parse_walking_command(command_text)
@@ -164,10 +181,14 @@ def command(
     arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
         arguments["seeds"] = seeds
-    result: Walk | TrackedIntervals | Orders
+    result: Walk | TrackedIntervals | Orders | ResponseMap
     with shared.show_progress(f"{robot.name} walks by {loaded_policy.name}"):
         if orders:
             result = rank_orders(robot, loaded_policy, **arguments)
+        elif response:
+            typed = get_current_context().get_parameter_source("command_text")
+            limits = DEFAULT_LIMITS if typed is ParameterSource.DEFAULT else checked_command
+            result = map_response(robot, loaded_policy, limits, **arguments)
         elif vary is not None:
             measured = (
                 None

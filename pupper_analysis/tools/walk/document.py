@@ -7,6 +7,7 @@ independent of the output format, with values in printed units.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from pupper_analysis.tools.walk.contract import Contract
 from pupper_analysis.tools.walk.gait import Gait, Walk
 from pupper_analysis.tools.walk.intervals import TrackedInterval, TrackedIntervals
 from pupper_analysis.tools.walk.orders import MIN_COST_RATIO, Candidate, Orders
+from pupper_analysis.tools.walk.response import ResponseAxis, ResponseMap
 
 Array = NDArray[np.float64]
 
@@ -379,10 +381,13 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
         (_make_interval_table(result),) if result.intervals else (),
         passed=result.passed,
         verdict=text(word),
+        warned=result.passed and bool(result.narrow),
         failures=tuple(reasons),
         findings=(
-            text("walk-commanded", command=_format_command(result.command)),
+            *_list_narrow_margins(result),
             *_list_absolute_limits(result),
+            text("walk-commanded", command=_format_command(result.command)),
+            *_describe_nominal_margins(result),
             *map(doc.diagnostic_text, result.remarks),
         ),
         notes=robot_notes(robot),
@@ -405,11 +410,47 @@ def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> 
     return doc.NextStep("push")
 
 
+def _list_narrow_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
+    """Yield a warning for each criterion whose margin is smaller than the spread over the seeds."""
+    for name in result.narrow:
+        margins = getattr(result, f"{name}_margins")[list(result.seeds)]
+        yield text(
+            "walk-narrow",
+            criterion=text(f"walk-ends-{name}"),
+            margin=f"{100 * margins.min():.0f}",
+            spread=f"{100 * np.ptp(margins):.0f}",
+        ).with_mark("warn")
+
+
+def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
+    """Yield the smallest margins of the unchanged robot over the seeds that track."""
+    if result.seeds:
+        speed, turning = (
+            margins[list(result.seeds)].min()
+            for margins in (result.speed_margins, result.turning_margins)
+        )
+        yield text(
+            "walk-nominal-margins", speed=f"{100 * speed:.0f}", turning=f"{100 * turning:.0f}"
+        )
+
+
+def _describe_ends(failures: tuple[str, ...]) -> doc.Words:
+    """Return the criteria that end an interval, the most frequent first; "-" for an open end."""
+    names = Counter(name for name in failures if name)
+    words = [text(f"walk-ends-{name}") for name, _ in names.most_common()]
+    return join_words(words) if words else doc.Name("-")
+
+
 def _list_absolute_limits(result: TrackedIntervals) -> Iterable[doc.Words]:
     """Yield the payload [kg] and impulses [N s] up to which the runs of all seeds track."""
     for interval in result.intervals:
         if interval.quantity == "payload":
-            yield text("walk-carries", mass=f"{interval.common[1] * result.mass:.3g}")
+            yield text(
+                "walk-carries",
+                mass=f"{interval.common[1] * result.mass:.3g}",
+                upright=f"{interval.upright[1] * result.mass:.3g}",
+                cause=_describe_ends(interval.ended_above),
+            )
         elif interval.quantity.startswith("push"):
             low, high = (f"{abs(value) * result.mass:.3g}" for value in interval.common)
             yield text(f"walk-{interval.quantity}", low=low, high=high)
@@ -432,7 +473,10 @@ def _make_interval_table(result: TrackedIntervals) -> doc.Table:
             _name_quantity(interval.quantity),
             doc.Name("x" if interval.unit == "x" else interval.unit),
             _make_bound_cell(interval, interval.least.max(), interval.below),
+            _describe_ends(interval.ended_below),
             _make_bound_cell(interval, interval.most.min(), interval.above),
+            _describe_ends(interval.ended_above),
+            doc.Name(f"{interval.upright[0]:.3g} - {interval.upright[1]:.3g}"),
             doc.Name(f"{interval.least.min():.3g}, {interval.most.max():.3g}"),
             *(
                 _make_measured_cells(interval)
@@ -446,7 +490,10 @@ def _make_interval_table(result: TrackedIntervals) -> doc.Table:
         doc.Column(text("walk-quantity"), left=True),
         doc.Column(text("walk-unit"), left=True),
         doc.Column(text("walk-least")),
+        doc.Column(text("walk-ended-by"), left=True),
         doc.Column(text("walk-most")),
+        doc.Column(text("walk-ended-by"), left=True),
+        doc.Column(text("walk-upright")),
         doc.Column(text("walk-spread"), detail=True),
     ]
     if any(interval.measured for interval in result.intervals):
@@ -478,6 +525,96 @@ def _make_measured_cells(interval: TrackedInterval) -> tuple[doc.Cell, doc.Cell]
     low, high = interval.measured
     key, mark = ("walk-inside-yes", "good") if interval.inside else ("walk-inside-no", "bad")
     return doc.Name(f"{low:.3g} - {high:.3g}"), text(key).with_mark(mark)
+
+
+@build_document.register(ResponseMap)
+def response_document(result: ResponseMap, robot: Robot | None = None) -> doc.Document:
+    """Create the report of the achieved velocities for a grid of commands.
+
+    `build_document` calls this function for a `ResponseMap`.
+    """
+    zones = [axis for axis in result.axes if any(axis.dead_zone)]
+    fallen = [axis for axis in result.axes if axis.fallen.any()]
+    word = "walk-response-good" if result.passed else "walk-response-gaps"
+    if fallen:
+        word = "walk-falls"
+    units = {axis.axis: "rad/s" if axis.axis == "turning" else "m/s" for axis in result.axes}
+    findings = [
+        text(
+            "walk-dead-zone",
+            axis=text(f"walk-{axis.axis}"),
+            low=f"{axis.dead_zone[0]:g}",
+            high=f"{axis.dead_zone[1]:g}",
+            unit=units[axis.axis],
+        )
+        for axis in zones
+    ]
+    findings += [
+        text(
+            "walk-falls-at",
+            axis=text(f"walk-{axis.axis}"),
+            values=tuple(f"{value:g}" for value in axis.commanded[axis.fallen > 0]),
+            unit=units[axis.axis],
+        )
+        for axis in fallen
+    ]
+    blocks: list[doc.Block] = []
+    for axis in result.axes:
+        blocks += [_make_response_table(axis, units[axis.axis], result), response_plot(axis)]
+    return doc.Document(
+        text("walk-response-title"),
+        text("walk-of", robot=doc.Name(result.name), policy=doc.Name(result.policy)),
+        tuple(blocks),
+        passed=result.passed,
+        verdict=text(word),
+        findings=(
+            *(findings or [text("walk-response-all")]),
+            *map(doc.diagnostic_text, result.remarks),
+        ),
+        brief=True,
+        notes=robot_notes(robot),
+        next_step=doc.NextStep("walk", omitted=("--response",)),
+    )
+
+
+def _make_response_table(axis: ResponseAxis, unit: str, result: ResponseMap) -> doc.Table:
+    """Create the table of commanded and achieved velocities along an axis."""
+    rows = tuple(
+        (
+            doc.number_cell(float(commanded), ".3g"),
+            doc.number_cell(float(achieved) if np.isfinite(achieved) else None, ".3f"),
+            doc.number_cell(float(spread) if np.isfinite(spread) else None, ".3f"),
+            doc.number_cell(float(count), ".0f", "bad" if count else ""),
+        )
+        for commanded, achieved, spread, count in zip(
+            axis.commanded, axis.achieved, axis.spread, axis.fallen, strict=True
+        )
+    )
+    columns = (
+        doc.Column(text("walk-commanded-velocity"), unit),
+        doc.Column(text("walk-achieved-velocity"), unit),
+        doc.Column(text("walk-spread-of-seeds"), unit),
+        doc.Column(text("walk-fallen")),
+    )
+    how = text("walk-response-how", seeds=result.seeds, seconds=f"{result.seconds:g}")
+    return doc.Table(text(f"walk-{axis.axis}"), columns, rows, (how,))
+
+
+def response_plot(axis: ResponseAxis) -> doc.LinePlot:
+    """Create the plot of the achieved over the commanded velocity, with the ideal line."""
+    unit = "rad/s" if axis.axis == "turning" else "m/s"
+    ends = axis.commanded[[0, -1]]
+    known = np.isfinite(axis.achieved)
+    lines = [
+        doc.Series(text("walk-ideal"), ends, ends),
+        doc.Series(text("walk-achieved-velocity"), axis.commanded[known], axis.achieved[known]),
+    ]
+    return doc.LinePlot(
+        text(f"walk-{axis.axis}"),
+        doc.Axis(text("walk-commanded-velocity"), unit, ".2f"),
+        doc.Axis(text("walk-achieved-velocity"), unit, ".2f"),
+        lines,
+    )
 
 
 @build_document.register(Orders)

@@ -341,11 +341,18 @@ class Tracking:
         velocity: Mean velocity forward and to the left, shape (2,) [m/s].
         turning: Mean turning rate about the vertical [rad/s].
         tracks: Whether the robot does not fall, and both errors are within the tolerances.
+        speed_margin: 1 - speed error / tolerance; negative if the robot is too slow or too fast.
+        turning_margin: 1 - error of the turning rate / tolerance; negative if it turns wrongly.
+        failure: First criterion that is violated: ``falls``, ``speed`` or ``turning``; empty if the
+            command is tracked.
     """
 
     velocity: Array
     turning: float
     tracks: bool
+    speed_margin: float
+    turning_margin: float
+    failure: str
 
 
 def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
@@ -366,7 +373,7 @@ def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
     index = stage.robot.mj_convention.qpos_index
     states = run.states[start:]
     if len(states) < 2 or not np.isfinite(states).all():
-        return Tracking(np.zeros(2), 0.0, False)
+        return Tracking(np.zeros(2), 0.0, False, -math.inf, -math.inf, "falls")
     base_rotations = rotations_from_quaternions(states[:, 1 + index[3:7]])
     heading = np.unwrap(np.arctan2(base_rotations[:, 1, 0], base_rotations[:, 0, 0]))
     time = (len(states) - 1) * stage.timestep
@@ -382,14 +389,19 @@ def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
     turning = float(heading[-1] - heading[0]) / time
     command = run.case.command
     speed_error = float(np.linalg.norm(velocity - command[:2]))
-    tracks = not run.fallen
+    margins = []
     for error, slack, commanded in (
         (speed_error, SPEED_ATOL, float(np.linalg.norm(command[:2]))),
         (abs(turning - command[2]), TURN_ATOL, abs(command[2])),
     ):
         max_error = (1 - MIN_FOLLOWED_FRACTION) * commanded if commanded else math.inf
-        tracks &= error <= min(SPEED_RTOL * commanded + slack, max_error)
-    return Tracking(velocity, turning, bool(tracks))
+        tolerance = min(SPEED_RTOL * commanded + slack, max_error)
+        # Compared as errors: the margin of an error equal to the tolerance may be rounded.
+        margins.append((1.0 - error / tolerance, error <= tolerance))
+    (speed_margin, has_speed), (turning_margin, has_turning) = margins
+    failure = "" if has_speed and has_turning else "turning" if has_speed else "speed"
+    failure = "falls" if run.fallen else failure
+    return Tracking(velocity, turning, not failure, speed_margin, turning_margin, failure)
 
 
 def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:

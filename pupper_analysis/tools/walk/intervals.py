@@ -26,6 +26,7 @@ from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.gait import (
+    Tracking,
     check_command,
     check_runs,
     evaluate_tracking,
@@ -39,6 +40,10 @@ Array = NDArray[np.float64]
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
 """Duration of a run [s], and of the warm-up [s]. Chosen: most falls occur within the first 3 s."""
+
+DEFAULT_SEEDS = 5
+"""Number of initial states per value. Chosen: the spread of the margins over fewer seeds is not
+known."""
 
 NUM_HALVINGS = 5
 """Number of bisections between a value of a varied quantity at which the policy tracks the command
@@ -176,6 +181,11 @@ class TrackedInterval(Result):
             of the range is tracked or is the nominal value.
         above: Smallest untracked value found above ``most``, shape (seeds,); NaN if the upper bound
             of the range is tracked or is the nominal value.
+        ended_below: Violated criterion at ``below`` for each seed: ``falls``, ``speed`` or
+            ``turning``; empty without a value.
+        ended_above: Violated criterion at ``above`` for each seed; empty without a value.
+        upright_least: Smallest value found without a fall, shape (seeds,).
+        upright_most: Largest value found without a fall, shape (seeds,).
         measured: 95 % interval of the real robot's value, from a fit; None without a fit.
     """
 
@@ -186,8 +196,12 @@ class TrackedInterval(Result):
     most: Array = field(metadata={"unit": "varies"})
     below: Array = field(metadata={"unit": "varies"})
     above: Array = field(metadata={"unit": "varies"})
+    ended_below: tuple[str, ...]
+    ended_above: tuple[str, ...]
+    upright_least: Array = field(metadata={"unit": "varies"})
+    upright_most: Array = field(metadata={"unit": "varies"})
     measured: tuple[float, float] | None = field(default=None, metadata={"unit": "varies"})
-    _reported: ClassVar[tuple[str, ...]] = ("common", "inside")
+    _reported: ClassVar[tuple[str, ...]] = ("common", "upright", "inside")
 
     @property
     def common(self) -> tuple[float, float]:
@@ -196,6 +210,14 @@ class TrackedInterval(Result):
         Lower and upper end, in the unit of the quantity.
         """
         return float(self.least.max()), float(self.most.min())
+
+    @property
+    def upright(self) -> tuple[float, float]:
+        """Intersection, over all seeds, of the intervals in which the robot does not fall.
+
+        Lower and upper end, in the unit of the quantity.
+        """
+        return float(self.upright_least.max()), float(self.upright_most.min())
 
     @property
     def inside(self) -> bool | None:
@@ -222,6 +244,9 @@ class TrackedIntervals(Result):
             (rad/s), shape (3,).
         requested_seeds: Number of requested seeds.
         seeds: Seeds with which the unchanged robot tracks; the other seeds are not used.
+        speed_margins: 1 - speed error / tolerance of the unchanged robot for each requested seed,
+            shape (requested_seeds,).
+        turning_margins: 1 - error of the turning rate / tolerance, shape (requested_seeds,).
         intervals: An interval per quantity, with all other quantities unchanged.
         rollouts: Number of simulated runs.
         seconds: Duration of each run.
@@ -234,11 +259,28 @@ class TrackedIntervals(Result):
     command: Array = field(metadata={"unit": "m/s or rad/s"})
     requested_seeds: int
     seeds: tuple[int, ...]
+    speed_margins: Array = field(metadata={"unit": "1"})
+    turning_margins: Array = field(metadata={"unit": "1"})
     intervals: tuple[TrackedInterval, ...]
     rollouts: int
     seconds: float = field(metadata={"unit": "s"})
     remarks: tuple[Diagnostic, ...]
-    _reported: ClassVar[tuple[str, ...]] = ("passed",)
+    _reported: ClassVar[tuple[str, ...]] = ("passed", "narrow")
+
+    @property
+    def narrow(self) -> tuple[str, ...]:
+        """Criteria (``speed``, ``turning``) whose margin is smaller than its spread over the seeds.
+
+        Another initial state may violate such a criterion: an end of an interval that it causes is
+        determined by the initial state, not by the quantity. Empty with less than two seeds.
+        """
+        margins = {"speed": self.speed_margins, "turning": self.turning_margins}
+        return tuple(
+            name
+            for name, values in margins.items()
+            if len(self.seeds) > 1
+            and 0 <= float(values[list(self.seeds)].min()) < float(np.ptp(values[list(self.seeds)]))
+        )
 
     @property
     def passed(self) -> bool:
@@ -290,13 +332,67 @@ def _lowest_foot_height(stage: Stage, model: mujoco.MjModel) -> float:
     return float(data.geom_xpos[list(stage.robot.foot_geoms), 2].min())
 
 
+_CRITERIA: Mapping[str, Callable[[Tracking], bool]] = {
+    "tracks": lambda outcome: outcome.tracks,
+    "upright": lambda outcome: outcome.failure != "falls",
+}
+"""{criterion of an interval: function that evaluates the outcome of a run}."""
+
+_BracketKey = tuple[str, int, int, str]
+"""Quantity, side (0: below, 1: above the nominal value), seed and criterion of a bracket."""
+
+
+def _make_interval(
+    name: str,
+    seeds: tuple[int, ...],
+    brackets: Mapping[_BracketKey, list[float]],
+    outcomes: Mapping[tuple[str, float, int], Tracking],
+    measured: tuple[float, float] | None,
+) -> TrackedInterval:
+    """Create the intervals of a quantity from the brackets of all seeds.
+
+    Args:
+        name: Quantity.
+        seeds: Seeds with which the unchanged robot tracks.
+        brackets: {quantity, side, seed, criterion: nearest satisfied and violated value}.
+        outcomes: {quantity, value, seed: outcome of the run}.
+        measured: Measured interval of the quantity; None without.
+    """
+
+    def collect(side: int, criterion: str, end: int) -> Array:
+        return np.array([brackets[name, side, seed, criterion][end] for seed in seeds])
+
+    def find_failures(side: int) -> tuple[str, ...]:
+        values = {seed: brackets[name, side, seed, "tracks"][1] for seed in seeds}
+        return tuple(
+            "" if math.isnan(value) else outcomes[name, value, seed].failure
+            for seed, value in values.items()
+        )
+
+    quantity = QUANTITIES[name]
+    return TrackedInterval(
+        name,
+        quantity.unit,
+        quantity.nominal,
+        least=collect(0, "tracks", 0),
+        most=collect(1, "tracks", 0),
+        below=collect(0, "tracks", 1),
+        above=collect(1, "tracks", 1),
+        ended_below=find_failures(0),
+        ended_above=find_failures(1),
+        upright_least=collect(0, "upright", 0),
+        upright_most=collect(1, "upright", 0),
+        measured=measured,
+    )
+
+
 @check_arguments
 def tracked_intervals(
     robot: Robot,
     policy: Policy,
     command: ArrayLike = (0.5, 0.0, 0.0),
     *,
-    seeds: int = 3,
+    seeds: int = DEFAULT_SEEDS,
     quantities: tuple[str, ...] = tuple(QUANTITIES),
     seconds: float = DEFAULT_SECONDS,
     measured: Mapping[str, tuple[float, float]] | None = None,
@@ -308,8 +404,9 @@ def tracked_intervals(
     velocity and turning rate are within the tolerances (`evaluate_tracking`). Each quantity is
     changed alone, in both directions, for each seed that tracks without changes. First the end of
     the quantity's range is simulated. If it does not track, the range between a tracked and an
-    untracked value is bisected `NUM_HALVINGS` times. If tracked and untracked values alternate, the
-    bisection finds one of the boundaries. The result does not depend on the number of workers.
+    untracked value is bisected `NUM_HALVINGS` times, and likewise the range between a value without
+    and with a fall. If tracked and untracked values alternate, the bisection finds one of the
+    boundaries. The result does not depend on the number of workers.
 
     Args:
         robot: Robot.
@@ -333,55 +430,56 @@ def tracked_intervals(
         if name not in QUANTITIES:
             problem = diagnose("none-of", value=name, known=tuple(QUANTITIES))
             raise ConfigurationError("vary", problem)
-    stage, count = prepare_stage(robot, policy), 0
+    stage = prepare_stage(robot, policy)
+    outcomes: dict[tuple[str, float, int], Tracking] = {}
 
-    def track(trials: list[tuple[str, float, int]]) -> list[bool]:
-        nonlocal count
-        count += len(trials)
+    def simulate(trials: list[tuple[str, float, int]]) -> None:
+        """Simulate the trials that have not been simulated."""
+        new = [trial for trial in dict.fromkeys(trials) if trial not in outcomes]
         cases = [
             make_changed_case(stage, name, value, checked_command, seed)
-            for name, value, seed in trials
+            for name, value, seed in new
         ]
         runs = simulate_cases(stage, cases, seconds, WARM_UP_SECONDS, workers)
-        return [evaluate_tracking(stage, run, WARM_UP_SECONDS).tracks for run in runs]
+        for trial, run in zip(new, runs, strict=True):
+            outcomes[trial] = evaluate_tracking(stage, run, WARM_UP_SECONDS)
 
     unchanged = [("delay", 0.0, seed) for seed in range(seeds)]
-    tracking_seeds = tuple(
-        seed for (_, _, seed), tracks in zip(unchanged, track(unchanged), strict=True) if tracks
-    )
+    simulate(unchanged)
+    own = [outcomes.pop(trial) for trial in unchanged]
+    tracking_seeds = tuple(seed for seed, outcome in enumerate(own) if outcome.tracks)
     limited = bool(stage.model.actuator_forcelimited[_find_motors(stage)].any())
     names = [name for name in quantities if name != "strength" or limited]
-    brackets: dict[tuple[str, int, int], list[float]] = {}  # [tracked, not tracked]
+    brackets: dict[_BracketKey, list[float]] = {}  # [satisfied, violated]
     for name in names:
         quantity = QUANTITIES[name]
         for side, bound in enumerate(quantity.range):
             for seed in tracking_seeds:
-                untracked = math.nan if bound == quantity.nominal else bound
-                brackets[name, side, seed] = [quantity.nominal, untracked]
-    open_keys = [key for key, (_, bound) in brackets.items() if not math.isnan(bound)]
-    for (name, side, seed), tracks in zip(
-        open_keys, track([(key[0], brackets[key][1], key[2]) for key in open_keys]), strict=True
-    ):
-        if tracks:
-            brackets[name, side, seed] = [brackets[name, side, seed][1], math.nan]
-    for _ in range(NUM_HALVINGS):
-        open_keys = [key for key, (_, bound) in brackets.items() if not math.isnan(bound)]
-        middles = [QUANTITIES[key[0]].compute_midpoint(*brackets[key]) for key in open_keys]
-        trials = [(key[0], value, key[2]) for key, value in zip(open_keys, middles, strict=True)]
-        for key, value, tracks in zip(open_keys, middles, track(trials), strict=True):
-            brackets[key][0 if tracks else 1] = value
-    intervals = []
-    for name in names:
-        least, most = (
-            np.array([brackets[name, side, seed] for seed in tracking_seeds]) for side in (0, 1)
-        )
-        if tracking_seeds:
-            quantity = QUANTITIES[name]
-            values = (least[:, 0], most[:, 0], least[:, 1], most[:, 1])
-            measured_interval = (measured or {}).get(name)
-            intervals.append(
-                TrackedInterval(name, quantity.unit, quantity.nominal, *values, measured_interval)
-            )
+                violated = math.nan if bound == quantity.nominal else bound
+                for criterion in _CRITERIA:
+                    brackets[name, side, seed, criterion] = [quantity.nominal, violated]
+    # First the end of the range, then bisections.
+    for halving in range(1 + NUM_HALVINGS):
+        values = {
+            key: bracket[1]
+            if halving == 0
+            else QUANTITIES[key[0]].compute_midpoint(bracket[0], bracket[1])
+            for key, bracket in brackets.items()
+            if not math.isnan(bracket[1])
+        }
+        simulate([(key[0], value, key[2]) for key, value in values.items()])
+        for key, value in values.items():
+            satisfied = _CRITERIA[key[3]](outcomes[key[0], value, key[2]])
+            if halving:
+                brackets[key][0 if satisfied else 1] = value
+            elif satisfied:
+                brackets[key] = [value, math.nan]
+    intervals = [
+        _make_interval(name, tracking_seeds, brackets, outcomes, (measured or {}).get(name))
+        for name in names
+        if tracking_seeds
+    ]
+    count = len(outcomes) + len(own)
     return TrackedIntervals(
         name=robot.name,
         mass=robot.total_mass,
@@ -389,6 +487,8 @@ def tracked_intervals(
         command=checked_command,
         requested_seeds=seeds,
         seeds=tracking_seeds,
+        speed_margins=np.array([outcome.speed_margin for outcome in own]),
+        turning_margins=np.array([outcome.turning_margin for outcome in own]),
         intervals=tuple(intervals),
         rollouts=count,
         seconds=float(seconds),

@@ -89,7 +89,7 @@ def _add_policy_mode(name: str, command: Command) -> Command:
         click.option(
             "--seeds",
             type=int,
-            help=("With --policy: number of runs with different initial states. [default: 3]"),
+            help=("With --policy: number of runs with different initial states. [default: 5]"),
         ),
         click.option(
             "--seconds", type=float, help=("With --policy: duration of a run (s). [default: 5]")

@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.walk.document import intervals_document
 from pupper_analysis.tools.walk.gait import evaluate_tracking
 from pupper_analysis.tools.walk.intervals import (
     QUANTITIES,
     WARM_UP_SECONDS,
+    TrackedIntervals,
     make_changed_case,
     read_measured_intervals,
     tracked_intervals,
@@ -209,20 +211,68 @@ def test_intervals_are_reproducible_and_their_ends_are_exact(trot: Policy) -> No
     ends = 0
     for interval in one.intervals:
         sides = ((interval.least, interval.below), (interval.most, interval.above))
+        failures = (interval.ended_below, interval.ended_above)
+        assert (interval.upright_least <= interval.least).all()
+        assert (interval.upright_most >= interval.most).all()
         for side, (good, bad) in enumerate(sides):
             for seed in one.seeds:
+                assert (failures[side][seed] == "") == math.isnan(bad[seed])
                 for value, tracks in ((good[seed], True), (bad[seed], False)):
                     if not math.isnan(value):
                         case = make_changed_case(
                             stage, interval.quantity, float(value), np.array(command), seed
                         )
                         run = next(iter(simulate_cases(stage, [case], 3, WARM_UP_SECONDS)))
-                        assert evaluate_tracking(stage, run, WARM_UP_SECONDS).tracks is tracks, (
-                            interval,
-                            side,
-                        )
+                        outcome = evaluate_tracking(stage, run, WARM_UP_SECONDS)
+                        assert outcome.tracks is tracks, (interval, side)
+                        assert outcome.failure == ("" if tracks else failures[side][seed])
+                        assert (outcome.failure == "falls") == run.fallen
                         ends += not tracks
     assert ends >= 4
+
+
+def test_narrow_margin_is_reported_if_seeds_differ_by_more(trot: Policy) -> None:
+    """By hand: margins 0.1 and 0.5 differ by 0.4, more than 0.1; 0.5 and 0.6 do not."""
+    empty = TrackedIntervals(
+        name="v3",
+        mass=1.0,
+        policy="p",
+        command=np.zeros(3),
+        requested_seeds=3,
+        seeds=(0, 2),
+        speed_margins=np.array([0.5, -9.0, 0.6]),
+        turning_margins=np.array([0.1, 0.9, 0.5]),
+        intervals=(),
+        rollouts=3,
+        seconds=3.0,
+        remarks=(),
+    )
+    assert empty.narrow == ("turning",)
+    assert replace(empty, turning_margins=empty.speed_margins).narrow == ()
+    assert replace(empty, seeds=(0,)).narrow == ()
+    shown = intervals_document(empty)
+    assert any("margin of the unchanged robot (turning) 10 %" in str(one) for one in shown.findings)
+
+
+@pytest.mark.slow
+def test_payload_ends_by_speed_before_a_fall(trot: Policy) -> None:
+    """References: runs with the printed payloads, and the mean speed of the last one."""
+    robot, command = load("v3"), made.TROT[0]
+    found = tracked_intervals(robot, trot, command, seeds=1, quantities=("payload",), seconds=3)
+    (interval,) = found.intervals
+    assert interval.upright[1] >= interval.common[1]
+    stage = prepare_stage(robot, trot)
+    case = make_changed_case(stage, "payload", interval.upright[1], np.array(command), 0)
+    run = next(iter(simulate_cases(stage, [case], 3, WARM_UP_SECONDS)))
+    assert not run.fallen
+    if not math.isnan(interval.above[0]):
+        case = make_changed_case(stage, "payload", float(interval.above[0]), np.array(command), 0)
+        run = next(iter(simulate_cases(stage, [case], 3, WARM_UP_SECONDS)))
+        outcome = evaluate_tracking(stage, run, WARM_UP_SECONDS)
+        speed = np.linalg.norm(outcome.velocity - np.array(command[:2]))
+        if interval.ended_above == ("speed",):
+            assert speed > 0.5 * command[0]
+            assert outcome.speed_margin < 0
 
 
 def fit_file(folder: Path, *rows: dict[str, object]) -> Path:
