@@ -213,12 +213,12 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
     Returns:
         Robot with servos, and notes.
     """
-    robot = _mark_passive_joints(robot, mjcf)
+    robot = mark_passive_joints(robot, mjcf)
     made, messages = _add_servos_of_stand(_remove_zero_limits(robot), mjcf)
     return _restore_zero_limits(made, robot), [*notes.report_passive_joints(robot), *messages]
 
 
-def _mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
+def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
     """Return a robot whose description lists the passive joints (`Description.passive_joints`).
 
     The robot is returned unchanged if there are none, or if the MJCF has no actuators or was
@@ -302,7 +302,7 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos to a robot with a fixed base, at joints without one; return notes."""
-    robot = _mark_passive_joints(robot, mjcf)
+    robot = mark_passive_joints(robot, mjcf)
     made, messages = _add_servos_of_fixed_base(_remove_zero_limits(robot), mjcf)
     return _restore_zero_limits(made, robot), [*notes.report_passive_joints(robot), *messages]
 

@@ -61,7 +61,11 @@ from pupper_analysis.prepare.simulable import (
     choose_exact_solver,
     explain_refused_body,
 )
-from pupper_analysis.prepare.start import find_start_pose, make_start_keyframe
+from pupper_analysis.prepare.start import (
+    find_start_pose,
+    make_start_keyframe,
+    round_start_configuration,
+)
 from pupper_analysis.prepare.touching import copy_visual_option, discard_visuals
 from pupper_analysis.robot.build import build_robot, copy_metadata, with_additions
 from pupper_analysis.robot.contact import limb_ends
@@ -70,6 +74,7 @@ from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.robot import Robot, defer_stages
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
+from pupper_analysis.stance.stand import Stand
 
 
 @dataclass(frozen=True, eq=False)
@@ -610,15 +615,35 @@ def _store_rest_pose(draft: Draft) -> PassOutput:
     """
     messages = (note for run in draft.runs for note in run.done)
     reason = next((note for note in messages if note.code == "start-pose-found"), None)
-    if reason is None:
+    stand = None if reason is None else _solve_rest_pose(draft.robot)
+    if reason is None or stand is None:
         return draft, ()
     with contextlib.suppress(PupperAnalysisError):
-        stand = solve_stand_on_soft_ground(draft.robot, explain=False)
-        draft = replace(
-            draft,
-            built=with_additions(draft.robot, make_start_keyframe(draft.robot, stand, reason)),
-        )
+        keyframe = make_start_keyframe(draft.robot, stand, reason)
+        draft = replace(draft, built=with_additions(draft.robot, keyframe))
     return draft, ()
+
+
+def _solve_rest_pose(robot: Robot) -> Stand | None:
+    """Solve the nominal stand on soft ground; None if there is none."""
+    with contextlib.suppress(PupperAnalysisError):
+        return solve_stand_on_soft_ground(robot, explain=False)
+    return None
+
+
+def _pose_without_servos(draft: Draft) -> Robot:
+    """Return the robot with all that stands and statics need: start pose, and passive joints.
+
+    Both are those of the completed robot, since they do not depend on the added servos.
+    """
+    robot = draft.robot
+    if _may_get_servos(draft):
+        robot = drives.mark_passive_joints(robot, draft.mjcf)
+    found = any(note.code == "start-pose-found" for run in draft.runs for note in run.done)
+    stand = _solve_rest_pose(robot) if found and _may_be_altered(draft) else None
+    if stand is None:
+        return robot
+    return replace(robot, home=round_start_configuration(robot, stand))
 
 
 @_register_pass(
@@ -733,7 +758,7 @@ def make_robot(
         return robot if finish is None else finish(robot)
 
     if _keeps_joint_order(draft.robot):
-        return defer_stages(draft.robot, complete_preparation)
+        return defer_stages(draft.robot, complete_preparation, partial(_pose_without_servos, draft))
     if visuals and draft.mjcf.deferred_visuals is not None and not draft.robot.floating:
         return defer_stages(complete_preparation(visuals=False), complete_preparation)
     return complete_preparation()

@@ -754,15 +754,21 @@ def make_start_keyframe(
         kp: Servo stiffness, shape (nu,) [N m/rad]; None: value of the robot.
         kd: Servo damping, shape (nu,) [N m s/rad]; None: value of the robot.
     """
-    qpos = stand.qpos.copy()
-    qpos[:2] = 0.0
-    qpos[2] = round(float(qpos[2]), _NUM_KEYFRAME_DIGITS)
-    qpos[-robot.nu :] = np.round(qpos[-robot.nu :], _NUM_KEYFRAME_DIGITS)
+    qpos = round_start_configuration(robot, stand)
     torques = stand_statics(robot, stand).joint_torques
     drive, data = model_with_servos(robot, kp, kd), mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     ctrl = np.round(drive.command(robot, qpos[-robot.nu :], torques), _NUM_KEYFRAME_DIGITS)
     return StartKeyframe(reason, tuple(data.qpos.tolist()), tuple(ctrl.tolist()))
+
+
+def round_start_configuration(robot: Robot, stand: Stand) -> Array:
+    """Return the configuration of a stand for a keyframe, (nq,), rounded, with x = y = 0."""
+    qpos = stand.qpos.copy()
+    qpos[:2] = 0.0
+    qpos[2] = round(float(qpos[2]), _NUM_KEYFRAME_DIGITS)
+    qpos[-robot.nu :] = np.round(qpos[-robot.nu :], _NUM_KEYFRAME_DIGITS)
+    return qpos
 
 
 def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:

@@ -233,6 +233,10 @@ _DEFERRED_STAGES = "_deferred_stages"
 """Name of the instance attribute that holds a function: it runs the preparation steps that a robot
 postpones to its first use (servo tuning, rest pose, visual meshes); see `defer_stages`."""
 
+_BEFORE_SERVOS = "_before_servos"
+"""Name of the instance attribute that holds `Robot.before_servos`, or a function that returns the
+robot in its start pose, from which `Robot.before_servos` is made at the first use."""
+
 _stages_lock = Lock()
 """Guards the replacement of the fields that the postponed preparation steps compute."""
 
@@ -333,7 +337,33 @@ class Robot(EngineModels):
         with _stages_lock:
             if vars(self).pop(_DEFERRED_STAGES, None) is not None:
                 own = vars(self)
+                own.pop(_BEFORE_SERVOS, None)
                 own.update({n: completed[n] for n in _FIELD_NAMES if n not in own})
+
+    @property
+    def before_servos(self) -> Robot:
+        """Robot for kinematics and statics: without servo tuning, if that is still postponed.
+
+        Servos change neither configurations nor torques at rest. The robot has the start pose, the
+        collision shapes, the contacts and the effort limits of this robot; its MuJoCo model lacks
+        the added servos and visual meshes. This robot itself, if no step is postponed.
+        """
+        found: Robot | Callable[[], Robot] | None = vars(self).get(_BEFORE_SERVOS)
+        if found is None or isinstance(found, Robot):
+            return found or self
+        completed, own = vars(found()), vars(self)
+        posed = object.__new__(Robot)
+        vars(posed).update({name: completed[name] for name in _FIELD_NAMES})
+        vars(posed).update({name: own[name] for name in _EARLY_FIELDS})
+        with _stages_lock:
+            if _BEFORE_SERVOS in own:
+                own[_BEFORE_SERVOS] = posed
+        return posed
+
+    @property
+    def passive_joints(self) -> tuple[str, ...]:
+        """Joints that no motor drives (`Description.passive_joints`)."""
+        return self.before_servos.description.passive_joints
 
     def __repr__(self) -> str:
         base = "a free base" if self.floating else "a fixed base"
@@ -428,10 +458,11 @@ class Robot(EngineModels):
     @cached_property
     def has_floor(self) -> bool:
         """Whether the MJCF has a floor that can collide. The MJCF of an arm may have none."""
-        floor = ground_geom(self.mj_model)
+        model = self.before_servos.mj_model
+        floor = ground_geom(model)
         if floor is None:
             return False
-        return bool(self.mj_model.geom_contype[floor] or self.mj_model.geom_conaffinity[floor])
+        return bool(model.geom_contype[floor] or model.geom_conaffinity[floor])
 
     @property
     def bearing_points(self) -> tuple[str, ...]:
@@ -475,7 +506,7 @@ class Robot(EngineModels):
     @property
     def gravity(self) -> Array:
         """Gravity (3,) [m/s^2] in the world frame."""
-        return acting_gravity(self.mj_model)
+        return acting_gravity(self.before_servos.mj_model)
 
     @property
     def total_mass(self) -> float:
@@ -503,7 +534,7 @@ class Robot(EngineModels):
     @cached_property
     def acts_at_rest(self) -> bool:
         """Whether the MJCF may have passive forces at rest; see the function `acts_at_rest`."""
-        return acts_at_rest(self.mj_model)
+        return acts_at_rest(self.before_servos.mj_model)
 
     @cached_property
     def closure(self) -> Closure | None:
@@ -512,7 +543,8 @@ class Robot(EngineModels):
         None if no active equality constrains the robot's joints, or if one couples the robot to the
         world (`find_closure`).
         """
-        return find_closure(self.mj_model, self.mj_convention, self.joint_names)
+        robot = self.before_servos
+        return find_closure(robot.mj_model, robot.mj_convention, self.joint_names)
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:
@@ -566,13 +598,14 @@ class Robot(EngineModels):
     @cached_property
     def efforts(self) -> tuple[EffortLimit, ...]:
         """Effort limit of each joint from both files, with the source, in actuator order."""
+        robot = self.before_servos
         return efforts_of(
-            self.mj_model,
+            robot.mj_model,
             self.pin_model,
             self.pin_convention,
             self.joint_names,
-            self.description.efforts,
-            self.description.null_efforts,
+            robot.description.efforts,
+            robot.description.null_efforts,
         )
 
     @cached_property
@@ -758,13 +791,16 @@ _FIELD_NAMES = frozenset(field.name for field in fields(Robot))
 
 _EARLY_FIELDS = (
     *("name", "pin_model", "floating", "base", "mj_base", "joint_names", "pin_convention"),
-    *("contact_points", "contact_frames", "contact_radius", "feet", "nominal", "stand_height"),
+    *("contact_points", "contact_frames", "contact_radius", "contacts", "feet", "nominal"),
+    "stand_height",
     *("imu", "fingerprint", "touching", "bare"),
 )
 """Fields of a robot that the postponed preparation steps (`defer_stages`) do not change."""
 
 
-def defer_stages(robot: Robot, complete: Callable[[], Robot]) -> Robot:
+def defer_stages(
+    robot: Robot, complete: Callable[[], Robot], pose: Callable[[], Robot] | None = None
+) -> Robot:
     """Return a robot whose remaining preparation steps run at the first use of their results.
 
     The steps are servo tuning, rest pose and visual meshes. Fields in `_EARLY_FIELDS` are copied
@@ -775,12 +811,16 @@ def defer_stages(robot: Robot, complete: Callable[[], Robot]) -> Robot:
     Args:
         robot: Robot before the remaining steps.
         complete: Function that runs the remaining steps, and returns the completed robot.
+        pose: Function that returns the robot in its start pose, without added servos, for stands
+            and statics (`Robot.before_servos`). None: stands wait for all steps.
     """
     deferred = object.__new__(Robot)
     vars(deferred).update({name: vars(robot)[name] for name in _EARLY_FIELDS})
     # A copy, because the caller may change the model before the remaining steps use the original.
     vars(deferred)["pin_model"] = robot.pin_model.copy()
     vars(deferred)[_DEFERRED_STAGES] = complete
+    if pose is not None:
+        vars(deferred)[_BEFORE_SERVOS] = pose
     return deferred
 
 

@@ -83,10 +83,20 @@ def solve_stand(
         config = Configuration(robot, start.qpos if isinstance(start, Posed) else start)
         seed = config.qpos[robot.nq - robot.nu :]
         task = replace(task or StandTask(), ik_seed=tuple(seed.tolist()))
-    owner, robot = robot, with_contacts(robot, task.contacts) if task is not None else robot
+    owner, robot = robot, _select_robot(robot, task)
     with borrow(robot, SearchContext) as context:
         stand = solve_goal(context, make_goal(robot, task, {}), explain=explain)
     return attach_robot(stand, owner)
+
+
+def _select_robot(robot: Robot, task: StandTask | None) -> Robot:
+    """Return the robot whose stand is searched: with the contacts of a task, else without servos.
+
+    Stands do not depend on servos, which may still have to be tuned (`Robot.before_servos`).
+    """
+    if task is not None and task.contacts:
+        return with_contacts(robot, task.contacts)
+    return robot.before_servos
 
 
 def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
@@ -196,7 +206,7 @@ def solve_stands(
     """
     goals: list[Goal] = []
     solved: list[Stand] = []
-    owner, robot = robot, with_contacts(robot, tasks[0].contacts) if tasks else robot
+    owner, robot = robot, _select_robot(robot, tasks[0] if tasks else None)
     for number, task in enumerate(tasks):
         try:  # equal foot targets are reused from the previous goal
             goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))

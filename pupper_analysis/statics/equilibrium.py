@@ -358,8 +358,8 @@ def _distribute_with_passive_joints(
     Returns:
         Forces, as from ``distribute``. None if no forces satisfy ``problem``.
     """
-    if robot.description.passive_joints:
-        passive = [robot.joint_names.index(name) for name in robot.description.passive_joints]
+    if robot.passive_joints:
+        passive = [robot.joint_names.index(name) for name in robot.passive_joints]
         relieved = replace(
             problem,
             base_rows=np.vstack([problem.base_rows, problem.joint_rows[passive]]),

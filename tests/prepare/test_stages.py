@@ -21,6 +21,7 @@ from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.load import read_pair
 from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.prepare.passes import LoadRequest, prepare_robot
+from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped
 
 EARLY_NAMES = ("name", "floating", "base", "mj_base", "joint_names", "contact_points", "feet")
@@ -134,6 +135,58 @@ def test_threads_read_one_model_of_a_robot(tmp_path: Path) -> None:
     with ThreadPoolExecutor(4) as pool:
         models = list(pool.map(lambda _: robot.mj_model, range(4)))
     assert all(model is robot.mj_model for model in models)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loaded_first", [False, True])
+def test_stands_and_statics_do_not_wait_for_servos(
+    tmp_path: Path, runs: list[str], loaded_first: bool
+) -> None:
+    """Reference: the same robot of which all passes are applied first; equal to the last bit.
+
+    The visual meshes of the complete model have other geom ids than the model before servos.
+    """
+    urdf = _with_visual_meshes(tmp_path)
+    robot, whole = pa.load_robot(urdf), pa.load_robot(urdf)
+    whole.complete_stages()
+    assert whole.before_servos is whole
+    runs.clear()
+    if loaded_first:
+        robot.complete_stages()
+    stand = pa.solve_stand(robot)
+    statics = stand_statics(robot, stand)
+    again = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
+    efforts, passive, weight = robot.efforts, robot.passive_joints, robot.weight
+    posed, early_contacts = robot.before_servos, robot.contacts
+    assert bool(runs) is loaded_first
+    assert stand.own_robot is robot
+    expected = pa.solve_stand(whole)
+    np.testing.assert_array_equal(stand.qpos, expected.qpos)
+    np.testing.assert_array_equal(
+        statics.joint_torques, stand_statics(whole, expected).joint_torques
+    )
+    np.testing.assert_array_equal(again.joint_torques, statics.joint_torques)
+    assert (efforts, passive, weight) == (whole.efforts, whole.passive_joints, whole.weight)
+    assert early_contacts == whole.contacts
+    np.testing.assert_array_equal(posed.home, whole.home)
+    assert robot.mj_model.nu == robot.nu
+    assert robot.before_servos is robot
+    np.testing.assert_array_equal(robot.home, posed.home)
+    assert len(robot.shapes) == len(posed.shapes)
+    assert {shape.geom for shape in robot.shapes} == {shape.geom for shape in whole.shapes}
+
+
+@pytest.mark.slow
+def test_changes_of_pinocchio_model_enter_stands_before_servos(tmp_path: Path) -> None:
+    """Reference: twice the gravity of all links needs twice the torque."""
+    pair = quadruped(tmp_path)
+    robot = pa.load_robot(*pair)
+    torques = stand_statics(robot, pa.solve_stand(robot)).joint_torques
+    changed = pa.load_robot(*pair)
+    for inertia in changed.pin_model.inertias:
+        inertia.mass *= 2
+    heavy = stand_statics(changed, pa.solve_stand(changed)).joint_torques
+    np.testing.assert_allclose(heavy, 2 * torques, atol=1e-9)
 
 
 def test_unknown_attribute_raises_without_further_stages(tmp_path: Path, runs: list[str]) -> None:
