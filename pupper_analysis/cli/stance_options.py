@@ -110,6 +110,18 @@ EFFORT_OPTION = click.option(
 )
 """Option for the torque limits of joints."""
 
+CONTINUOUS_OPTION = click.option(
+    "--continuous",
+    multiple=True,
+    metavar="[JOINTS=]NM",
+    help=(
+        "Continuous torque of the motors of all joints that match a pattern (N m), instead of the "
+        "effort limits in the files; or a motor of `heat --list-motors`, or its file; e.g. 0.4, "
+        "'*knee*=12', dephy-actpack. Repeatable."
+    ),
+)
+"""Option for the continuous torques of joints; `parse_continuous_torques` reads its texts."""
+
 OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 """Options for format and extent of the printed output."""
 
@@ -357,6 +369,51 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
             if matches_pattern
         }
     return efforts
+
+
+def parse_continuous_torques(texts: tuple[str, ...], robot: Robot) -> dict[str, float]:
+    """Return {joint: continuous torque [N m]} of the texts of ``--continuous``.
+
+    A text ``[JOINTS=]MOTOR`` states the torque at which the winding of the motor finally reaches
+    its limit temperature.
+
+    Args:
+        texts: Texts ``[JOINTS=]NM`` or ``[JOINTS=]MOTOR``, of which later texts have priority.
+        robot: Robot.
+
+    Raises:
+        UnknownNameError: If a pattern matches no joint.
+        ConfigurationError: If a text has another form.
+        ModelError: If the motor's file is not valid, or lacks a number.
+    """
+    torques: dict[str, float] = {}
+    for text in texts:
+        pattern, _, name = text.rpartition("=")
+        if not _names_motor(name):
+            torques |= parse_efforts((text,), robot, "continuous")
+            continue
+        from pupper_analysis.models.motors.reading import find_motor
+        from pupper_analysis.models.motors.thermal import compute_continuous_torque
+
+        matches = match_joints("continuous", pattern or "*", robot)
+        torque = compute_continuous_torque(find_motor(name))
+        torques |= {
+            joint: torque
+            for joint, matched in zip(robot.joint_names, matches, strict=True)
+            if matched
+        }
+    return torques
+
+
+def _names_motor(text: str) -> bool:
+    """Return True if a text is the name of a known motor, or a TOML or JSON file."""
+    if text.lower().endswith((".toml", ".json")):
+        return True
+    if not any(letter.isalpha() for letter in text):
+        return False
+    from pupper_analysis.models.motors.reading import list_motors
+
+    return text in list_motors()
 
 
 def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:

@@ -115,7 +115,7 @@ USED: dict[str, set[str]] = {
     },
     "gains": _SERVO | _LOAD | {"rate", "delay", "error", "encoder_bits", "folder"},
     "heat": _LOAD | {"motors", "list_motors", "ambient", "limit", "battery"},
-    "hold": _SERVO | _LOAD | {"positions", "tool"},
+    "hold": _SERVO | _LOAD | {"positions", "tool", "continuous"},
     "live": {*("language", "host", "no_browser", "viewer", "dropped"), *_POLICY} - {"seeds"},
     "path": _SERVO | _LOAD | {"seconds"},
     "payload": _SERVO | _LOAD | _POLICY | {"continuous", "payload_at"},

@@ -15,10 +15,12 @@ from pupper_analysis.cli.robots import (
 )
 from pupper_analysis.cli.stance_options import (
     AS_IS_OPTION,
+    CONTINUOUS_OPTION,
     EFFORT_OPTION,
     OUTPUT_OPTIONS,
     SERVO_OPTIONS,
     RobotAndTask,
+    parse_continuous_torques,
 )
 
 
@@ -46,6 +48,7 @@ from pupper_analysis.cli.stance_options import (
 @add_options(
     FILE_OPTIONS, (AS_IS_OPTION,), VARIANT_OPTIONS, (EFFORT_OPTION,), SERVO_OPTIONS, OUTPUT_OPTIONS
 )
+@CONTINUOUS_OPTION
 @shared.figure_option
 @shared.json_option
 @shared.report_option
@@ -54,6 +57,7 @@ def command(
     positions: tuple[str, ...],
     tool: str | None,
     payload: float,
+    continuous: tuple[str, ...],
     figure: Path | None,
     json_path: Path | None,
     report_path: Path | None,
@@ -76,16 +80,19 @@ def command(
       pupper-analysis hold panda.urdf
       pupper-analysis hold ur5.urdf ur5.xml --joints '*lift*=-90deg' \\
         --tool tool0 --payload 3
+      pupper-analysis hold arm.xml --continuous dynamixel.toml
       pupper-analysis hold hand.xml --keyframe open --tool thumb_tip \\
         --figure held.png
 
     Exit status: 0 the posture holds, 1 the posture does not hold, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.robot.build import with_efforts
     from pupper_analysis.tools.hold.hold import hold_posture
 
     joints = dict(shared.parse_position("joints", text) for text in positions)
     options = RobotAndTask.of_fixed_base(**robot_options)
     robot = options.robot(words, visuals=report_path is not None)
+    robot = with_efforts(robot, parse_continuous_torques(continuous, robot))
     kp, kd = options.gains(robot)
     with shared.show_progress("holding the posture, and simulating it"):
         result = hold_posture(

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import click
-
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import (
+    CONTINUOUS_OPTION,
     RobotAndTask,
-    parse_efforts,
+    parse_continuous_torques,
     robot_and_task,
 )
 
@@ -19,13 +18,7 @@ from pupper_analysis.cli.stance_options import (
 @shared.command("payload")
 @robot_argument
 @robot_and_task
-@click.option(
-    "--continuous",
-    multiple=True,
-    metavar="[JOINTS=]NM",
-    help="Continuous torque of the motors of all joints that match a pattern (N m), instead of the "
-    "effort limits in the files; e.g. 0.4, '*knee*=12'. Repeatable.",
-)
+@CONTINUOUS_OPTION
 @shared.json_option
 @shared.report_option
 def command(
@@ -51,6 +44,7 @@ def command(
     Examples:
       pupper-analysis payload v3 --payload-at 0,0,8cm
       pupper-analysis payload go2.urdf --continuous 8
+      pupper-analysis payload v3 --continuous dephy-actpack
       pupper-analysis payload v3-long-leg --height 15cm --kp 20 --kd 0.5
       pupper-analysis payload original --swing FL=2cm --com inside \\
         --com-margin 1cm
@@ -63,7 +57,7 @@ def command(
 
     task = request.task()
     robot = request.robot(words, visuals=report_path is not None, payload_sought=True)
-    continuous_efforts = parse_efforts(continuous, robot, "continuous")
+    continuous_efforts = parse_continuous_torques(continuous, robot)
     robot = with_efforts(robot, continuous_efforts)
     kp, kd = request.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
