@@ -20,7 +20,7 @@ from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.contract import Contract
-from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, find_quantity_kind
+from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, Role, find_quantity_kind
 from pupper_analysis.tools.contract.findings import Disagreement, make_unread_finding
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
@@ -62,11 +62,23 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
             *_describe_first(contract),
         ),
         details=(text(f"contract-evidence-{contract.evidence}"),),
-        next_step=doc.NextStep(
-            "stand" if contract.floating else "hold", (contract.model,), robot_typed=False
-        ),
+        next_step=_select_next_step(contract),
         notes=tuple(map(doc.diagnostic_text, contract.notes)),
     )
+
+
+def _select_next_step(contract: Contract) -> doc.NextStep:
+    """Return the command to run next.
+
+    If the sources differ and contain a URDF and an MJCF, this is `crosscheck` of both; otherwise
+    `stand` of the model, or `hold` for a fixed base.
+    """
+    models = [source.path for source in contract.sources if source.role == Role.MODEL]
+    urdfs = [path for path in models if path.lower().endswith(".urdf")]
+    if contract.findings and urdfs and contract.model not in urdfs:
+        return doc.NextStep("crosscheck", (urdfs[0], contract.model), robot_typed=False)
+    command = "stand" if contract.floating else "hold"
+    return doc.NextStep(command, (contract.model,), robot_typed=False)
 
 
 def _describe_first(contract: Contract) -> Iterable[doc.Words]:

@@ -144,7 +144,7 @@ def convert_model(
     write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     urdf, mjcf = (source, output) if isinstance(file, UrdfFile) else (output, source)
     comparison = compare_files(urdf, mjcf, packages=packages, tolerances=Tolerances.fine()).result
-    verification, kept, floating = None, None, False
+    verification, kept, robot = None, None, None
     failures = list(_list_disagreements(comparison, draft))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     if draft.failure is not None:
@@ -158,10 +158,9 @@ def convert_model(
             else (draft.urdf or file, read_mjcf(output))
         )
         robot = _make_converted_robot(draft, *pair, feet)
-        floating = robot.floating and bool(robot.feet)
         unlike = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
         failures += [remark for remark in unlike if remark.severity is Severity.ERROR]
-    if draft.failure is None and draft.stands:
+    if robot is not None and draft.stands:
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
         failures += verification.failures
         if isinstance(file, UrdfFile):
@@ -183,7 +182,7 @@ def convert_model(
         comparison=comparison,
         verification=verification,
         kept=kept,
-        floating=floating,
+        floating=robot is not None and robot.floating and bool(robot.feet),
         failures=tuple(failures),
         agree=agree,
         passed=not failures,

@@ -213,7 +213,10 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 
 
 def _describe_extent(comparison: Comparison) -> doc.Text:
-    """State the number of differences, or the largest deviation of files without differences."""
+    """State the number of differences and the largest deviation that they cause.
+
+    For files without differences, state the largest deviation of the engines.
+    """
     count = len(comparison.differences)
     if not count and comparison.agree:
         check = comparison.check
@@ -224,7 +227,13 @@ def _describe_extent(comparison: Comparison) -> doc.Text:
             relative=f"{worst.relative:.1e}",
             quantity=word(worst.name),
         )
-    return text("1-difference") if count == 1 else text("count-differences", count=count)
+    count_text = text("1-difference") if count == 1 else text("count-differences", count=count)
+    worst_name = max(comparison.deviations, key=comparison.deviations.__getitem__, default="")
+    deviation = comparison.deviations.get(worst_name, 0.0)
+    if not deviation > 0:
+        return count_text
+    share = f"{100 * deviation:.2g} %"
+    return text("differences-deviate", count=count_text, share=share, quantity=word(worst_name))
 
 
 def _format_file_name(path: str) -> doc.Name:

@@ -49,12 +49,12 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
     """Yield the old and new total mass [kg], or the first change if the mass is the same.
 
-    Nothing is yielded if the versions are the same.
+    If the versions are the same, their mass is yielded.
     """
-    if diff.same:
-        return
     old, new = diff.mass
-    if not _format_percent(old, new) and diff.changes:
+    if diff.same:
+        yield text("mass-of-both", mass=f"{new:.6g}")
+    elif not _format_percent(old, new) and diff.changes:
         yield doc.diagnostic_text(diff.changes[0].diagnostic)
     else:
         old_text, new_text = format_pair(old, new, ".6g")

@@ -121,7 +121,6 @@ def command(
     Exit status: 0 all designs were measured, 1 the files of a written design give other numbers,
     2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.cli.next_step import print_next_step
     from pupper_analysis.models.published import is_published_name
     from pupper_analysis.present.document import NextStep
     from pupper_analysis.pupper.named_robots import is_variant
@@ -138,10 +137,10 @@ def command(
     with progress_bar() as show:
         _run_study(study, folder, workers, show)
     outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
-    shared.show_results([("", outcome)], style, everything=everything)
-    if style == "text" and not (minimise or maximise or numbers):
-        step = ("-o", str(folder), "--minimise", study.metrics[0].name)
-        print_next_step(NextStep("study", step))
+    step = None
+    if not (minimise or maximise or numbers):
+        step = NextStep("study", ("-o", str(folder), "--minimise", study.metrics[0].name))
+    shared.show_results([("", outcome)], style, everything=everything, next_step=step)
     shared.write_page(report_path, outcome)
     passed = _write_designs(study, numbers, folder, style, everything) if numbers else True
     shared.finish_command(json_path, outcome.table.to_dict(orient="list"), passed=passed)

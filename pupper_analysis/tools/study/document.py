@@ -10,8 +10,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress
 
 from pupper_analysis.base.units import READ_IN
@@ -61,7 +62,11 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
             for group in outcome.failures
         )
         count_text = text("designs-kinds", designs=count_text, kinds=kinds)
-    findings: list[doc.Words] = [count_text, *map(doc.diagnostic_text, outcome.rests_on)]
+    findings: list[doc.Words] = [
+        count_text,
+        *_describe_range(outcome),
+        *map(doc.diagnostic_text, outcome.rests_on),
+    ]
     if outcome.converted:
         findings.append(text("study-from-one-file"))
     if len(outcome.table) < outcome.designs:
@@ -77,6 +82,44 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     return doc.Document(
         text("study-of-designs"), doc.Name(outcome.robot), blocks, findings=tuple(findings)
     )
+
+
+def _describe_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
+    """Yield the range of the first metric, with the variables of both extreme designs."""
+    measured = [
+        summary
+        for summary in outcome.measured
+        if summary.designs and summary.minimum < summary.maximum
+    ]
+    if not measured:
+        return
+    metric = measured[0].metric
+    values = outcome.table[metric].to_numpy(dtype=float)
+    designs = outcome.table[list(outcome.variables)]
+    scale, unit = _find_shown_unit(metric)
+    least, greatest = (
+        (f"{scale * values[row]:.4g}", designs.iloc[row])
+        for row in (int(np.nanargmin(values)), int(np.nanargmax(values)))
+    )
+    yield text(
+        "range-of-metric",
+        metric=doc.Name(metric),
+        unit=doc.Name(f" {unit}" if unit else ""),
+        least=least[0],
+        greatest=greatest[0],
+        at_least=doc.Name(_format_design(least[1])),
+        at_greatest=doc.Name(_format_design(greatest[1])),
+    )
+
+
+def _format_design(values: pd.Series[Any]) -> str:
+    """Return the variables of a design as ``name value unit``, separated by commas."""
+    shown = []
+    for name, value in values.items():
+        unit = find_column_unit(str(name))
+        number = f"{value:.4g}" if isinstance(value, float) else str(value)
+        shown.append(f"{name} {number}{f' {unit}' if unit not in ('', '1') else ''}")
+    return ", ".join(shown)
 
 
 def _find_shown_unit(column: str) -> tuple[float, str]:

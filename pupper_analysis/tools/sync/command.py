@@ -87,7 +87,11 @@ def command(
     Exit status: 0 the files agree (with --dry-run: would agree), 1 differences remain, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present.document import Report
-    from pupper_analysis.pupper.named_robots import is_variant, refuse_unknown_variant
+    from pupper_analysis.pupper.named_robots import (
+        find_model_pair,
+        is_variant,
+        refuse_unknown_variant,
+    )
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.sync.document import sync_document
     from pupper_analysis.tools.sync.models import sync_models
@@ -117,6 +121,7 @@ def command(
             packages=folders,
             tolerances=tolerances,
         )
-    document = sync_document(result, chosen=bool(take), dry_run=dry_run)
+    files = tuple(map(str, find_model_pair(urdf, mjcf)))
+    document = sync_document(result, files=files, chosen=bool(take), dry_run=dry_run)
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
     shared.finish_command(json_path, result, passed=result.agree)

@@ -6,7 +6,8 @@ difference was selected, the differences are listed with examples of the option 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
@@ -22,6 +23,7 @@ def sync_document(
     sync: Sync,
     _: Robot | None = None,
     *,
+    files: Sequence[str | Path] = (),
     chosen: bool = True,
     dry_run: bool = False,
 ) -> doc.Document:
@@ -31,6 +33,7 @@ def sync_document(
 
     Args:
         sync: Result.
+        files: URDF and MJCF, for the title.
         chosen: True if values were chosen; otherwise the differences are listed as choices.
         dry_run: True to show the changes as a diff that was not written.
     """
@@ -39,6 +42,7 @@ def sync_document(
         if chosen or not sync.differences
         else _make_choice_blocks(sync)
     )
+    names = [doc.Name(Path(file).name) for file in files]
     count = len(sync.edits)
     is_hypothetical = dry_run or sync.withheld or bool(sync.differences and not chosen)
     edit_count = text(
@@ -53,7 +57,9 @@ def sync_document(
         messages = [*_describe_differences(sync)]
     return doc.Document(
         text("sync"),
-        text("both-files"),
+        text("urdf-and-mjcf", **dict(zip(("urdf", "mjcf"), names, strict=True)))
+        if names
+        else text("both-files"),
         tuple(blocks),
         passed=sync.agree,
         verdict=text("agree") if sync.agree else text("disagree"),
