@@ -50,7 +50,7 @@ def test_all_values_of_one_file_are_written_and_reported(folder: Path) -> None:
     result = run(folder, "--take", "urdf", "--backup", "--json", str(output))
     assert (result.returncode, result.stderr) == (0, "")
     lines = result.stdout.splitlines()
-    assert lines[0] == "AGREE URDF and MJCF: attributes written: 2"
+    assert lines[0] == "AGREE robot.urdf and robot.xml: attributes written: 2"
     assert "robot.xml:7: body base > inertial: mass: 7.5 -> 6" in lines
     assert any(line.endswith("motor m_hip1: ctrlrange: -25.0 25.0 -> -21 21") for line in lines)
     assert any(line.startswith("the old file is kept as ") for line in lines)
@@ -97,7 +97,7 @@ def test_dry_run_prints_a_diff(folder: Path) -> None:
     assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
     assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
     assert "\nNot written\njoint hip1: effort: nothing was chosen for it" in result.stdout
-    message = "DISAGREE URDF and MJCF: attributes that would be written: 1\n  differences left: 1\n"
+    message = "DISAGREE robot.urdf and robot.xml: attributes that would be written: 1\n  differences left: 1\n"
     assert result.stdout.startswith(message)
     assert (folder / "robot.urdf").read_bytes() == before
 
