@@ -56,6 +56,7 @@ OPTIONS = {
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
     **{name: [[], ["--policy", "policy.json"]] for name in ("push", "payload")},
+    "heat": [["--motor", "dephy-actpack"]],
     "walk": [["--seconds", "3", "--vary", "delay"]],
     "live": [["--headless", "--drop"]],
     "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],

@@ -85,9 +85,10 @@ SPECIAL_VALUES = {
 }
 """{(attribute, value)}: the values that were read as favourable ones in earlier versions."""
 
-COMMANDS_WITHOUT_ROWS = {"analyze", "check", "fit", "workspace"}
+COMMANDS_WITHOUT_ROWS = {"analyze", "check", "fit", "heat", "workspace"}
 """``analyze`` reads variants of Pupper only, ``check`` runs the functions of ``audit``,
-``crosscheck`` and ``contract``, ``fit`` needs measurements, and ``workspace`` gives no verdict."""
+``crosscheck`` and ``contract``, ``fit`` needs measurements, ``heat`` reads no limits of the files,
+and ``workspace`` gives no verdict."""
 
 
 def rows() -> list[object]:

@@ -68,9 +68,9 @@ def command(
     \b
     Examples:
       pupper-analysis heat v3 --motor mit-mini-cheetah --limit 80
-      pupper-analysis heat v3 --motor steadywin-gim4305-10 --battery 74
-      pupper-analysis heat v3 --motor dephy-actpack --motor '*_3=my-motor.toml' \\
-        --payload 1 --figure heat.png
+      pupper-analysis heat v3 --motor dephy-actpack --battery 74
+      pupper-analysis heat v3 --motor dephy-actpack --motor '*_3=mit-mini-cheetah' \\
+        --limit 80 --payload 1 --figure heat.png
 
     Exit status: 0 no motor reaches its limit, 1 a motor does or a number is unknown, 2 bad input.
     """  # noqa: D301 - click reads the \b
@@ -78,12 +78,12 @@ def command(
         refuse_unused("--list-motors", {"--list-motors": {"list_motors"}})
         _print_motors()
         return
-    if not motors:
-        raise ConfigurationError("--motor", diagnose("motor-not-given"))
     from pupper_analysis.tools.heat.heat import study_heat
 
     task = request.task()
     robot = request.robot(words)
+    if not motors:
+        raise ConfigurationError("--motor", diagnose("motor-not-given"))
     assigned = _assign_motors(motors, robot)
     with shared.show_progress("computing the heat of the motors"):
         result = study_heat(

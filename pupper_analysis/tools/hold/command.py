@@ -80,7 +80,6 @@ def command(
       pupper-analysis hold panda.urdf
       pupper-analysis hold ur5.urdf ur5.xml --joints '*lift*=-90deg' \\
         --tool tool0 --payload 3
-      pupper-analysis hold arm.xml --continuous dynamixel.toml
       pupper-analysis hold hand.xml --keyframe open --tool thumb_tip \\
         --figure held.png
 
