@@ -150,7 +150,7 @@ def convert_model(
     if draft.failure is not None:
         failures.append(draft.failure)
     failures += draft.lost
-    unlike: tuple[Diagnostic, ...] = ()
+    remarks: tuple[Diagnostic, ...] = ()
     if draft.failure is None:
         pair = (
             (read_urdf(output), file)
@@ -158,8 +158,8 @@ def convert_model(
             else (draft.urdf or file, read_mjcf(output))
         )
         robot = _make_converted_robot(draft, *pair, feet)
-        unlike = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
-        failures += [remark for remark in unlike if remark.severity is Severity.ERROR]
+        remarks = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
+        failures += [remark for remark in remarks if remark.severity is Severity.ERROR]
     if robot is not None and draft.stands:
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
         failures += verification.failures
@@ -168,13 +168,13 @@ def convert_model(
             why = [] if kept is None else kept.failures
             failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
     if failures:  # no simulation with an impossible mass has a meaning: it precedes the others
-        failures[:0] = [one for one in unlike if one.code in IMPOSSIBLE_CODES]
+        failures[:0] = [remark for remark in remarks if remark.code in IMPOSSIBLE_CODES]
     return Conversion(
         source=name,
         output=str(output),
         written=tuple(map(str, contents)),
         notes=(
-            *(remark for remark in unlike if remark.severity is not Severity.ERROR),
+            *(remark for remark in remarks if remark.severity is not Severity.ERROR),
             *draft.notes,
         ),
         not_converted=draft.not_converted,
