@@ -131,8 +131,8 @@ def plan_stands(
     Raises:
         ConfigurationError: If the count, the seed, the mass or the place is invalid, or the base is
             fixed.
-        MeasurementError: If a joint has no stated kp and ``kp`` is None, or the servos hold too few
-            candidates.
+        MeasurementError: If a joint has no stated kp and ``kp`` is None, or too few random stands
+            are in reach, held by the servos and within the torque limits.
         UnknownNameError: If the robot has no frame with the name in ``added_at``.
     """
     robot.check_floating()
