@@ -40,6 +40,7 @@ from pupper_analysis.robot.as_published import (
 )
 from pupper_analysis.simulation.verdict import (
     IMPOSSIBLE_CODES,
+    TWO_ROBOTS_CODE,
     UNKNOWN_CODES,
     Ending,
     Question,
@@ -415,12 +416,9 @@ def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
     stated: the deviations of torques and forces follow from it.
     """
     failures = join_ground_touches(verdict.failures)
-    causes = tuple(failure for failure in failures if failure.code == _TWO_ROBOTS_CODE)
+    causes = tuple(failure for failure in failures if failure.code == TWO_ROBOTS_CODE)
     return causes if causes and verdict.with_feedforward is Ending.DISAGREES else failures
 
-
-_TWO_ROBOTS_CODE = "files-of-two-robots"
-"""Code of the failure that URDF and MJCF describe different robots."""
 
 _TOUCH_CODE = "body-touches-ground"
 """Code of the failure that a body other than a foot touches the ground."""

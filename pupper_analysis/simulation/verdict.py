@@ -74,6 +74,11 @@ LOAD_QUESTIONS = (Question.CARRIES, Question.LASTS)
 """Questions that a simulation cannot answer if the torque limit of a motor is unknown."""
 
 
+TWO_ROBOTS_CODE = "files-of-two-robots"
+"""Code of the failure that URDF and MJCF describe different robots, from which other failures
+follow. This failure is the first."""
+
+
 class Ending(StrEnum):
     """End of a simulation."""
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 
 import pupper_analysis as pa
@@ -17,8 +18,9 @@ from pupper_analysis.prepare.limits import describe_unknown_limits
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
-from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES, VerdictCode
+from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES, Ending, VerdictCode
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
+from pupper_analysis.stance.stand import stand_statics
 from tests.prepare.test_imported import four_legs, verdict_of
 from tests.support import arm, features, random_legged, slips
 from tests.support.legged import edited_by, quadruped, rewrite_file
@@ -260,3 +262,48 @@ def test_sound_robots_have_no_impossible_mass_or_inertia() -> None:
     for name in ("v3", "long-leg"):
         codes = {remark.code for remark in list_file_remarks(pa.load_robot(name))}
         assert not codes & set(IMPOSSIBLE_CODES)
+
+
+@pytest.mark.slow
+def test_files_that_differ_are_named_before_the_foot_that_carries_nothing(tmp_path: Path) -> None:
+    """A hexapod with a knee axis reversed in the MJCF unloads a foot, and stands in bare MuJoCo.
+
+    The predicted torque of the knee has the opposite sign in MuJoCo, so that the foot lifts. Bare
+    MuJoCo simulates the file from its keyframe, and the stand with five feet, for 10 s each.
+    """
+    drawn = random_legged.draw_robot(754504)
+    drawn = replace(drawn, base="free", keyframe=True, floor=True, motors="position")
+    pair = random_legged.write_robot(drawn, tmp_path)
+    axis = 'name="rob_j_5_2" axis="'
+    rewrite_file(pair.mjcf, (f"{axis}0.0 1.0 0.0", f"{axis}0 -1 0"))
+    robot = pa.load_robot(*pair)
+    stand = pa.solve_stand(robot)
+    verdict = pa.judge_stand(robot, stand)
+    assert verdict.with_feedforward is Ending.DISAGREES
+    codes = [failure.code for failure in verdict.failures]
+    assert codes[:2] == ["files-of-two-robots", "foot-idle"]
+    first, second = [clause.message for clause in verdict_clauses(verdict)][:2]
+    assert "the files describe different robots" in str(first)
+    assert "foot" not in str(first)
+    assert "joint rob_j_5_2: axis reversed" in str(second)
+
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    for key in (True, False):
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        torques = dict.fromkeys(robot.joint_names, 0.0)
+        if not key:
+            torques = dict(
+                zip(robot.joint_names, stand_statics(robot, stand).joint_torques, strict=True)
+            )
+            data.qpos[:] = robot.compute_kinematics(stand.qpos).qpos
+        for actuator in range(model.nu):
+            joint = model.joint(model.actuator_trnid[actuator, 0])
+            gear, kp = model.actuator_gear[actuator, 0], model.actuator_gainprm[actuator, 0]
+            position = gear * data.qpos[joint.qposadr[0]]
+            data.ctrl[actuator] = position + torques[joint.name] / (gear * kp)
+        mujoco.mj_forward(model, data)
+        height = float(data.subtree_com[1][2])
+        mujoco.mj_step(model, data, round(10 / model.opt.timestep))
+        assert data.subtree_com[1][2] > 0.95 * height
+        assert np.abs(data.qvel).max() < 1e-3

@@ -561,9 +561,9 @@ def test_joint_of_the_mjcf_alone_is_fixed_at_zero_and_named(tmp_path: Path) -> N
     robot = load(quadruped(tmp_path, head=True))
     assert "nod" in find_note(robot, "only the MJCF has, held at zero")
     found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
-    assert found.failures[-1].code == "files-of-two-robots"
-    assert "8.700 kg" in str(found.failures[-1])
-    assert "8.400 kg" in str(found.failures[-1])
+    assert found.failures[0].code == "files-of-two-robots"
+    assert "8.700 kg" in str(found.failures[0])
+    assert "8.400 kg" in str(found.failures[0])
 
 
 @pytest.mark.slow

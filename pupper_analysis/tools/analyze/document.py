@@ -51,7 +51,7 @@ from pupper_analysis.present.verdict import (
     split_verdict_lines,
 )
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.verdict import Ending
+from pupper_analysis.simulation.verdict import TWO_ROBOTS_CODE, Ending
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import peak_utilisation
 from pupper_analysis.tools.analyze.analysis import Analysis
@@ -115,10 +115,6 @@ _MAX_SHOWN_FAILURES = 2
 """Largest number of failures in the short answer; further failures are details. Chosen, not
 tuned."""
 
-_CAUSE_CODE = "files-of-two-robots"
-"""Code of the failure that the files describe two different robots, which causes the other failures
-and is listed first."""
-
 _CROSS_CHECK_CODE = "models-deviate"
 """Code of the failures for quantities in which URDF and MJCF differ; the report contains them as a
 single failure."""
@@ -126,7 +122,7 @@ single failure."""
 
 def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
     """List the failures, causes first; all quantities of the cross-check are one failure."""
-    order = sorted(analysis.failures, key=lambda failure: failure.code != _CAUSE_CODE)
+    order = sorted(analysis.failures, key=lambda failure: failure.code != TWO_ROBOTS_CODE)
     others = [failure for failure in order if failure.code != _CROSS_CHECK_CODE]
     check = analysis.check
     failed = sum(not quantity.passed for quantity in check.quantities)
@@ -140,8 +136,8 @@ def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
         relative=f"{worst.relative:.1e}",
         quantity=word(worst.name),
     )
-    causes = [failure for failure in others if failure.code == _CAUSE_CODE]
-    effects = [failure for failure in others if failure.code != _CAUSE_CODE]
+    causes = [failure for failure in others if failure.code == TWO_ROBOTS_CODE]
+    effects = [failure for failure in others if failure.code != TWO_ROBOTS_CODE]
     return (*map(doc.diagnostic_text, causes), line, *map(doc.diagnostic_text, effects))
 
 

@@ -33,7 +33,7 @@ from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds
-from pupper_analysis.simulation.verdict import Ending, VerdictCode
+from pupper_analysis.simulation.verdict import TWO_ROBOTS_CODE, Ending, VerdictCode
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
 from pupper_analysis.tools.stand.stance import Preparation, Stance
@@ -176,7 +176,7 @@ def _select_next_step(stance: Stance) -> NextStep:
     verdict = stance.verdict
     step = _NEXT_STEPS.get(verdict.code, NextStep("payload"))
     mismatch = stance.verification.mujoco_residual > MAX_BALANCE_RESIDUAL
-    two_robots = any(failure.code == "files-of-two-robots" for failure in verdict.failures)
+    two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)
     if mismatch or two_robots:
         step = NextStep("crosscheck")
     if step.command == "crosscheck" and verdict.converted:
