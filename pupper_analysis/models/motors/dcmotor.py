@@ -19,7 +19,8 @@ from pupper_analysis.models.motors.motor import Motor
 def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
     """Return the motor of a ``dcmotor`` actuator.
 
-    Numbers that MuJoCo stores as zero are unknown; a gear has no losses in this actuator.
+    An armature of zero, the thermal numbers of an actuator without thermal model, and limits that
+    are not set are unknown. A gear has no losses in this actuator.
 
     Args:
         model: MuJoCo model.
@@ -61,7 +62,8 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
 
     A network of two thermal nodes is replaced by one node with the sum of the thermal resistances
     and the sum of the heat capacities: the final temperature is equal, the winding heats up more
-    slowly. Unknown numbers are omitted.
+    slowly. Unknown numbers are omitted; without thermal resistance or capacity of the winding, all
+    thermal numbers are.
 
     Args:
         motor: Motor.
@@ -69,7 +71,8 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
         name: Name of the actuator; by default that of the joint.
 
     Raises:
-        ModelError: If torque constant, resistance or gear ratio are unknown.
+        ModelError: If torque constant, resistance or gear ratio are unknown, or a temperature or
+            the rise of the resistance beside a known thermal resistance and capacity.
     """
     constant = motor.get("torque_constant")
     words = {

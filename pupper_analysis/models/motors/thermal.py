@@ -70,7 +70,8 @@ class ThermalNetwork:
             ambient: Temperature of the ambient air [degC]; that of the motor by default.
 
         Raises:
-            ModelError: If a number is unknown; the message lists all.
+            ModelError: If a thermal number is unknown (the message lists all), or the electrical
+                resistance.
         """
         unknown = [*motor.list_unknown(*THERMAL_NUMBERS)]
         if ambient is None:
@@ -175,7 +176,8 @@ def compute_continuous_torque(
 ) -> float:
     """Return the torque at the output at which the winding finally reaches its limit [N m].
 
-    i^2 R (1 + alpha (T_limit - T_0)) = (T_limit - T_a) / R_th.
+    i^2 R (1 + alpha (T_limit - T_0)) = (T_limit - T_a) / R_th. The result is at most the peak
+    torque, if known.
 
     Args:
         motor: Motor.

@@ -16,8 +16,14 @@ from pupper_analysis.base.errors import ConfigurationError
 _KGF = 9.80665
 """Weight of a kilogram in standard gravity [N] (ISO 80000-3)."""
 
-_TORQUE = {"N m": 1.0, "mN m": 1e-3, "kgf cm": _KGF * 1e-2, "kgf m": _KGF, "ozf in": 7.061552e-3}
-_PER_REVOLUTION = 2 * math.pi / 60
+_TORQUE_FACTORS = {
+    **{"N m": 1.0, "mN m": 1e-3, "kgf cm": _KGF * 1e-2, "kgf m": _KGF},
+    "ozf in": 7.061552e-3,
+}
+"""{accepted unit of torque: factor to N m}."""
+
+_RAD_PER_S_PER_RPM = 2 * math.pi / 60
+"""One revolution per minute [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +48,11 @@ class Kind:
 
 
 KINDS = {
-    "torque": Kind("N m", _TORQUE),
-    "friction torque": Kind("N m", _TORQUE, zero=True),
-    "torque constant": Kind("N m/A", {f"{unit}/A": factor for unit, factor in _TORQUE.items()}),
+    "torque": Kind("N m", _TORQUE_FACTORS),
+    "friction torque": Kind("N m", _TORQUE_FACTORS, zero=True),
+    "torque constant": Kind(
+        "N m/A", {f"{unit}/A": factor for unit, factor in _TORQUE_FACTORS.items()}
+    ),
     "resistance": Kind("ohm", {"ohm": 1.0, "mohm": 1e-3}),
     "relative rise": Kind("1/K", {"1/K": 1.0, "%/K": 1e-2}, zero=True, most=0.1),
     "ratio": Kind("1", {"": 1.0}),
@@ -52,12 +60,12 @@ KINDS = {
     "inertia": Kind("kg m^2", {"kg m^2": 1.0, "g cm^2": 1e-7, "kg cm^2": 1e-4}),
     "viscous friction": Kind(
         "N m s/rad",
-        {"N m s/rad": 1.0, "mN m s/rad": 1e-3, "N m/rpm": 1 / _PER_REVOLUTION},
+        {"N m s/rad": 1.0, "mN m s/rad": 1e-3, "N m/rpm": 1 / _RAD_PER_S_PER_RPM},
         zero=True,
     ),
     "voltage": Kind("V", {"V": 1.0}),
     "current": Kind("A", {"A": 1.0, "mA": 1e-3}),
-    "speed": Kind("rad/s", {"rad/s": 1.0, "rpm": _PER_REVOLUTION, "deg/s": math.pi / 180}),
+    "speed": Kind("rad/s", {"rad/s": 1.0, "rpm": _RAD_PER_S_PER_RPM, "deg/s": math.pi / 180}),
     "thermal resistance": Kind("K/W", {"K/W": 1.0}),
     "heat capacity": Kind("J/K", {"J/K": 1.0}),
     "temperature": Kind("degC", {"degC": 1.0, "K": 1.0}, {"K": -273.15}, signed=True),

@@ -289,7 +289,11 @@ class _StiffnessSearch:
         return math.isinf(self.measure_duration(value))
 
     def measure_duration(self, value: float) -> float:
-        """Return how long the robot stands [s] with kp [N m/rad]; 0, or infinite if it stands."""
+        """Return the time [s] until creep ends the equilibrium with kp [N m/rad]; 0 without one.
+
+        Infinite if the robot stands. Until a first value is found with which the robot stands, the
+        result is only 0 or infinite.
+        """
         if self._path is None:
             return math.inf if self.follow(value) else 0.0
         if not self.stands_at_first(value):
