@@ -57,6 +57,23 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
     )
 
 
+def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
+    """Return {joint: motor} of the ``dcmotor`` actuators of a model that act on a joint.
+
+    Args:
+        model: MuJoCo model.
+        source: Name of the file, for messages.
+    """
+    found = {}
+    for actuator in range(model.nu):
+        is_motor = model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_DCMOTOR.value
+        at_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
+        if is_motor and at_joint:
+            joint = model.joint(int(model.actuator_trnid[actuator, 0])).name
+            found[joint] = read_dcmotor(model, actuator, source)
+    return found
+
+
 def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
     """Return the ``dcmotor`` element of a motor at a joint.
 

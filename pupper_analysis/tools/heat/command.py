@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="[JOINTS=]MOTOR",
     help="Motor of all joints, or of the joints that a pattern names: a name of --list-motors, or "
-    "a TOML or JSON file. Repeatable; later options have priority.",
+    "a TOML or JSON file. Repeatable; later options have priority. Default: dcmotor actuators of "
+    "the MJCF.",
 )
 @click.option("--list-motors", is_flag=True, help="List the known motors with their sources.")
 @click.option(
@@ -82,9 +83,9 @@ def command(
 
     task = request.task()
     robot = request.robot(words)
-    if not motors:
+    assigned = _read_file_motors(robot) | _assign_motors(motors, robot)
+    if not assigned:
         raise ConfigurationError("--motor", diagnose("motor-not-given"))
-    assigned = _assign_motors(motors, robot)
     with shared.show_progress("computing the heat of the motors"):
         result = study_heat(
             robot,
@@ -102,6 +103,18 @@ def command(
         shared.confirm_written(figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+def _read_file_motors(robot: Robot) -> dict[str, Motor]:
+    """Return {joint: motor} of the `dcmotor` actuators of the robot's MJCF, if it has a file."""
+    from pupper_analysis.models.mjcf_file import read_mjcf
+    from pupper_analysis.models.motors.dcmotor import list_dcmotors
+
+    description = robot.description
+    if description.converted == "mjcf" or not description.mjcf_source.is_file():
+        return {}
+    found = list_dcmotors(read_mjcf(description.mjcf_source).model, str(description.mjcf_source))
+    return {joint: motor for joint, motor in found.items() if joint in robot.joint_names}
 
 
 def _assign_motors(texts: tuple[str, ...], robot: Robot) -> dict[str, Motor]:

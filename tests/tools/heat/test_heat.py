@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
+from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.heat.heat import study_heat
 from tests.support.commands import answer
 from tests.support.variants import load, stand_of
@@ -115,6 +118,29 @@ def test_invalid_requests_are_refused(options: dict[str, float], words: str) -> 
 
 
 @pytest.mark.slow
+def test_dcmotors_of_the_mjcf_are_the_motors_of_the_robot(tmp_path: Path) -> None:
+    """Reference: the same numbers, given by --motor."""
+    _, mjcf = write_variant("v3", tmp_path / "v3")
+    motor = find_motor("mit-mini-cheetah")
+    text = re.sub("<general forcelimited[^>]*/>", "", mjcf.read_text())
+    for joint in load("v3").joint_names:
+        element = make_dcmotor_element(motor, joint)
+        text = text.replace(f'<general name="{joint}" joint="{joint}"/>', element)
+    mjcf.write_text(text)
+    given, read = tmp_path / "given.json", tmp_path / "read.json"
+    # MuJoCo's gear has no losses: 0.42 N m/A.
+    path = tmp_path / "motor.toml"
+    path.write_text(WEAK.replace("0.4 N m/A", "0.42 N m/A").replace("2 ohm", "0.1575 ohm"))
+    for words, data in (((), read), (("--motor", str(path)), given)):
+        done = answer("heat", str(mjcf), "--limit", "80", *words, "--json", str(data))
+        assert done.returncode == 0, done.stderr
+    first, second = (json.loads(data.read_text())["motors"] for data in (read, given))
+    assert [one["current"] for one in first] == pytest.approx([one["current"] for one in second])
+    assert first[0]["motor"] == "leg_front_r_1"
+    assert second[0]["motor"] == "weak"
+
+
+@pytest.mark.slow
 def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     unknown = answer("heat", "v3", "--motor", "dephy-actpak")
     assert unknown.returncode == 2
@@ -124,7 +150,7 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     assert "https://emanual.robotis.com" in listed.stdout
     missing = answer("heat", "v3")
     assert missing.returncode == 2
-    assert "--motor: no motor is given" in missing.stderr
+    assert "--motor: no motor is given, and the MJCF has no dcmotor" in missing.stderr
     path = tmp_path / "bad.toml"
     path.write_text(WEAK.replace("2 ohm", "2 rpm"))
     bad = answer("heat", "v3", "--motor", str(path))
