@@ -71,14 +71,16 @@ class ServoBounds(Result):
     Attributes:
         classes: Joints with equal gains, with the bounds of these gains.
         least_kp_factor: Smallest factor on the stiffness with which the robot stands without
-            feed-forward (1); None if there is none, or the base is fixed.
+            feed-forward (1); None if there is none, the base is fixed, or a part is fixed by a weld
+            or grip.
         holding_kp_factor: Smallest simulated factor on the stiffness with which the robot stands
             without feed-forward (1); None if the robot stands with the present stiffness, or with
             no simulated factor.
         largest_kd_factor: Largest factor on the damping with which an explicit PD controller is
-            stable (1); infinite without a bound; None if no factor is stable.
+            stable (1); infinite without a bound; None without damping, or if no factor is stable.
         timestep: Time step of the model, and period of this controller (s).
-        integrator: MuJoCo integrator of the model; an implicit one has no largest damping.
+        integrator: MuJoCo integrator of the model. With an implicit integrator, the damping of the
+            model's own servos has no bound.
     """
 
     classes: tuple[ServoClass, ...]
@@ -115,7 +117,9 @@ def bound_servo_gains(
         stands: Whether the robot stands with the present stiffness without feed-forward.
 
     Raises:
-        The errors of `make_stand_start`.
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
+        ModelError: If a joint has no position servo, and kp and kd are not both given.
+        StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, kp=kp, kd=kd)
     drive = held.drive
