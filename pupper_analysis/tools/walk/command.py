@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.walk.intervals import TrackedIntervals
     from pupper_analysis.tools.walk.orders import Orders
     from pupper_analysis.tools.walk.response import ResponseMap
+    from pupper_analysis.tools.walk.trace import TraceCheck
 
 
 @shared.command("walk")
@@ -83,6 +85,13 @@ if TYPE_CHECKING:
         "histories."
     ),
 )
+@shared.file_option(
+    "--trace",
+    help=(
+        "CSV or npz of observations and actions recorded on the robot: compare order, sign, scale "
+        "and delay of each term, then simulate."
+    ),
+)
 @click.option(
     "--response",
     is_flag=True,
@@ -109,6 +118,7 @@ def command(
     vary: str | None,
     fitted: Path | None,
     orders: bool,
+    trace: Path | None,
     response: bool,
     style: str,
     everything: bool,
@@ -133,17 +143,16 @@ def command(
         --fit fit.json
       pupper-analysis walk v3 --policy policy_latest.json --orders
       pupper-analysis walk v3 --policy policy_latest.json --response
+      pupper-analysis walk g1.xml deploy.yaml policy.onnx --trace recorded.npz
 
     Exit status: 0 every run tracks the command (with --fit, within the intervals of the fit; with
     --orders, no interpretation walks better than the stated one; with --response, no run falls and
-    no command is ignored), 1 otherwise, 2 bad input.
+    no command is ignored; with --trace, the trace agrees as well), 1 otherwise, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    if orders:
-        refuse_idle("--orders", "command_text", "seeds", "vary", "fitted")
-    if response:
-        refuse_idle("--response", "vary", "fitted", "orders")
-    if vary is None:
-        refuse_alone(["--vary"], "fitted")
+    _refuse_idle_options(
+        orders=orders, response=response, trace=trace is not None, vary=vary is not None
+    )
+    from pupper_analysis.tools.contract.contract import TRACED
     from pupper_analysis.tools.contract.deployment import read_deployment
     from pupper_analysis.tools.walk.gait import parse_walking_command, simulate_walk
     from pupper_analysis.tools.walk.intervals import (
@@ -155,6 +164,7 @@ def command(
     from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
     from pupper_analysis.tools.walk.response import DEFAULT_LIMITS, map_response
     from pupper_analysis.tools.walk.runs import replace_efforts
+    from pupper_analysis.tools.walk.trace import check_trace, read_trace
 
     checked_command = parse_walking_command(command_text)
     words, sources = split_sources(words)
@@ -181,7 +191,7 @@ def command(
     arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
         arguments["seeds"] = seeds
-    result: Walk | TrackedIntervals | Orders | ResponseMap
+    result: Walk | TrackedIntervals | Orders | ResponseMap | TraceCheck
     with shared.show_progress(f"{robot.name} walks by {loaded_policy.name}"):
         if orders:
             result = rank_orders(robot, loaded_policy, **arguments)
@@ -205,7 +215,12 @@ def command(
                 **arguments,
             )
         else:
-            result = simulate_walk(robot, loaded_policy, checked_command, **arguments)
+            check = None if trace is None else check_trace(robot, loaded_policy, read_trace(trace))
+            if check is not None and not check.passed:
+                result = check
+            else:
+                result = simulate_walk(robot, loaded_policy, checked_command, **arguments)
+                result = result if check is None else replace(result, evidence=TRACED, trace=check)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
@@ -218,3 +233,15 @@ def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | N
 
     path, missing = write_template(policy, robot, deployment)
     click.echo(str(diagnose("walk-template-written", file=str(path), missing=missing)))
+
+
+def _refuse_idle_options(*, orders: bool, response: bool, trace: bool, vary: bool) -> None:
+    """Refuse typed options that have no effect in the selected mode."""
+    if orders:
+        refuse_idle("--orders", "command_text", "seeds", "vary", "fitted")
+    if response:
+        refuse_idle("--response", "vary", "fitted", "orders", "trace")
+    if trace:
+        refuse_idle("--trace", "vary", "fitted", "orders")
+    if not vary:
+        refuse_alone(["--vary"], "fitted")

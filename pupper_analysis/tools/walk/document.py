@@ -26,6 +26,7 @@ from pupper_analysis.tools.walk.gait import Gait, Walk
 from pupper_analysis.tools.walk.intervals import TrackedInterval, TrackedIntervals
 from pupper_analysis.tools.walk.orders import MIN_COST_RATIO, Candidate, Orders
 from pupper_analysis.tools.walk.response import ResponseAxis, ResponseMap
+from pupper_analysis.tools.walk.trace import TraceCheck
 
 Array = NDArray[np.float64]
 
@@ -614,6 +615,73 @@ def response_plot(axis: ResponseAxis) -> doc.LinePlot:
         doc.Axis(text("walk-commanded-velocity"), unit, ".2f"),
         doc.Axis(text("walk-achieved-velocity"), unit, ".2f"),
         lines,
+    )
+
+
+@build_document.register(TraceCheck)
+def trace_document(result: TraceCheck, robot: Robot | None = None) -> doc.Document:
+    """Create the report of the comparison of a policy's contract with a recorded trace.
+
+    `build_document` calls this function for a `TraceCheck`.
+    """
+    wrong = [check for check in result.checks if check.mistake not in ("", "unchecked")]
+    terms = result.checks[1:]
+    agreeing = [check for check in terms if check.mistake == ""]
+    word = "walk-trace-differs" if wrong else "walk-trace-matches"
+    if not wrong and not agreeing:
+        word = "walk-trace-nothing"
+    unchecked = [check.term for check in terms if check.mistake == "unchecked"]
+    summary = text(
+        "walk-trace-checked",
+        count=len(agreeing),
+        all=len(terms),
+        names=doc.Name(", ".join(unchecked) or "-"),
+    )
+    mistakes = tuple(
+        text(
+            "walk-trace-mistake",
+            term=doc.Name(check.term),
+            mistake=text(f"walk-mistake-{check.mistake}"),
+            detail=check.detail,
+        )
+        for check in wrong
+    )
+    rows = tuple(
+        (
+            doc.Name(check.term),
+            doc.Name("-" if check.first < 0 else f"{check.first}-{check.first + check.size - 1}"),
+            doc.number_cell(check.error, ".2g"),
+            text(f"walk-mistake-{check.mistake or 'none'}").with_mark(
+                "bad" if check in wrong else ""
+            ),
+            doc.Name(check.detail),
+        )
+        for check in result.checks
+    )
+    columns = (
+        doc.Column(text("walk-trace-term"), left=True),
+        doc.Column(text("walk-trace-elements"), left=True),
+        doc.Column(text("walk-trace-error")),
+        doc.Column(text("walk-trace-result"), left=True),
+        doc.Column(text("walk-trace-detail"), left=True),
+    )
+    how = text("walk-trace-how", samples=result.samples, period=f"{1e3 * result.period:.3g}")
+    return doc.Document(
+        text("walk-trace-title"),
+        text(
+            "walk-trace-of",
+            robot=doc.Name(result.name),
+            policy=doc.Name(result.policy),
+            trace=doc.Name(result.trace),
+        ),
+        (doc.Table(text("walk-trace-title"), columns, rows, (how,)),),
+        passed=result.passed,
+        verdict=text(word),
+        failures=mistakes,
+        findings=(summary,),
+        brief=True,
+        notes=robot_notes(robot),
+        next_step=doc.NextStep("walk", omitted=("--trace",)),
     )
 
 

@@ -36,6 +36,7 @@ from pupper_analysis.tools.walk.runs import (
     rotations_from_quaternions,
     simulate_cases,
 )
+from pupper_analysis.tools.walk.trace import TraceCheck
 
 Array = NDArray[np.float64]
 
@@ -153,6 +154,7 @@ class Walk(Result):
         warm_up: Duration of the warm-up.
         remarks: Errors and assumptions of the robot's files and the deployment behind the result.
         evidence: ``simulated``; ``traced`` if the policy was also compared with a recorded trace.
+        trace: Comparison with a recorded trace; None without.
     """
 
     name: str
@@ -168,6 +170,7 @@ class Walk(Result):
     warm_up: float = field(metadata={"unit": "s"})
     remarks: tuple[Diagnostic, ...]
     evidence: str = SIMULATED
+    trace: TraceCheck | None = None
 
     @property
     def passed(self) -> bool:

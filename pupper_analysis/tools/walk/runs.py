@@ -320,6 +320,7 @@ class Lockstep:
         commands: Commands of all runs, shape (runs, 3); may be changed between two actions.
         active: Indices of the n runs that continue, shape (n,).
         current: States of the active runs, shape (n, size).
+        observed: Last observations of the active runs, shape (n, inputs).
         tick: Number of actions so far.
     """
 
@@ -328,7 +329,7 @@ class Lockstep:
         self.commands = np.array([case.command for case in cases])
         self.active = np.arange(len(cases))
         self.current = np.array([_make_start_state(stage, case) for case in cases])
-        self.tick = 0
+        self.tick, self.observed = 0, np.zeros((0, stage.policy.network.inputs))
         self._data, self._runner = mujoco.MjData(stage.model), mujoco.rollout.Rollout(nthread=0)
         self._observer = Observer(stage, self.commands, self._models)
         self._memory = stage.policy.network.initial_memory(len(cases))
@@ -352,6 +353,7 @@ class Lockstep:
         """
         stage, active = self._stage, self.active
         observations = self._observer.observe(self.current, active, self.tick)
+        self.observed = observations
         actions, self._memory = stage.policy.network.forward(observations, self._memory)
         self._observer.second_last[active] = self._observer.last[active]
         self._observer.last[active] = actions
@@ -377,6 +379,12 @@ class Lockstep:
         broken = ~np.isfinite(self.current).all(axis=1)
         broken |= self.current[:, 0] < (self.tick * stage.substeps - 0.5) * stage.timestep
         return states, control, broken
+
+    @property
+    def last_actions(self) -> Array:
+        """Last actions of the active runs, shape (n, outputs)."""
+        actions: Array = self._observer.last[self.active]
+        return actions
 
     def keep_runs(self, is_kept: NDArray[np.bool_]) -> None:
         """Continue the simulation with a subset of the active runs, in place.

@@ -1,0 +1,509 @@
+"""Comparison of a policy's contract with a recorded trace, open loop.
+
+A `Trace` contains observations and actions of a policy that ran on a robot, and the signals behind
+them. `check_trace` evaluates the network for the recorded observations, and compares each term of
+the observations with the recorded signals: order, sign, scale, offset and delay.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError, ModelError
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, decode_input, read_input
+from pupper_analysis.base.results import Result
+from pupper_analysis.models.places import make_input_error
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
+from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.walk.runs import (
+    Lockstep,
+    find_joint_indices,
+    prepare_stage,
+    rotations_from_quaternions,
+)
+
+Array = NDArray[np.float64]
+
+MIN_SAMPLES = 20
+"""Smallest number of samples of a trace. Chosen, not tuned."""
+
+MAX_DELAY = 10
+"""Largest delay that is searched, in samples. Chosen: 0.2 s at 50 Hz."""
+
+MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
+"""Tolerances of a term: root mean square of the difference, relative to that of the signal about
+its mean, and absolute. Chosen: encoders and float32 logs are more exact, other causes are not."""
+
+_SIGNALS = {
+    "positions": "q",
+    "velocities": "v",
+    "targets": "target",
+    "commands": "command",
+    "angular_velocity": "gyro",
+    "gravity": "gravity",
+    "quaternion": "quat",
+    "observations": "obs",
+    "actions": "action",
+}
+"""{array of a trace in an npz file: prefix of its columns in a CSV file}."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Record of a policy that ran on a robot; n samples, one per action.
+
+    Attributes:
+        path: File.
+        time: Times, shape (n,) [s].
+        arrays: {name of the signal: shape (n, size)}; see `_SIGNALS`. Positions, velocities and
+            targets have the joints of ``joints`` as columns.
+        joints: Names of the robot's joints in the order of the columns; empty for the order of the
+            robot's actuators.
+    """
+
+    path: Path
+    time: Array
+    arrays: Mapping[str, Array]
+    joints: tuple[str, ...]
+
+    @property
+    def period(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+
+def read_trace(path: str | Path) -> Trace:
+    """Read a trace from a CSV or npz file.
+
+    A CSV file has the columns ``time``, ``obs_0`` ..., ``action_0`` ..., and optionally
+    ``q_JOINT``, ``v_JOINT``, ``target_JOINT``, ``command_0`` to 2, ``gyro_0`` to 2, ``gravity_0``
+    to 2 or ``quat_0`` to 3 (w, x, y, z). An npz file has the arrays ``time``, ``observations``,
+    ``actions``, and optionally ``positions``, ``velocities``, ``targets``, ``joints`` (names),
+    ``commands``, ``angular_velocity``, ``gravity`` or ``quaternion``.
+
+    Raises:
+        ModelError: If the file cannot be read, an array is missing or has an invalid shape, a
+            number is not finite, or there are less than `MIN_SAMPLES` samples.
+    """
+    path = Path(path)
+    try:
+        data = read_input(path, MAX_FILE_BYTES)
+        arrays, joints = _read_npz(path, data) if path.suffix == ".npz" else _read_csv(path, data)
+    except InputError as error:
+        raise make_input_error(path, error) from error
+    for name in ("time", "observations", "actions"):
+        if name not in arrays:
+            raise ModelError(path, diagnose("trace-lacks", name=name))
+    time = arrays.pop("time").ravel()
+    if len(time) < MIN_SAMPLES or not (np.diff(time) > 0).all():
+        raise ModelError(path, diagnose("trace-times", count=len(time), least=MIN_SAMPLES))
+    for name, array in arrays.items():
+        if array.ndim != 2 or len(array) != len(time) or not np.isfinite(array).all():
+            raise ModelError(path, diagnose("trace-array", name=name, count=len(time)))
+    return Trace(path, time, arrays, joints)
+
+
+def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Return the arrays of an npz file, and the names of the joints. Nothing is unpickled."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            stated = {name: file[name] for name in file.files}
+        joints = tuple(str(name) for name in stated.pop("joints", np.array([], dtype=str)))
+        known = {name: array for name, array in stated.items() if name in ("time", *_SIGNALS)}
+        return {name: np.asarray(array, dtype=np.float64) for name, array in known.items()}, joints
+    except (ValueError, OSError, KeyError, TypeError, EOFError, BadZipFile) as error:
+        raise ModelError(path, diagnose("trace-unreadable", problem=str(error))) from error
+
+
+def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Return the arrays of a CSV file, and the names of the joints."""
+    text = decode_input(path, data)
+    header, _, body = text.partition("\n")
+    names = [name.strip() for name in header.split(",")]
+    if not body.strip():
+        raise ModelError(path, diagnose("trace-unreadable", problem="no numbers"))
+    try:
+        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise ModelError(path, diagnose("trace-unreadable", problem=str(error))) from error
+    if table.shape[1:] != (len(names),):
+        problem = f"{len(names)} names, {table.shape[1]} columns"
+        raise ModelError(path, diagnose("trace-unreadable", problem=problem))
+    arrays = {"time": table[:, names.index("time")]} if "time" in names else {}
+    joints = tuple(name[2:] for name in names if name.startswith("q_"))
+    for signal, prefix in _SIGNALS.items():
+        columns = {name[len(prefix) + 1 :]: index for index, name in enumerate(names)
+                   if name.startswith(f"{prefix}_")}  # fmt: skip
+        if not columns:
+            continue
+        is_of_joints = prefix in ("q", "v", "target")
+        order = list(joints if is_of_joints else sorted(columns, key=int))
+        if set(order) != set(columns):
+            raise ModelError(path, diagnose("trace-lacks", name=f"{prefix}_..."))
+        arrays[signal] = table[:, [columns[key] for key in order]]
+    return arrays, () if all(name.isdecimal() for name in joints) else joints
+
+
+@dataclass(frozen=True, eq=False)
+class TermCheck(Result):
+    """Comparison of a term of the observations, or of the targets, with recorded signals.
+
+    Attributes:
+        term: Term, ``network`` or ``targets``.
+        first: Index of the first element in an observation; -1 for network and targets.
+        size: Number of elements.
+        error: Root mean square of the difference, relative to the signal; None if not checked.
+        mistake: ``order``, ``sign``, ``scale``, ``offset``, ``delay``, ``place`` (the term is
+            elsewhere in the observation), ``history`` (frames reversed), ``unexplained``,
+            ``unchecked`` (no recorded signal), or empty if the term agrees.
+        detail: Elements, factor or delay of the mistake.
+    """
+
+    term: str
+    first: int
+    size: int
+    error: float | None = field(metadata={"unit": "1"})
+    mistake: str
+    detail: str
+
+
+@dataclass(frozen=True, eq=False)
+class TraceCheck(Result):
+    """Comparison of a policy's contract with a recorded trace.
+
+    Attributes:
+        name: Name of the robot.
+        policy: File name of the policy.
+        trace: File name of the trace.
+        samples: Number of samples.
+        period: Median time between samples.
+        checks: Network, terms of the observation, and targets.
+    """
+
+    name: str
+    policy: str
+    trace: str
+    samples: int
+    period: float = field(metadata={"unit": "s"})
+    checks: tuple[TermCheck, ...]
+    _reported: ClassVar[tuple[str, ...]] = ("passed",)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the network and at least one term were checked, and nothing disagrees."""
+        mistakes = [check.mistake for check in self.checks]
+        checked = [check for check in self.checks[1:] if check.mistake == ""]
+        return bool(checked) and all(mistake in ("", "unchecked") for mistake in mistakes)
+
+
+def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
+    """Compare the contract of a policy with a recorded trace.
+
+    Args:
+        robot: Robot.
+        policy: Policy.
+        trace: Trace of this policy.
+
+    Raises:
+        ModelError: If observations or actions have other sizes than those of the network, or a
+            joint of the trace does not exist.
+    """
+    contract, observations = policy.contract, trace.arrays["observations"]
+    sizes = (policy.network.inputs, policy.network.outputs)
+    if (observations.shape[1], trace.arrays["actions"].shape[1]) != sizes:
+        found = f"{observations.shape[1]}, {trace.arrays['actions'].shape[1]}"
+        raise ModelError(trace.path, diagnose("trace-sizes", found=found, wanted=str(sizes)))
+    signals = _make_signals(robot, policy, trace)
+    labels = contract.joints or tuple(robot.joint_names)
+    checks = [_check_network(policy, trace)]
+    firsts = np.cumsum([0, *(contract.term_size(term) for term in contract.terms)])
+    for number, term in enumerate(contract.terms):
+        size, first = contract.term_size(term), int(firsts[number])
+        signal = signals.get(term.name)
+        if signal is None:
+            checks.append(TermCheck(term.name, first, size, None, "unchecked", ""))
+            continue
+        expected = np.clip(signal, *term.clip) * term.scale
+        expected = np.clip(expected, -contract.clip, contract.clip)
+        seen = _extract_frame(contract, observations, newest=True)
+        names = labels if size == len(labels) else tuple(map(str, range(size)))
+        error, mistake, detail = _explain(seen[:, first : first + size], expected, names)
+        if mistake:
+            error, mistake, detail = _search_elsewhere(
+                contract, observations, expected, first, (error, mistake, detail)
+            )
+        detail = _describe_delay(detail, trace.period) if mistake == "delay" else detail
+        checks.append(TermCheck(term.name, first, size, error, mistake, detail))
+    if "targets" in signals:
+        clipped = np.clip(trace.arrays["actions"], -contract.action_clip, contract.action_clip)
+        offset = contract.default if contract.offset is None else contract.offset
+        expected = np.clip(offset + contract.action_scale * clipped, contract.lower, contract.upper)
+        error, mistake, detail = _explain(signals["targets"], expected, labels)
+        detail = _describe_delay(detail, trace.period) if mistake == "delay" else detail
+        checks.append(TermCheck("targets", -1, len(labels), error, mistake, detail))
+    return TraceCheck(
+        robot.name, policy.name, trace.path.name, len(trace.time), trace.period, tuple(checks)
+    )
+
+
+def _describe_delay(detail: str, period: float) -> str:
+    """Return a delay in samples with its duration."""
+    return f"{detail} ({1e3 * float(detail.split()[0]) * period:.3g} ms)"
+
+
+def _check_network(policy: Policy, trace: Trace) -> TermCheck:
+    """Compare the actions of the network for the recorded observations with recorded actions."""
+    network, memory = policy.network, policy.network.initial_memory(1)
+    actions = []
+    for row in trace.arrays["observations"]:
+        action, memory = network.forward(row[None], memory)
+        actions.append(action[0])
+    names = policy.contract.joints or tuple(map(str, range(network.outputs)))
+    error, mistake, detail = _explain(trace.arrays["actions"], np.array(actions), names)
+    detail = _describe_delay(detail, trace.period) if mistake == "delay" else detail
+    return TermCheck("network", -1, network.outputs, error, mistake, detail)
+
+
+def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array]:
+    """Return {term, or ``targets``: recorded signal in the units and order of the contract}."""
+    contract, arrays = policy.contract, trace.arrays
+    columns = list(trace.joints or robot.joint_names)
+    wanted = [robot.joint_names[index] for index in find_joint_indices(robot, policy)]
+    signals: dict[str, Array] = {}
+    for name in ("positions", "velocities", "targets"):
+        if name not in arrays:
+            continue
+        if arrays[name].shape[1] != len(columns) or not set(wanted) <= set(columns):
+            raise ModelError(trace.path, diagnose("trace-joints", names=tuple(wanted[:4])))
+        values = contract.signs * arrays[name][:, [columns.index(joint) for joint in wanted]]
+        if name == "positions":
+            signals["joint-positions"] = values - contract.default
+        else:
+            signals["joint-velocities" if name == "velocities" else "targets"] = values
+    if "commands" in arrays and arrays["commands"].shape[1] == 3:
+        signals["command"] = arrays["commands"]
+        signals["command-velocity"] = arrays["commands"][:, :2]
+        signals["command-turning"] = arrays["commands"][:, 2:]
+    if "angular_velocity" in arrays:
+        signals["angular-velocity"] = arrays["angular_velocity"]
+    if "gravity" in arrays:
+        signals["gravity"] = arrays["gravity"]
+    elif "quaternion" in arrays:
+        signals["gravity"] = -rotations_from_quaternions(arrays["quaternion"])[:, 2]
+    actions = arrays["actions"]
+    zeros = np.zeros_like(actions[:1])
+    signals["last-action"] = np.concatenate([zeros, actions[:-1]])
+    signals["second-last-action"] = np.concatenate([zeros, zeros, actions[:-2]])
+    return signals
+
+
+def _extract_frame(contract: Contract, observations: Array, *, newest: bool) -> Array:
+    """Return the newest or oldest frame of observations, shape (n, frame size)."""
+    history, size = contract.history, contract.frame_size
+    is_first = contract.newest_first is newest
+    if contract.layout == BY_FRAME or history == 1:
+        start = 0 if is_first else (history - 1) * size
+        return observations[:, start : start + size]
+    parts, start = [], 0
+    for term in contract.terms:
+        width = contract.term_size(term)
+        place = start + (0 if is_first else (history - 1) * width)
+        parts.append(observations[:, place : place + width])
+        start += history * width
+    return np.concatenate(parts, axis=1)
+
+
+def _measure_difference(seen: Array, expected: Array) -> float:
+    """Return the rms difference relative to the signal; at most `MATCH_RTOL` if both agree."""
+    difference = float(np.sqrt(np.mean((seen - expected) ** 2)))
+    size = float(np.sqrt(np.mean((expected - expected.mean(axis=0)) ** 2)))
+    return difference / (size + MATCH_ATOL / MATCH_RTOL)
+
+
+def _agrees(seen: Array, expected: Array) -> bool:
+    """Return True if each column of two signals agrees within the tolerances."""
+    return all(
+        _measure_difference(seen[:, [column]], expected[:, [column]]) <= MATCH_RTOL
+        for column in range(seen.shape[1])
+    )
+
+
+def _list_delays(seen: Array, expected: Array) -> Iterator[tuple[int, Array, Array]]:
+    """Yield delay in samples, and the signals shifted by it; positive if ``seen`` is late."""
+    for delay in sorted(range(-2, MAX_DELAY + 1), key=abs):
+        count = len(seen) - abs(delay)
+        if delay >= 0:
+            yield delay, seen[delay:], expected[:count]
+        else:
+            yield delay, seen[:count], expected[-delay:]
+
+
+def _explain(seen: Array, expected: Array, names: Sequence[str]) -> tuple[float, str, str]:
+    """Return the relative error, and the mistake and detail that explain a difference.
+
+    Args:
+        seen: Recorded elements, shape (n, size).
+        expected: Elements as the contract defines them, shape (n, size).
+        names: Names of the elements.
+    """
+    error = _measure_difference(seen, expected)
+    if _agrees(seen, expected):
+        return error, "", ""
+    # Without offsets first: a wrong sign or order of joints changes the offset by the default pose.
+    for is_centred in (False, True):
+        for delay, late, early in _list_delays(seen, expected):
+            suffix = f", delay {delay} samples" if delay else ""
+            if is_centred:
+                late, early = late - late.mean(axis=0), early - early.mean(axis=0)
+                if _agrees(late, early):
+                    return error, "offset", _list_offsets(seen, expected, names) + suffix
+            elif delay and _agrees(late, early):
+                return error, "delay", f"{delay} samples"
+            for search in (_find_signs, _find_scales, _find_order):
+                found = search(late, early, names)
+                if found is not None:
+                    return error, found[0], found[1] + suffix
+    return error, "unexplained", ""
+
+
+def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
+    """Return the elements with the opposite sign; None unless signs explain the difference."""
+    signs = np.where(np.sum(seen * expected, axis=0) < 0, -1.0, 1.0)
+    if (signs > 0).all() or not _agrees(seen, signs * expected):
+        return None
+    turned = [name for name, sign in zip(names, signs, strict=True) if sign < 0]
+    return "sign", ", ".join(turned)
+
+
+def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
+    """Return the factors of the elements; None unless factors explain the difference."""
+    squares = np.sum(expected**2, axis=0)
+    factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
+    factors = np.where(squares > len(seen) * MATCH_ATOL**2, factors, 1.0)
+    if (np.abs(factors) < 1e-3).any() or not _agrees(seen, factors * expected):
+        return None
+    changed = np.flatnonzero(np.abs(factors - 1) > MATCH_RTOL)
+    if not changed.size:
+        return None
+    if np.ptp(factors[changed]) <= MATCH_RTOL * abs(factors[changed[0]]) and (
+        len(changed) == len(factors)
+    ):
+        return "scale", f"x {factors.mean():.4g}"
+    return "scale", ", ".join(f"{names[index]} x {factors[index]:.4g}" for index in changed)
+
+
+def _find_order(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
+    """Return the elements that are elsewhere; None unless a permutation explains the difference."""
+    from scipy.optimize import linear_sum_assignment
+
+    costs = np.array(
+        [
+            [_measure_difference(seen[:, [i]], expected[:, [j]]) for j in range(len(names))]
+            for i in range(len(names))
+        ]
+    )
+    # Elements with equal signals stay where they are.
+    costs -= 1e-9 * np.eye(len(names))
+    _, order = linear_sum_assignment(np.minimum(costs, 1e3))
+    if (order == np.arange(len(names))).all() or not _agrees(seen, expected[:, order]):
+        return None
+    moved = [f"{names[i]} has {names[j]}" for i, j in enumerate(order.tolist()) if i != j]
+    return "order", ", ".join(moved[:6])
+
+
+def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
+    """Return the elements with a constant difference, and the difference, as text."""
+    offsets = (seen - expected).mean(axis=0)
+    changed = np.flatnonzero(np.abs(offsets) > MATCH_ATOL)
+    return ", ".join(f"{names[index]} {offsets[index]:+.4g}" for index in changed[:6])
+
+
+def _search_elsewhere(
+    contract: Contract,
+    observations: Array,
+    expected: Array,
+    first: int,
+    found: tuple[float, str, str],
+) -> tuple[float, str, str]:
+    """Return another explanation if a term is elsewhere in the observation, or frames are reversed.
+
+    Args:
+        contract: Contract of the policy.
+        observations: Recorded observations, shape (n, inputs).
+        expected: Elements of the term, shape (n, size).
+        first: Stated index of the first element in a frame.
+        found: Error, mistake and detail of the term at the stated place.
+    """
+    size = expected.shape[1]
+    if float(np.ptp(expected, axis=0).max(initial=0.0)) <= 2 * MATCH_ATOL:
+        return found  # a constant may occur anywhere
+    if contract.history > 1:
+        oldest = _extract_frame(contract, observations, newest=False)[:, first : first + size]
+        if _agrees(oldest, expected):
+            return found[0], "history", "newest frame in the place of the oldest"
+    frame = _extract_frame(contract, observations, newest=True)
+    for place in range(frame.shape[1] - size + 1):
+        if place != first and _agrees(frame[:, place : place + size], expected):
+            return found[0], "place", f"elements {place}-{place + size - 1}"
+    return found
+
+
+def record_trace(
+    robot: Robot,
+    policy: Policy,
+    commands: Sequence[Sequence[float]],
+    *,
+    seconds_per_command: float = 1.0,
+    seed: int = 1,
+) -> dict[str, Any]:
+    """Simulate a policy and return the arrays of a trace, for ``np.savez``.
+
+    Args:
+        robot: Robot.
+        policy: Policy.
+        commands: Commands one after the other: forward [m/s], left [m/s], turning [rad/s].
+        seconds_per_command: Duration of each command [s].
+        seed: Seed of the initial state.
+    """
+    stage = prepare_stage(robot, policy)
+    lockstep = Lockstep(stage, [stage.make_case(np.array(commands[0], dtype=float), seed)])
+    convention, model = robot.mj_convention, stage.model
+    period = stage.substeps * stage.timestep
+    rows: dict[str, list[Array]] = {name: [] for name in ("time", *_SIGNALS) if name != "gravity"}
+    for command in commands:
+        lockstep.commands[:] = command
+        for _ in range(max(1, round(seconds_per_command / period))):
+            state = lockstep.current[0]
+            qpos, qvel = (
+                state[1 + convention.qpos_index],
+                state[1 + model.nq + convention.qvel_index],
+            )
+            rows["time"].append(np.array(lockstep.tick * period))
+            rows["positions"].append(qpos[7:].copy())
+            rows["velocities"].append(qvel[6:].copy())
+            rows["quaternion"].append(qpos[3:7].copy())
+            rows["angular_velocity"].append(qvel[3:6].copy())
+            rows["commands"].append(lockstep.commands[0].copy())
+            lockstep.advance()
+            rows["observations"].append(lockstep.observed[0].copy())
+            rows["actions"].append(lockstep.last_actions[0].copy())
+            contract, joints = policy.contract, stage.joints
+            clipped = np.clip(rows["actions"][-1], -contract.action_clip, contract.action_clip)
+            offset = contract.default if contract.offset is None else contract.offset
+            targets = qpos[7:].copy()
+            targets[joints] = contract.signs * np.clip(
+                offset + contract.action_scale * clipped, contract.lower, contract.upper
+            )
+            rows["targets"].append(targets)
+    arrays: dict[str, Any] = {name: np.array(values) for name, values in rows.items()}
+    return {**arrays, "joints": np.array(robot.joint_names)}

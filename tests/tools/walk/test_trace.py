@@ -1,0 +1,286 @@
+"""Recorded traces: planted orders, signs, scales and delays of a contract are named."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.walk.contract import Contract, Term
+from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.walk.trace import (
+    TraceCheck,
+    check_trace,
+    read_trace,
+    record_trace,
+)
+from tests.support.commands import run_command
+from tests.support.variants import load
+from tests.tools.contract.sources import ANGLES, JOINTS
+from tests.tools.walk import made
+
+NAMES = ("angular-velocity", "gravity", "command", "joint-positions", "joint-velocities",
+         "last-action")  # fmt: skip
+SIZES = (3, 3, 3, 12, 12, 12)
+COMMANDS = [(0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.4), (-0.1, 0.05, 0.2)]
+
+TOML = f"""
+observation = [
+  {{term = "angular-velocity", scale = 0.25}}, "gravity",
+  {{term = "command", scale = [2.0, 2.0, 0.25]}}, "joint-positions",
+  {{term = "joint-velocities", scale = 0.05}}, "last-action",
+]
+joints = {JOINTS!r}
+default = {ANGLES}
+action-scale = 0.5
+kp = 5.0
+kd = 0.25
+rate = 50
+history = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Policy, dict[str, Any]]:
+    """A random network that moves all joints, and the trace of its simulation."""
+    folder = tmp_path_factory.mktemp("trace")
+    draw = np.random.default_rng(3)
+    layers = [(0.2 * draw.normal(size=(2 * sum(SIZES), 12)), 0.1 * draw.normal(size=12))]
+    (folder / "policy.onnx").write_bytes(made.dense_onnx(layers, "Tanh"))
+    (folder / "policy.toml").write_text(TOML)
+    policy = Policy.load(folder / "policy.onnx")
+    return policy, record_trace(load("v3"), policy, COMMANDS, seconds_per_command=0.6)
+
+
+def check(policy: Policy, arrays: dict[str, Any], folder: Path) -> TraceCheck:
+    np.savez(folder / "trace.npz", **arrays)
+    return check_trace(load("v3"), policy, read_trace(folder / "trace.npz"))
+
+
+def find_mistakes(found: TraceCheck) -> dict[str, tuple[str, str]]:
+    return {
+        one.term: (one.mistake, one.detail)
+        for one in found.checks
+        if one.mistake not in ("", "unchecked")
+    }
+
+
+def test_trace_of_the_stated_contract_agrees(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path
+) -> None:
+    found = check(*recorded, tmp_path)
+    assert find_mistakes(found) == {}
+    assert found.passed
+    assert [one.term for one in found.checks] == ["network", *NAMES, "targets"]
+    assert found.period == pytest.approx(0.02)
+
+
+def state_order(contract: Contract, first: int, second: int) -> Contract:
+    order = list(range(12))
+    order[first], order[second] = order[second], order[first]
+    return contract.reorder_joints(order)
+
+
+def state_sign(contract: Contract, index: int) -> Contract:
+    return replace(contract, signs=np.where(np.arange(12) == index, -1.0, 1.0))
+
+
+def state_scale(contract: Contract, name: str, factor: float) -> Contract:
+    terms = tuple(
+        replace(term, scale=np.asarray(term.scale) * factor) if term.name == name else term
+        for term in contract.terms
+    )
+    return replace(contract, terms=terms)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (0, 3), (2, 5), (1, 10), (4, 7)])
+def test_planted_order_is_named(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path, first: int, second: int
+) -> None:
+    policy, arrays = recorded
+    wrong = replace(policy, contract=state_order(policy.contract, first, second))
+    mistakes = find_mistakes(check(wrong, arrays, tmp_path))
+    assert set(mistakes) == {"joint-positions", "joint-velocities", "targets"}
+    for mistake, detail in mistakes.values():
+        assert mistake == "order"
+        # The recorded element of the one is the other, as the wrong contract names them.
+        assert f"{JOINTS[first]} has {JOINTS[second]}" in detail
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [0, 2, 4, 8, 11])
+def test_planted_sign_is_named(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path, index: int
+) -> None:
+    policy, arrays = recorded
+    wrong = replace(policy, contract=state_sign(policy.contract, index))
+    mistakes = find_mistakes(check(wrong, arrays, tmp_path))
+    assert {name: mistake for name, (mistake, _) in mistakes.items()} == dict.fromkeys(
+        ("joint-positions", "joint-velocities", "targets"), "sign"
+    )
+    assert all(detail == JOINTS[index] for _, detail in mistakes.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [
+        ("angular-velocity", 4.0),
+        ("command", 0.5),
+        ("joint-positions", 2.0),
+        ("joint-velocities", 20.0),
+        ("last-action", 0.25),
+    ],
+)
+def test_planted_scale_is_named(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path, name: str, factor: float
+) -> None:
+    policy, arrays = recorded
+    wrong = replace(policy, contract=state_scale(policy.contract, name, factor))
+    mistakes = find_mistakes(check(wrong, arrays, tmp_path))
+    assert mistakes == {name: ("scale", f"x {1 / factor:.4g}")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "delay"),
+    [("angular-velocity", 1), ("gravity", 2), ("joint-positions", 1), ("joint-velocities", 3),
+     ("command", 2)],
+)  # fmt: skip
+def test_planted_delay_is_named(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path, name: str, delay: int
+) -> None:
+    """The elements of a term are late in the recorded observations."""
+    policy, arrays = recorded
+    observations = arrays["observations"].copy()
+    place, size = 2 * sum(SIZES[: NAMES.index(name)]), SIZES[NAMES.index(name)]
+    block = slice(place, place + 2 * size)
+    observations[delay:, block] = arrays["observations"][:-delay, block]
+    mistakes = find_mistakes(check(policy, arrays | {"observations": observations}, tmp_path))
+    assert mistakes.pop(name) == ("delay", f"{delay} samples ({20 * delay} ms)")
+    assert set(mistakes) <= {"network"}  # its actions belong to the other observations
+
+
+def test_terms_in_another_order_are_found_at_their_place(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path
+) -> None:
+    policy, arrays = recorded
+    gyro, gravity, *rest = policy.contract.terms
+    wrong = policy.with_contract(terms=(gravity, gyro, *rest))
+    mistakes = find_mistakes(check(wrong, arrays, tmp_path))
+    assert mistakes["gravity"] == ("place", "elements 3-5")
+    assert mistakes["angular-velocity"] == ("place", "elements 0-2")
+
+
+def test_reversed_history_and_wrong_pose_are_named(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path
+) -> None:
+    policy, arrays = recorded
+    found = check(policy.with_contract(newest_first=True), arrays, tmp_path)
+    assert find_mistakes(found)["joint-positions"][0] == "history"
+    default = policy.contract.default + np.where(np.arange(12) == 2, 0.1, 0.0)
+    mistakes = find_mistakes(check(policy.with_contract(default=default), arrays, tmp_path))
+    assert mistakes["joint-positions"] == ("offset", f"{JOINTS[2]} +0.1")
+    assert mistakes["targets"] == ("offset", f"{JOINTS[2]} -0.1")
+
+
+@pytest.mark.slow
+def test_other_network_is_found(recorded: tuple[Policy, dict[str, Any]], tmp_path: Path) -> None:
+    policy, arrays = recorded
+    actions = (
+        arrays["actions"] * np.linspace(0.5, 1.5, 12)
+        + 0.3 * np.sin(np.arange(len(arrays["time"])))[:, None]
+    )
+    found = check(policy, arrays | {"actions": actions}, tmp_path)
+    assert find_mistakes(found)["network"][0] == "unexplained"
+    assert not found.passed
+
+
+def test_signals_that_are_not_recorded_are_unchecked(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path
+) -> None:
+    """A trace without any signal of the robot proves the network and the last action only."""
+    policy, arrays = recorded
+    few = {name: arrays[name] for name in ("time", "observations", "actions")}
+    found = check(policy, few, tmp_path)
+    unchecked = [one.term for one in found.checks if one.mistake == "unchecked"]
+    assert unchecked == list(NAMES[:-1])
+    bare = policy.with_contract(terms=tuple(map(Term, NAMES[:-1])), history=1)
+    assert not replace(found, checks=found.checks[:-1]).passed, bare
+
+
+def test_csv_and_npz_give_equal_results(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path
+) -> None:
+    """Columns of joints in any order."""
+    policy, arrays = recorded
+    columns = {"time": arrays["time"]}
+    for name, prefix in {"observations": "obs", "actions": "action", "commands": "command",
+                         "quaternion": "quat", "angular_velocity": "gyro"}.items():  # fmt: skip
+        columns |= {f"{prefix}_{k}": arrays[name][:, k] for k in range(arrays[name].shape[1])}
+    names = list(load("v3").joint_names)
+    for name, prefix in {"positions": "q", "velocities": "v", "targets": "target"}.items():
+        for joint in reversed(names):
+            columns[f"{prefix}_{joint}"] = arrays[name][:, names.index(joint)]
+    rows = np.column_stack(list(columns.values()))
+    path = tmp_path / "trace.csv"
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.17g")
+    found = check_trace(load("v3"), policy, read_trace(path))
+    assert find_mistakes(found) == {}
+    whole = check(policy, arrays, tmp_path)
+    assert [one.error for one in found.checks] == pytest.approx(
+        [one.error for one in whole.checks], abs=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"observations": None}, "no observations"),
+        ({"time": np.zeros(120)}, "ascending"),
+        ({"actions": np.zeros((120, 11))}, "numbers in an observation"),
+        ({"positions": np.full((120, 12), math.nan)}, "finite"),
+        ({"joints": np.array(["a"] * 12)}, "columns"),
+    ],
+)
+def test_invalid_trace_is_refused(
+    recorded: tuple[Policy, dict[str, Any]],
+    tmp_path: Path,
+    changed: dict[str, Any],
+    message: str,
+) -> None:
+    policy, arrays = recorded
+    given = {name: array for name, array in (arrays | changed).items() if array is not None}
+    with pytest.raises(ModelError, match=message):
+        check(policy, given, tmp_path)
+
+
+def test_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
+    for name, data in (("a.npz", b"PK\x03\x04"), ("a.csv", b"time,obs_0\n1,x\n"), ("b.csv", b"")):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(ModelError, match="trace"):
+            read_trace(tmp_path / name)
+
+
+@pytest.mark.slow
+def test_command_states_the_level_of_evidence(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    policy, arrays = recorded
+    np.savez(tmp_path / "trace.npz", **arrays)
+    onnx = str(policy.files[0])
+    words = ("walk", "v3", "--policy", onnx, "--trace", str(tmp_path / "trace.npz"), "-v")
+    _, out, err = run_command(capfd, *words, "--command", "0,0,0", "--seconds", "3")
+    assert "matched to a recorded trace" in out, err
+    toml = tmp_path / "wrong.toml"
+    toml.write_text(TOML.replace("scale = 0.25}", "scale = 1.0}"))
+    status, out, err = run_command(capfd, *words, "--contract", str(toml))
+    assert status == 1, err
+    assert out.startswith("DIFFERS FROM THE TRACE v3 by policy.onnx, trace.npz")
+    assert "angular-velocity: wrong scale (x 0.25)" in out
