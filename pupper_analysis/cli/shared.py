@@ -163,6 +163,7 @@ class Command(click.Command):
             click.UsageError: If a word is not valid, for example a unit apart from its number, or
                 if an option has two different values.
         """
+        _refuse_other_dashes(ctx, args, [name for one in self.params for name in one.opts])
         _refuse_separate_units(ctx, args)
         self._refuse_options_without_hyphens(ctx, args)
         ctx.meta[TYPED_WORDS] = tuple(args)
@@ -370,6 +371,34 @@ _UNTYPED_UNITS = ("N", "Nm", "N*m", "N/m", "Nm/rad", "N*m/rad", "Nms/rad", "Hz",
 one of these units is refused; the error states the number to type instead."""
 
 
+_DASHES = "\u2010\u2011\u2012\u2013\u2014\u2015\u2212"
+"""Hyphens, dashes and minus sign that word processors and web pages put in place of ``-``."""
+
+_DASHED_NUMBER = re.compile(rf"(^|[,=/])[{_DASHES}](?=[0-9.])")
+"""Pattern of a dash that is the sign of a number."""
+
+
+def _refuse_other_dashes(
+    context: click.Context, words: Sequence[str], options: Sequence[str]
+) -> None:
+    """Refuse an option or a number that begins with another dash than ``-``.
+
+    An existing file of such a name is accepted.
+
+    Raises:
+        click.UsageError: If there is such a word.
+    """
+    for word in words:
+        wanted = ""
+        if _DASHED_NUMBER.search(word):
+            wanted = _DASHED_NUMBER.sub(r"\1-", word)
+        elif word[:1] in _DASHES and f"--{word.lstrip(f'-{_DASHES}').partition('=')[0]}" in options:
+            wanted = f"--{word.lstrip(f'-{_DASHES}')}"
+        if wanted and not Path(word).exists():
+            problem = diagnose("dash-is-no-hyphen", given=word, wanted=wanted)
+            raise click.UsageError(str(problem), context)
+
+
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
     """Refuse a number and a unit in two words, such as ``--height 12 cm``.
 
@@ -395,6 +424,9 @@ def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> cli
     names = {str(name).lower(): str(name) for name in choice.choices}
     alike = difflib.get_close_matches(typed.lower(), names, 1)
     hint = f" Did you mean {names[alike[0]]!r}?" if alike else ""
+    if isinstance(error.param, click.Argument) and error.ctx is not None and not alike:
+        usage = " ".join(error.ctx.command.collect_usage_pieces(error.ctx)[1:])
+        hint = f" Type {error.ctx.command_path} {usage}"
     argument = isinstance(error.param, click.Argument)
     param_hint = str(error.param.name).upper() if argument and error.param else error.param_hint
     return click.BadParameter(f"{error.message}{hint}", error.ctx, error.param, param_hint)
@@ -402,6 +434,7 @@ def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> cli
 
 _SYNONYMS = {
     **dict.fromkeys(("mass", "load", "weight"), ("--payload", "--weight")),
+    **dict.fromkeys(("posture", "pose", "angles", "position"), ("--joints", "--posture")),
     **dict.fromkeys(("time", "duration"), ("--seconds",)),
     **dict.fromkeys(("stiffness", "gain", "gains"), ("--kp",)),
     "damping": ("--kd",),

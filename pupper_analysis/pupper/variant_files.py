@@ -241,6 +241,11 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
         return word
     files = (word,) if is_input(Path(word)) else tuple(word.split(_PAIR_SEPARATOR))
     if all(map(_names_file, files)):
+        path = Path(word)
+        if path.name == word and path.stem in VARIANTS and not is_input(path):
+            raise VariantError(
+                "name", word, diagnose("known-robots", alike=[path.stem], variants=VARIANTS)
+            )
         return files
     with suppress(OSError, ValueError):  # for example a name that is too long
         if Path(word).is_dir():
