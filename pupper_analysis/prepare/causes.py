@@ -220,10 +220,9 @@ def _yield_if_any(
 
 
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes of a deviation of the published model.
+    """Yield the integration and an inaccurate constraint solver as candidate causes of a deviation.
 
-    They are the integration (not with actuator delays, which are stored as numbers of steps), and
-    an inaccurate constraint solver.
+    The integration is left out if an actuator has a delay, which is stored as a number of steps.
     """
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
@@ -259,10 +258,7 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 
 
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield candidate causes of a deviation of the published model.
-
-    They are servos with a bias, a gain unequal to the stiffness, or a delay.
-    """
+    """Yield servos with a bias, a gain unequal to the stiffness, or a delay as candidate causes."""
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     served = motors[model.actuator_biastype[motors] == affine]
@@ -280,10 +276,7 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield a candidate cause of a deviation of the published model: negative gears of actuators.
-
-    A negative gear is seldom intended.
-    """
+    """Yield actuators with a negative gear, which is seldom intended, as a candidate cause."""
     model = published.model
     negative = [
         m for m in _list_actuator_ids(published, robot).tolist() if actuator_gear(model, m)[0] < 0
@@ -295,10 +288,7 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 
 
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield candidate causes of a deviation of the published model.
-
-    They are springs, joint limits, fluid forces, and tilted gravity.
-    """
+    """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes."""
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
@@ -367,10 +357,7 @@ contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes of a deviation of the published model.
-
-    They are contacts with low friction (slippery), and soft contacts.
-    """
+    """Yield contacts with low friction (slippery), and soft contacts, as candidate causes."""
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     slippery_geoms = np.flatnonzero(_select_bad_contacts(model, "geom", "slippery") & collidable)
@@ -416,10 +403,7 @@ def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
 
 
 def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes of a deviation of the published model.
-
-    They are contact exclusions between the robot and static bodies.
-    """
+    """Yield contact exclusions between the robot and static bodies as candidate causes."""
     fixed = {0, *np.flatnonzero(model.body_weldid == 0).tolist()}
     for number in range(model.nexclude):
         pair = divmod(int(model.exclude_signature[number]), 1 << 16)
@@ -431,10 +415,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes of a deviation of the published model.
-
-    They are the contact override, and disabled actuator groups.
-    """
+    """Yield the contact override, and disabled actuator groups, as candidate causes."""
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
     for acts, code, element, field, value in (
         (flags & override, "override", "flag override", "enableflags", flags & ~override),
@@ -486,9 +467,7 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield candidate causes of a deviation of the published model.
-
-    They are actuators that are at no hinge or slide, and slow actuator filters.
+    """Yield actuators at no hinge or slide, and slow actuator filters, as candidate causes.
 
     Servos at fixed tendons that drive joints without actuator are commanded, and left out.
     """
@@ -513,10 +492,7 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 
 
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield candidate causes of a deviation of the published model: loose joints, ball joints.
-
-    They move in the file, but the loaded robot holds them at zero.
-    """
+    """Yield loose joints and ball joints, which the loaded robot holds at zero, as candidates."""
     model, unmatched = published.model, list_unmatched_joints(published, robot)
     balls = [joint for joint in unmatched if model.jnt_type[joint] == JointKind.BALL]
     loose = [joint for joint in unmatched if joint not in balls]

@@ -61,7 +61,7 @@ Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Foot:
-    """A foot.
+    """Foot of a robot, with the contact points on level ground.
 
     Attributes:
         name: Name.

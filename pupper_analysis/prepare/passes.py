@@ -295,7 +295,7 @@ def _rebuild_robot(draft: Draft, description: Description | None) -> Draft:
 def _find_requested_feet(
     robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
 ) -> tuple[Foot, ...]:
-    """Find the contact points of the feet.
+    """Find the feet that the user names, or the feet at the ends of limbs.
 
     Args:
         robot: Robot without feet.
