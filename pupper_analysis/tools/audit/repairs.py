@@ -620,7 +620,7 @@ def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the reversed axis of the joint whose axis points against those of the other joints."""
-    if not isinstance(robot, UrdfModel) or found.message.code != "axis-reversed":
+    if not isinstance(robot, UrdfModel) or found.message.code != "mirror-axis-reversed":
         return
     reason = diagnose("repair-of-limb", other=str(found.message.values["like"]))
     names = (

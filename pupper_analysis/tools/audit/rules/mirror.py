@@ -412,7 +412,7 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
             break
     joint, other = (second, first) if votes < 0 else (first, second)
     message = diagnose(
-        "axis-reversed",
+        "mirror-axis-reversed",
         other=other.name,
         pairs=len(pairs) - 1,
         certain=bool(votes),
