@@ -56,6 +56,7 @@ class JointUnits:
         effort: Unit of motor torques or forces, effort limits and dry friction.
         stiffness: Unit of servo stiffness kp and of joint springs.
         damping: Unit of servo damping kd and of viscous damping.
+        armature: Unit of the rotor inertia.
     """
 
     position: str
@@ -63,12 +64,13 @@ class JointUnits:
     effort: str
     stiffness: str
     damping: str
+    armature: str
 
 
-HINGE_UNITS: Final = JointUnits("rad", "rad/s", "N m", "N m/rad", "N m s/rad")
+HINGE_UNITS: Final = JointUnits("rad", "rad/s", "N m", "N m/rad", "N m s/rad", "kg m^2")
 """Units of a hinge: a revolute or continuous joint in a URDF."""
 
-SLIDE_UNITS: Final = JointUnits("m", "m/s", "N", "N/m", "N s/m")
+SLIDE_UNITS: Final = JointUnits("m", "m/s", "N", "N/m", "N s/m", "kg")
 """Units of a slide: a prismatic joint in a URDF."""
 
 

@@ -168,7 +168,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "armature",
         "armature",
-        ("kg m^2", "kg"),
+        _list_units("armature"),
         "inertia",
         felt=True,
         mjcf=("armature",),

@@ -252,17 +252,22 @@ def _escape_property(text: str) -> str:
     return _escape_data(text).replace(":", "%3A").replace(",", "%2C")
 
 
-def write_junit(annotations: Iterable[Annotation]) -> str:
+def write_junit(annotations: Iterable[Annotation], suite_name: str = "pupper-analysis") -> str:
     """Convert annotations to JUnit XML, with a test case per annotation.
 
     Annotations of level notice, and annotations that a baseline contains, pass. Without annotations
     there is a single case, which passes.
+
+    Args:
+        annotations: Annotations.
+        suite_name: Name of the test suite: the command and the files. CI servers show the results
+            of several commands under their suite names.
     """
     listed = list(annotations) or [Annotation("notice", "nothing found", "")]
     failing = [annotation.level != "notice" and not annotation.known for annotation in listed]
     counts = {"tests": str(len(listed)), "failures": str(sum(failing)), "errors": "0"}
     root = ElementTree.Element("testsuites", counts)
-    suite = ElementTree.SubElement(root, "testsuite", {"name": "pupper-analysis"} | counts)
+    suite = ElementTree.SubElement(root, "testsuite", {"name": escape_control(suite_name)} | counts)
     for annotation, fails in zip(listed, failing, strict=True):
         file, line = annotation.file_and_line
         names = {
@@ -285,10 +290,19 @@ ANNOTATION_WRITERS = {"github": write_github, "sarif": write_sarif, "junit": wri
 """{format: function that returns annotations in this format}."""
 
 
-def write_annotations(style: str, annotations: Iterable[Annotation]) -> str:
+def write_annotations(
+    style: str, annotations: Iterable[Annotation], suite_name: str = "pupper-analysis"
+) -> str:
     """Convert annotations to text in a format of ``ANNOTATION_WRITERS``, such as ``sarif``.
+
+    Args:
+        style: Format.
+        annotations: Annotations.
+        suite_name: Name of the test suite in JUnit XML.
 
     Raises:
         KeyError: If the format is unknown.
     """
+    if style == "junit":
+        return write_junit(annotations, suite_name)
     return ANNOTATION_WRITERS[style](annotations)

@@ -94,7 +94,8 @@ def test_junit_cases_fail_unless_notice_or_in_the_baseline() -> None:
         Annotation("error", "limit", "0.9 rad\nand 1.1 rad", known=True),
         Annotation("notice", "name", "other"),
     ]
-    root = ElementTree.fromstring(write_junit(found).encode())
+    root = ElementTree.fromstring(write_junit(found, "pupper-analysis audit a.urdf").encode())
+    assert [suite.get("name") for suite in root] == ["pupper-analysis audit a.urdf"]
     (suite,) = root
     assert [(one.get("tests"), one.get("failures")) for one in (root, suite)] == [("3", "1")] * 2
     assert [(case.get("name"), len(case)) for case in suite] == [

@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.base.units import DOWNWARD_GRAVITY
+from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs
 from pupper_analysis.robot.compare.behaviour import (
@@ -224,7 +225,7 @@ def armature_differences(
         name, reference_joint = sorted(pair, key=lambda joint_name: frequency[stated[joint_name]])
         joint = replace(values.joints[name], armature=stated[reference_joint])
         symmetric = behaviour(replace(values, joints={**values.joints, name: joint}))
-        unit = "kg" if joint.slides else "kg m^2"
+        unit = select_joint_units(slides=joint.slides).armature
         message = diagnose(
             "armature-unlike-mirror-image",
             subject=("joint", name),
@@ -243,8 +244,8 @@ _COPIED_CODES = {
 }
 """{parameter copied from the MJCF to the URDF: code of the note}."""
 
-_COPIED_UNITS = {"armature": "kg m^2", "damping": "N m s/rad", "friction": "N m"}
-"""{joint parameter copied from the MJCF to the URDF: unit of the values in the note}."""
+_COPIED_UNITS = {"armature": "armature", "damping": "damping", "friction": "effort"}
+"""{joint parameter copied from the MJCF to the URDF: field of `JointUnits` with its unit}."""
 
 
 def _report_copied_values(
@@ -253,15 +254,17 @@ def _report_copied_values(
     """Yield diagnostics of parameters that were copied from the MJCF to the URDF.
 
     Reported are armature, damping and dry friction, with minimum, maximum and number of joints, if
-    a copied value is not zero.
+    a copied value is not zero. Hinges and slides have diagnostics of their own, with their units.
     """
-    for kind in _COPIED_CODES:
+    for kind, slides in product(_COPIED_CODES, (False, True)):
+        joints = [values.joints[name] for name in copied.get(kind, ())]
         values_of_joints = [
-            float(getattr(values.joints[name], kind)) for name in copied.get(kind, ())
+            float(getattr(joint, kind)) for joint in joints if joint.slides == slides
         ]
         if any(values_of_joints):
+            unit = getattr(select_joint_units(slides=slides), _COPIED_UNITS[kind])
             minimum, maximum = (
-                Quantity(function(values_of_joints), _COPIED_UNITS[kind]) for function in (min, max)
+                Quantity(function(values_of_joints), unit) for function in (min, max)
             )
             differing_maximum = maximum if maximum != minimum else None
             yield diagnose(

@@ -114,7 +114,7 @@ def command(
             for result in results
             for annotation in audit_report.make_audit_annotations(result)
         ]
-        click.echo(formats.write_annotations(style, found))
+        click.echo(formats.write_annotations(style, found, f"pupper-analysis audit {file.name}"))
     if fix and _fix_files(results, confirmed=confirmed):
         results = [audit_model(file, packages=folders, disabled=disabled)]
     least = Severity(fail_on).rank

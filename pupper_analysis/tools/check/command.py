@@ -102,7 +102,7 @@ def command(
             found = [
                 annotation for annotation in found if not annotation.known
             ]  # known findings are not shown again
-        text = formats.write_annotations(style, found)
+        text = formats.write_annotations(style, found, "pupper-analysis check")
         click.echo(text, nl=bool(text))
         if style == "github":
             click.echo(

@@ -78,6 +78,12 @@ def command(
     if style in ("text", "markdown"):
         shared.show_results([("", result)], style, everything=everything)
     else:
-        click.echo(formats.write_annotations(style, make_contract_annotations(result)))
+        click.echo(
+            formats.write_annotations(
+                style,
+                make_contract_annotations(result),
+                f"pupper-analysis contract {Path(result.model).name}",
+            )
+        )
     shared.write_page(report_path, result)
     shared.finish_command(json_path, result, passed=result.passed)

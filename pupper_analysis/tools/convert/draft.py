@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
-from pupper_analysis.base.units import DOWNWARD_GRAVITY
+from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
 from pupper_analysis.models.additions import Addition, Ball, Floor, StartKeyframe, apply_additions
 from pupper_analysis.models.attributes import FLOOR_NAME, HOME_KEYFRAME, IMU_SENSORS, Number
 from pupper_analysis.models.mjcf import JointKind
@@ -523,9 +523,12 @@ def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[D
     moving = model.jnt_type != JointKind.FREE
     dofs = model.jnt_dofadr[moving]
     losses: list[Diagnostic] = []
-    if model.dof_armature[dofs].any():
-        values = describe_span(model.dof_armature[dofs], "kg m^2")
-        losses.append(diagnose("armature-not-in-urdf", armature=values))
+    slides = model.jnt_type[moving] == JointKind.SLIDE
+    for are_slides in (False, True):
+        armatures = model.dof_armature[dofs[slides == are_slides]]
+        if armatures.any():
+            values = describe_span(armatures, select_joint_units(slides=are_slides).armature)
+            losses.append(diagnose("armature-not-in-urdf", armature=values))
     fixed = np.setdiff1d(np.arange(model.nv), dofs)
     resisting = model.dof_damping + model.dof_frictionloss + model.dof_armature
     others = [body for body in range(1, model.nbody) if body not in robot]

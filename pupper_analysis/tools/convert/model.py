@@ -27,6 +27,7 @@ from pupper_analysis.base.files import Writing, check_writable, write_all
 from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.runs import ensure_run, register_input
+from pupper_analysis.base.units import select_joint_units
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -334,7 +335,7 @@ def check_armatures(urdf: UrdfFile, armatures: dict[str, float]) -> None:
 
     Args:
         urdf: URDF.
-        armatures: {joint: armature [kg m^2]}.
+        armatures: {joint: armature [kg m^2; kg of a slide]}.
 
     Raises:
         ConfigurationError: If an armature is negative, infinite or NaN.
@@ -345,6 +346,7 @@ def check_armatures(urdf: UrdfFile, armatures: dict[str, float]) -> None:
         if name not in known:
             raise UnknownNameError(urdf.path, "joint", name, known)
         if not 0 <= value < float("inf"):
-            inertia = Quantity(value, "kg m^2")
+            slides = urdf.tree.joints[name].kind == "prismatic"
+            inertia = Quantity(value, select_joint_units(slides=slides).armature)
             problem = diagnose("armature-not-valid", subject=("joint", name), armature=inertia)
             raise ConfigurationError("armature", problem)

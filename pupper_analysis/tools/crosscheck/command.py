@@ -110,6 +110,13 @@ def command(
     if style in ("text", "markdown"):
         shared.show_results([("", comparison)], style, everything=everything)
     else:
-        click.echo(formats.write_annotations(style, make_comparison_annotations(comparison)))
+        click.echo(
+            formats.write_annotations(
+                style,
+                make_comparison_annotations(comparison),
+                f"pupper-analysis crosscheck {Path(comparison.urdf).name} "
+                f"{Path(comparison.mjcf).name}",
+            )
+        )
     shared.write_page(report_path, comparison)
     shared.finish_command(json_path, comparison, passed=comparison.agree)
