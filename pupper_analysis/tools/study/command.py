@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,6 +52,14 @@ _STUDY_FOLDER = kinds.Folder(
     help=("Number of processes. By default the number of cores."),
 )
 @click.option(
+    "--dask",
+    metavar="ADDRESS",
+    help=(
+        "Workers of a Dask cluster: address of its scheduler, e.g. tcp://host:8786, or local:N for "
+        "N workers on this machine."
+    ),
+)
+@click.option(
     "--minimise",
     multiple=True,
     metavar="NAME",
@@ -86,6 +96,7 @@ def command(
     file: Path,
     folder: Path | None,
     workers: int | None,
+    dask: str | None,
     minimise: tuple[str, ...],
     maximise: tuple[str, ...],
     numbers: tuple[int, ...],
@@ -117,6 +128,7 @@ def command(
       pupper-analysis study legs.toml -o legs/ --report legs.html \\
         --maximise leg_scale
       pupper-analysis study legs.toml -o legs/ --write 3
+      pupper-analysis study legs.toml -o legs/ --dask tcp://host:8786
 
     Exit status: 0 all designs were measured, 1 the files of a written design give other numbers,
     2 bad input, 130 interrupted.
@@ -134,8 +146,16 @@ def command(
     if folder is None:  # after the file, so that a wrong name is reported first
         raise click.UsageError("Missing option '-o' / '--output'.", click.get_current_context())
     check_objectives(study, minimise, maximise)
-    with progress_bar() as show:
-        _run_study(study, folder, workers, show)
+    if dask is not None and workers is not None:
+        raise ConfigurationError("workers", diagnose("workers-of-a-cluster"))
+    with ExitStack() as stack:
+        executor = None
+        if dask is not None:
+            from pupper_analysis.tools.study.cluster import connect_dask
+
+            executor, workers = stack.enter_context(connect_dask(dask))
+        show = stack.enter_context(progress_bar())
+        _run_study(study, folder, executor, workers, show)
     outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
     step = None
     if not (minimise or maximise or numbers):
@@ -173,12 +193,13 @@ def _show_document(document: Document, style: str, everything: bool) -> None:
 def _run_study(
     study: Study,
     folder: Path,
+    executor: Executor | None,
     workers: int | None,
     show: Callable[[Progress], None],
 ) -> None:
     """Evaluate the study; after an interruption, print how to resume."""
     try:
-        study.execute(folder, workers=workers, progress=show)
+        study.execute(folder, executor=executor, workers=workers, progress=show)
     except BaseException:
         click.echo(f"what is done is kept in {folder}: the same command goes on there", err=True)
         raise

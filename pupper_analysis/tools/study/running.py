@@ -553,6 +553,8 @@ class StudyRun:
                     self._restart_workers(pool, error)
                 return
             finding = diagnose("workers-lost", error=type(error).__name__)
+            if isinstance(error, ModuleNotFoundError):
+                finding = diagnose("module-not-on-workers", module=str(error.name))
             raise StudyError(self.store.folder, finding) from error
         self.progress.work += outcome.seconds
         self._store_rows(outcome.rows)

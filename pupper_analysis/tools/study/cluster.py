@@ -1,0 +1,61 @@
+"""Workers of a Dask cluster for the designs of a study.
+
+`connect_dask` connects to a scheduler, or starts workers on this machine, and yields an executor
+for `Study.run`. Designs of a worker that ends are evaluated again by Dask on another worker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, Final
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
+
+LOCAL_PREFIX: Final = "local:"
+"""Start of an address that requests workers on this machine: ``local:4``."""
+
+CONNECT_SECONDS: Final = 30.0
+"""Time to wait for the scheduler [s]. Chosen, not tuned."""
+
+
+@contextmanager
+def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
+    """Yield an executor of a Dask cluster, and the number of its workers' threads.
+
+    Args:
+        address: Address of a scheduler, such as ``tcp://host:8786``, or ``local:N`` for N worker
+            processes on this machine, which end with the block.
+
+    Raises:
+        ConfigurationError: If the address is not valid, or no scheduler or no worker answers.
+        MissingPackageError: If dask.distributed is not installed.
+    """
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError as error:
+        raise MissingPackageError("distributed", "dask") from error
+    cluster = None
+    if address.startswith(LOCAL_PREFIX):
+        number = address.removeprefix(LOCAL_PREFIX)
+        if not number.isdecimal() or not 1 <= int(number) <= 1024:
+            form = "local:N, e.g. local:4, or tcp://host:8786"
+            raise ConfigurationError("dask", diagnose("not-of-the-form", given=address, form=form))
+        cluster = distributed.LocalCluster(
+            n_workers=int(number), threads_per_worker=1, processes=True, dashboard_address=None
+        )
+    try:
+        try:
+            client = distributed.Client(cluster or address, timeout=CONNECT_SECONDS)
+            client.wait_for_workers(1, timeout=CONNECT_SECONDS)
+        except (OSError, ValueError, RuntimeError) as error:
+            problem = diagnose("no-cluster", address=address, problem=str(error) or "no answer")
+            raise ConfigurationError("dask", problem) from error
+        with client:
+            yield client.get_executor(), max(1, sum(client.nthreads().values()))
+    finally:
+        if cluster is not None:
+            cluster.close()
