@@ -48,7 +48,6 @@ from pupper_analysis.simulation.trial import (
     simulate_nudges,
 )
 from pupper_analysis.simulation.verdict import (
-    IMPOSSIBLE_CODES,
     LOAD_QUESTIONS,
     Outcome,
     Question,
@@ -356,7 +355,7 @@ def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
         return None
     worst = int(bodies[np.argmax(densities[bodies])])
     return diagnose(
-        IMPOSSIBLE_CODES[0],
+        "mass-beyond-metal",
         count=int(bodies.size),
         worst=model.body(worst).name,
         mass=Quantity(float(model.body_mass[worst]), "kg"),
@@ -389,7 +388,7 @@ def describe_impossible_inertias(model: mujoco.MjModel) -> Diagnostic | None:
         return None
     worst = int(bodies[np.argmax(gyration[bodies])])
     return diagnose(
-        IMPOSSIBLE_CODES[1],
+        "inertia-beyond-robot",
         count=int(bodies.size),
         worst=model.body(worst).name,
         moment=Quantity(float(moments[worst]), "kg m^2"),

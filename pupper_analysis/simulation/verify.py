@@ -737,7 +737,7 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
     if math.isclose(*masses):  # the robots differ otherwise: no digits of rounding
         masses = (masses[1], masses[1])
     mjcf, urdf = (Quantity(mass, "kg") for mass in masses)
-    return [diagnose(TWO_ROBOTS_CODE, mjcf=mjcf, residual=residual, urdf=urdf)]
+    return [diagnose("files-of-two-robots", mjcf=mjcf, residual=residual, urdf=urdf)]
 
 
 _MIN_UNPREDICTED_DEPTH = 1e-4
