@@ -110,7 +110,7 @@ def read_deployment(
     for placed_source in placed:
         for key, fact in placed_source.facts.items():
             facts.setdefault(key, fact)
-    ordered = _find_order(placed)
+    ordered = _find_order(placed) or _assume_order(placed, joints)
     stating = (one.source.observations for one in placed if one.source.observations)
     return Deployment(
         joints=() if ordered is None else tuple(filter(None, ordered.order)),
@@ -139,6 +139,23 @@ def _find_order(placed: Sequence[PlacedSource]) -> PlacedSource | None:
         ),
         default=None,
     )
+
+
+def _assume_order(placed: Sequence[PlacedSource], joints: RobotJoints) -> PlacedSource | None:
+    """Return a trainer with the joint order of its framework; None without a trainer.
+
+    The order of Isaac Lab is by depth in the tree, that of mjlab and Isaac Gym is limb by limb. The
+    joints are those with an action scale or stiffness.
+    """
+    for source in placed:
+        if source.source.role is not Role.TRAINER:
+            continue
+        order = joints.joints_by_depth if source.source.breadth_first else joints.order
+        for quantity in ("kp", "action scale"):
+            stated = tuple(joint for joint in order if (quantity, joint) in source.facts)
+            if stated:
+                return replace(source, order=stated, how="assumed")
+    return None
 
 
 def _describe_order_place(placed_source: PlacedSource) -> str:

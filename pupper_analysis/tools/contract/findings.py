@@ -194,24 +194,24 @@ def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
     """
     lost = list[Diagnostic]()
     for source in placed:
-        stated = {
+        stated = [
             key
             for other in placed
             if other is not source
             for key, fact in other.facts.items()
             if find_quantity_kind(key[0]).severity is not None and fact.value is not None
-        }
+        ]
         lost += [
             message
             for quantity, message in source.unread.items()
             if any(key[0] == quantity for key in stated)
         ]
         for quantity, keys in source.unplaced.items():
-            missing = [
+            missing = {
                 joint
                 for what, joint in stated
                 if what == quantity and (quantity, joint) not in source.facts
-            ]
+            }
             if missing and source.source.role is not Role.MODEL:
                 message = diagnose(
                     "contract-quantity-lost",

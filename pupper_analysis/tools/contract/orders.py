@@ -239,10 +239,11 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
         if statement.joint and not assigned:
             keys = (*unplaced.get(statement.quantity, ()), statement.joint)
             unplaced[statement.quantity] = keys
-        keys_of_joints = {(statement.quantity, joint) for joint in assigned}
-        rest_facts = (
-            rest_facts | keys_of_joints if statement.is_rest else rest_facts - keys_of_joints
-        )
+        keys_of_joints = [(statement.quantity, joint) for joint in assigned]
+        if statement.is_rest:
+            rest_facts.update(keys_of_joints)
+        else:
+            rest_facts.difference_update(keys_of_joints)
         facts |= {key: source.make_fact(statement, key[1]) for key in keys_of_joints}
     # A number of "all other joints" is that of the joints that the source controls.
     controlled = {joint for quantity, joint in facts if quantity == "kp"}

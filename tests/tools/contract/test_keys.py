@@ -325,3 +325,14 @@ def test_origin_of_each_number_is_stated(tmp_path: Path) -> None:
     assert origins["gym_cfg.py", "policy step", ""].origin == "derived"
     assert origins["deploy.yaml", "kp", "leg_front_r_1"].origin == "assumed"
     assert found.evidence == "parsed"
+    text = sources["mjlab_cfg.py"].read_text()
+    sources["mjlab_cfg.py"].write_text(
+        text.replace(", scale=0.5)", ")").replace(
+            '    cfg.actions["joint_pos"].scale = SCALE\n', ""
+        )
+    )
+    whole = read_contract(MJCF, sources["mjlab_cfg.py"], stand=False)
+    scales = {f.joint: f for f in whole.facts if f.quantity == "action scale"}
+    assert {(f.value, f.origin, f.basis) for f in scales.values()} == {
+        (1.0, "default", "mjlab 1.6")
+    }

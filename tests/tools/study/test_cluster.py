@@ -1,4 +1,4 @@
-"""Studies on a Dask cluster: a killed worker loses no row; the table equals that of a serial run."""
+"""Studies on a Dask cluster: a killed worker loses no row; the table is that of a serial run."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from pupper_analysis.tools.walk.runs import Observer, prepare_stage, replace_eff
 from pupper_analysis.tools.walk.template import write_template
 from tests.support.commands import run_command
 from tests.support.variants import load
-from tests.tools.contract.sources import ANGLES, JOINTS, format_list
+from tests.tools.contract.sources import ANGLES, JOINTS, format_list, write_all
 from tests.tools.walk import made
 
 TERMS = ["base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel", "last_action"]
@@ -167,6 +167,34 @@ def test_observation_of_legged_gym_is_a_framework_default(tmp_path: Path) -> Non
     assert (contract.phase_rate, contract.rate) == (1.25, pytest.approx(50.0))
     assert contract.origins["observation"] == "default"
     assert "unitree_rl_gym" in contract.sources["observation"]
+
+
+@pytest.mark.parametrize(
+    ("names", "inputs"), [(("mjlab_cfg.py",), 27), (("gym_cfg.py", "config.yaml"), 0)]
+)
+def test_files_of_trainers_and_controllers_are_read(
+    tmp_path: Path, names: tuple[str, ...], inputs: int
+) -> None:
+    """mjlab states the terms; legged_gym and Pupper's controller need a TOML for them."""
+    sources = write_all(tmp_path)
+    path, robot = tmp_path / "own.onnx", load("v3")
+    path.write_bytes(made.dense_onnx([(np.zeros((inputs or 36, 12)), np.zeros(12))], "Tanh"))
+    if not inputs:
+        path.with_suffix(".toml").write_text(
+            'observation = ["angular-velocity", "gravity", "command", "up-command",'
+            ' "joint-positions", "last-action"]\n'
+        )
+    deployment = read_deployment(robot, [sources[name] for name in names], path)
+    contract = Policy.load(path, deployment=deployment).contract
+    assert contract.joints == tuple(JOINTS)
+    assert contract.default == pytest.approx(ANGLES)
+    assert contract.action_scale == pytest.approx(np.full(12, 0.75))
+    assert contract.kp == pytest.approx(np.full(12, 5.0))
+    assert contract.rate == pytest.approx(50.0)
+    if inputs:
+        terms = ["angular-velocity", "joint-positions", "last-action"]
+        assert [term.name for term in contract.terms] == terms
+        assert contract.terms[0].scale == 0.25
 
 
 def test_histories_of_different_lengths_are_refused(tmp_path: Path) -> None:

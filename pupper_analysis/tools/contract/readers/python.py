@@ -263,7 +263,15 @@ def _list_action_statements(action: Node, angles: list[Statement]) -> Iterator[S
     Offsets are the default joint angles ``angles``, unless ``use_default_offset`` is false.
     """
     patterns = action.find_first("patterns").texts
-    yield from action.get("scale").make_statements("action scale", patterns)
+    scale = action.get("scale")
+    yield from scale.make_statements("action scale", patterns)
+    if not scale.is_present:
+        is_mjlab = action.get("actuator_names").is_present
+        basis = _MJLAB if is_mjlab else _ISAAC_LAB
+        for pattern in patterns:
+            yield Statement(
+                "action scale", 1.0, action.place, pattern, origin=Origin.DEFAULT, basis=basis
+            )
     if action.get("use_default_offset").value in (None, True):
         for angle in angles:
             origin = Origin.DERIVED if angle.origin is Origin.STATED else angle.origin
