@@ -634,9 +634,10 @@ def _solve_rest_pose(robot: Robot) -> Stand | None:
 def _pose_without_servos(draft: Draft) -> Robot:
     """Return the robot with all that stands and statics need: start pose, and passive joints.
 
-    Both are those of the completed robot, since they do not depend on the added servos.
+    Both are those of the completed robot, since they do not depend on the added servos. The notes
+    of the passes are included: they have the reason why a robot cannot stand.
     """
-    robot = draft.robot
+    robot = _add_notes(draft.robot, draft.runs)
     if _may_get_servos(draft):
         robot = drives.mark_passive_joints(robot, draft.mjcf)
     found = any(note.code == "start-pose-found" for run in draft.runs for note in run.done)
@@ -810,13 +811,17 @@ def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
     draft = _run_passes(_DEFERRED_PASSES, draft)
     # The reason for a fixed base is the last note.
     runs = sorted(draft.runs, key=lambda run: run.name == _FIX_BASE)
+    return _add_notes(draft.robot, runs), runs
+
+
+def _add_notes(robot: Robot, runs: Sequence[PassRun]) -> Robot:
+    """Return a robot with the notes of passes before its own notes."""
     notes_by_pass = {run.name: run.done for run in runs}
     # Meshes that were left out are reported with the other parts of the files that were left out.
     left_meshes = notes_by_pass.pop(_CONVERT_MESHES, ())
     notes_by_pass[_MATCH] = (*notes_by_pass[_MATCH], *left_meshes)
     messages = (note for done in notes_by_pass.values() for note in done)
-    robot = draft.robot
-    return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), runs
+    return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes))))
 
 
 def parse_feet(feet: Feet) -> dict[str, tuple[str, str]]:
