@@ -237,7 +237,6 @@ def command(
             )
         if output is not None:
             write_plan(result, output)
-            shared.confirm_written(output)
     else:
         from pupper_analysis.tools.fit.fit import fit as fit_numbers
         from pupper_analysis.tools.fit.measurements.log import read_log
@@ -273,7 +272,9 @@ def command(
         next_step=_select_next_step(result, output),
     )
     shared.write_page(report_path, result, [robot])
-    if output is not None and isinstance(result, Fit):
+    if output is not None and mode == "--plan":
+        shared.confirm_written(output)
+    elif output is not None and isinstance(result, Fit):
         models = _write_models(robot, selection, result, output, anyway=anyway)
         if models and style == "text":
             command_name = "stand" if robot.floating else "hold"

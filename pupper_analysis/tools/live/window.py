@@ -147,13 +147,14 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
     if not headless:
         display.check_display()
     data, model = make_home_data(robot), robot.mj_model
-    print(f"nq={model.nq}, nv={model.nv}, nu={model.nu}", flush=True)
+    print(f"{robot.name}: nq={model.nq}, nv={model.nv}, nu={model.nu}", flush=True)
     if headless:
         for sensor in map(model.sensor, range(model.nsensor)):
             reading = " ".join(
                 f"{round(value, 3) + 0.0:+.3f}" for value in data.sensor(sensor.id).data
             )
             print(f'data.sensor("{sensor.name}").data  {reading}')
+        print_next_step(NextStep("stand" if robot.floating else "hold"))
         return
     if not robot.floating:
         model = copy.copy(model)  # the robot's own is not changed

@@ -101,7 +101,7 @@ def test_headless_view_prints_sizes_and_sensor_values(
     """At rest an accelerometer measures gravity on a fixed base, and nothing in free fall."""
     viewer.view_robot(pa.load_variant("v3", fixed_base=fixed), headless=True)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == sizes
+    assert lines[0] == f"v3: {sizes}"
     readings = [re.match(r'data\.sensor\("(\w+)"\)\.data +(.*)', line) for line in lines]
     sensors = {found[1]: list(map(float, found[2].split())) for found in readings if found}
     assert len(sensors) == len(lines) - 1 == 6

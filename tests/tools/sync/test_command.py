@@ -97,8 +97,8 @@ def test_dry_run_prints_a_diff(folder: Path) -> None:
     assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
     assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
     assert "\nNot written\njoint hip1: effort: nothing was chosen for it" in result.stdout
-    message = "DISAGREE robot.urdf and robot.xml: attributes that would be written: 1\n  differences left: 1\n"
-    assert result.stdout.startswith(message)
+    message = "DISAGREE robot.urdf and robot.xml: attributes that would be written: 1"
+    assert result.stdout.splitlines()[:2] == [message, "  differences left: 1"]
     assert (folder / "robot.urdf").read_bytes() == before
 
 
