@@ -400,15 +400,15 @@ def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> 
     """Return the next command after a search for tracked intervals.
 
     It is ``walk --orders`` if the policy tracks the command with no seed; ``walk`` with more seeds
-    if the result is not passed or ``outside`` (a measured interval is not inside the tracked one);
-    else ``push``.
+    if the result is not passed, a margin is narrow, or ``outside`` (a measured interval is not
+    inside the tracked one); else ``walk --response``.
     """
     omitted = ("--vary", "--fit")
     if not result.seeds:
         return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds", *omitted))
-    if outside or not result.passed:
-        return doc.NextStep("walk", ("--seeds", "20"), omitted=omitted)
-    return doc.NextStep("push")
+    if outside or not result.passed or result.narrow:
+        return doc.NextStep("walk", ("--seeds", "20"), omitted=(*omitted, "--seeds"))
+    return doc.NextStep("walk", ("--response",), omitted=("--command", *omitted))
 
 
 def _list_narrow_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
