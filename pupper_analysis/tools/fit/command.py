@@ -277,8 +277,9 @@ def command(
     elif output is not None and isinstance(result, Fit):
         models = _write_models(robot, selection, result, output, anyway=anyway)
         if models and style == "text":
-            command_name = "stand" if robot.floating else "hold"
-            print_next_step(NextStep(command_name, models, robot_typed=False))
+            print_next_step(
+                NextStep("stand" if robot.floating else "hold", models, robot_typed=False)
+            )
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
 
