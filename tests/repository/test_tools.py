@@ -119,7 +119,7 @@ def test_core_names_no_package_without_command() -> None:
     for name in own_packages().keys() - own_tools().keys():
         for path in (ROOT / "pupper_analysis").rglob("*.*"):
             if path.suffix in (".py", ".toml", ".pyi") and "tools" not in path.parts:
-                text = path.read_text(encoding="utf-8")
+                text = re.sub(r'"USD"|\[USD\]', "", path.read_text(encoding="utf-8"))  # a price
                 assert not re.search(rf"\b{name}", text, re.I), path
 
 
