@@ -138,7 +138,7 @@ def estimate_minimum_stiffness(
     search, low, high = _bracket_stiffness(robot, stand, "pinned", ratios)
     if low == 0.0:
         return high
-    grid = _divide_bracket(low, high, _ESTIMATE_TOLERANCE)
+    grid = _Grid(low, high, _ESTIMATE_TOLERANCE)
     start = grid[_find_static_end(search, grid)]
     tried = min((1 + _FIRST_CREEP_RATIO) * start, high)
     lasts = search.measure_duration(tried)
@@ -179,15 +179,35 @@ def _bracket_stiffness(
     return search, low, high
 
 
-def _divide_bracket(low: float, high: float, tolerance: float) -> list[float]:
-    """Divide a bracket [N m/rad] into 2^n equal cells with a width of at most a tolerance."""
-    count = 2 ** max(0, math.ceil(math.log2((high - low) / (tolerance * low))))
-    return [float(value) for value in np.linspace(low, high, count + 1)]
+class _Grid:
+    """Equal cells of a bracket, 2^n of them, with a width of at most a relative tolerance.
+
+    Args:
+        low: Lower end of the bracket [N m/rad].
+        high: Upper end.
+        tolerance: Largest width of a cell, relative to ``low``.
+
+    Attributes:
+        count: Number of cells.
+    """
+
+    def __init__(self, low: float, high: float, tolerance: float) -> None:
+        self._low, self._high = low, high
+        power = max(0, math.ceil(math.log2((high - low) / (tolerance * low))))
+        self.count: int = 1 << power
+
+    def __getitem__(self, index: int) -> float:
+        """Return the value at the lower end of a cell [N m/rad]."""
+        return self._low + (self._high - self._low) * index / self.count
+
+    def find_index(self, value: float) -> int:
+        """Return the index of the smallest value of the grid that is not below a value."""
+        return math.ceil((value - self._low) / (self._high - self._low) * self.count)
 
 
-def _find_static_end(search: _StiffnessSearch, grid: list[float]) -> int:
+def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
     """Return the index of the largest value without equilibrium, by bisection of a bracket."""
-    first, last = 0, len(grid) - 1
+    first, last = 0, grid.count
     while last - first > 1:
         middle = (first + last) // 2
         stands = search.stands_at_first(grid[middle])
@@ -223,15 +243,14 @@ def _bisect_stiffness(
         high: Value with which the robot stands.
         tolerance: Largest width, relative to ``high``.
     """
-    grid = _divide_bracket(low, high, tolerance)
+    grid = _Grid(low, high, tolerance)
     static = first = _find_static_end(search, grid)
-    last, num_predictions = len(grid) - 1, 0
+    last, num_predictions = grid.count, 0
     place = (1 + _FIRST_CREEP_RATIO) * grid[static]
     while last - first > 1:
         if num_predictions >= _MAX_PREDICTIONS:
             place = (grid[first] + grid[last]) / 2
-        at_place = int(np.searchsorted(grid, place))
-        tried = min(max(at_place, first + 1), last - 1)
+        tried = min(max(grid.find_index(place), first + 1), last - 1)
         lasts = search.measure_duration(grid[tried])
         num_predictions += 1
         if math.isinf(lasts):
@@ -240,11 +259,12 @@ def _bisect_stiffness(
             first = tried
             place = _predict_stiffness(grid[static], grid[tried], lasts)
     # A plain bisection would end with the widest cell that meets the tolerance.
-    while len(grid) > 2:
-        wider = last + last % 2
-        if grid[wider] - grid[wider - 2] > tolerance * grid[wider]:
+    width = 1
+    while 2 * width <= grid.count:
+        wider = -(-last // (2 * width)) * 2 * width
+        if grid[wider] - grid[wider - 2 * width] > tolerance * grid[wider]:
             break
-        first, last, grid = wider // 2 - 1, wider // 2, grid[::2]
+        first, last, width = wider - 2 * width, wider, 2 * width
     return grid[first], grid[last]
 
 

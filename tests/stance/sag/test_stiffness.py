@@ -44,3 +44,14 @@ def test_invalid_ratios_are_refused(ratios: np.ndarray) -> None:
     stand = pa.solve_stand(robot, pa.StandTask())
     with pytest.raises(ConfigurationError, match="12 finite ratios"):
         minimum_stiffness(robot, stand, ratios=ratios)
+
+
+@pytest.mark.slow
+def test_a_small_tolerance_needs_few_tested_values() -> None:
+    """Reference: the end of the stiffnesses that stand. A bracket of 1e-9 has 2^30 cells."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask())
+    least = minimum_stiffness(robot, stand, tolerance=1e-9)
+    assert minimum_stiffness(robot, stand) == pytest.approx(least, rel=0.01)
+    assert find_sag_failure(robot, stand, kp=least) is None
+    assert find_sag_failure(robot, stand, kp=(1 - 1e-6) * least) is not None
