@@ -239,7 +239,7 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _describe_height(stance: Stance) -> Iterable[doc.Words]:
-    """State the base height [mm] of the stance if it is known, or that the base is bolted."""
+    """State the base height [mm] of the stance, if known, or that the base is bolted."""
     height = stance.stand.task.height
     if _is_base_bolted(stance):
         yield text("base-is-bolted")
@@ -345,8 +345,8 @@ def _is_base_bolted(stance: Stance) -> bool:
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
     """Yield the texts of the findings of a stance.
 
-    These are the minimum kp, the equilibrium without feed-forward, and the force [N] with which
-    each hand presses.
+    The findings are the minimum kp, the equilibrium without feed-forward, and the force [N] with
+    which each hand presses.
     """
     if stance.minimum_stiffness is not None:
         yield text(
@@ -403,7 +403,7 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
 def _list_details(stance: Stance) -> Iterable[doc.Words]:
     """Yield the details of the report: the equilibrium without feed-forward, and the ground.
 
-    The equilibrium is left out if it is one of the findings, which are listed separately.
+    The equilibrium is left out if listed among the findings.
     """
     settled = stance.settled
     if settled is not None and _is_settled_state_detail(stance, settled):

@@ -127,7 +127,7 @@ class Stance(Tabular):
     def overloaded_motors(self) -> tuple[str, ...]:
         """Names of joints whose static motor torque exceeds the effort limit.
 
-        Joints with an effort limit of zero, or an inverted one, are left out.
+        Joints whose effort limit is zero or inverted are left out.
         """
         return self.verdict.overloaded_motors
 
@@ -150,7 +150,7 @@ def study_stance(
     kd: ArrayLike | None = None,
     stiffness: bool = False,
 ) -> Stance:
-    """Solve a stance, compute its torques and contact forces, and verify it by simulation.
+    """Solve a stance, compute torques and contact forces, and verify the stance by simulation.
 
     Args:
         robot: The robot.
