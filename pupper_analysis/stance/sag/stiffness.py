@@ -115,6 +115,12 @@ def minimum_stiffness(
         if found not in search.lost or not search.follow(found):
             break
         high = found  # continuation has missed the equilibrium that removed feed-forward reaches
+        while low == high:
+            low /= 2
+            if low < MIN_STIFFNESS:
+                return high
+            if search.stands(low):
+                high = low
     return high
 
 
