@@ -197,11 +197,12 @@ def check_type(name: str, value: object, hint: Any) -> None:
     """
     if _make_type_test(hint)(value):
         return
-    message = diagnose(
-        "of-another-type",
-        value=" ".join(reprlib.repr(value).split()),
-        wanted=[_describe_type(option) for option in _union_members(hint)],
-    )
+    options = _union_members(hint)
+    wanted = [_describe_type(option) for option in options]
+    given = " ".join(reprlib.repr(value).split())
+    names = [getattr(option, "__name__", "") for option in options]
+    remedy = next((_REMEDIES[name] for name in names if name in _REMEDIES), None)
+    message = diagnose("of-another-type", value=given, wanted=wanted, remedy=remedy)
     raise ConfigurationError(name, message)
 
 
@@ -219,6 +220,12 @@ def _make_type_tests(function: Any) -> dict[str, Callable[[Any], bool]]:
 
 _NUMBER_TYPES: dict[Any, Any] = {float: Real, int: Integral}
 """{annotated type: abstract type of the accepted numbers, which includes NumPy's}."""
+
+_REMEDIES = {
+    "Robot": "pa.load_robot",
+    "Stand": "pa.solve_stand (or posture.stand of a solved posture)",
+}
+"""{name of a required class: function that returns an object of this class}."""
 
 _TYPE_NAMES: dict[Any, str] = {
     float: "a number",

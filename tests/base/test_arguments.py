@@ -152,7 +152,7 @@ def test_invalid_field_of_a_dataclass_raises(kind: type, junk: Any) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: pa.analyze_variant("v3"), "robot: 'v3' is not a Robot"),
+        (lambda: pa.analyze_variant("v3"), "robot: 'v3' is not a Robot; use pa.load_robot"),
         (lambda: pa.solve_stand(load("v3"), 0.12), "task: 0.12 is not a StandTask or None"),
         (lambda: pa.solve_stand(load("v3"), explain="x"), "explain: 'x' is not True or False"),
         (lambda: pa.stance.stance_path(load("v3"), ["x"], 1.0), "each a StandTask"),
