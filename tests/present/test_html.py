@@ -558,6 +558,21 @@ def test_line_plot_points_are_at_their_values() -> None:
     assert grid["3"] - 4 == pytest.approx(y1, abs=0.1)
 
 
+@pytest.mark.parametrize("count", [5, 1000])
+def test_line_plot_marks_its_point_beside_omitted_points(count: int) -> None:
+    """Reference: the circle at the place of the label; omitted points had moved the marker."""
+    axis = Axis(Name("x"), "s", ".0f"), Axis(Name("y"), "mm", ".0f")
+    y = np.arange(count, dtype=float)
+    y[1] = np.nan
+    series = Series(Name("a"), np.arange(count), y, points=True, marked_index=3)
+    marks = plots.draw_svg(LinePlot(Name("t"), *axis, [series])).marks
+    line = next(mark for mark in marks if mark["tag"] == "polyline")
+    place = line["points"][line["labels"].index("3 s, 3 mm")]
+    large = [mark for mark in marks if mark.get("r") == plots.MARKED_DOT_RADIUS]
+    assert [[mark["cx"], mark["cy"]] for mark in large] == [place]
+    assert len(line["points"]) <= plots.MAX_LINE_POINTS + 1
+
+
 # Files and commands
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import singledispatch
 from typing import Any, ClassVar
 
@@ -37,8 +37,8 @@ LEFT_MARGIN, RIGHT_MARGIN, TOP_MARGIN, BOTTOM_MARGIN = 78.0, 14.0, 12.0, 44.0
 """Margins of a line plot for ticks and axis names [CSS pixels]."""
 
 MAX_LINE_POINTS = 160
-"""Largest number of points of a line: one per four pixels of the plot's width, about the accuracy
-of a mouse pointer. Chosen, not tuned."""
+"""Largest number of points of a line, in addition to the marked point: one per four pixels of the
+plot's width, about the accuracy of a mouse pointer. Chosen, not tuned."""
 
 LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 7.0, 28
 """Approximate width of a letter [CSS pixels], and the largest number of letters of a bar's name.
@@ -109,11 +109,12 @@ def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
 def _draw_line_plot(plot: LinePlot) -> Drawing:
     """Convert a line plot to SVG marks."""
     x, y, series = plot.x, plot.y, plot.series
-    lines = []
+    lines, marked = [], []
     for one in series:
-        across, up = (np.asarray(values, dtype=float) for values in (one.x, one.y))
-        good = np.isfinite(across) & np.isfinite(up)
-        lines.append(_thin_points(np.column_stack([across[good], up[good]])))
+        values = np.column_stack([np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float)])
+        drawn = _select_drawn_points(values, one.marked_index)
+        lines.append(values[drawn])
+        marked.append(next(iter(np.flatnonzero(drawn == one.marked_index).tolist()), None))
     points = np.concatenate(lines) if any(map(len, lines)) else np.ones((1, 2))
     left, right = _compute_range(points[:, 0], 0.0)
     low, high = _compute_range(points[:, 1], 0.06)
@@ -135,11 +136,11 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
         *draw_grid(columns, rows, wide, tall),
         *draw_axes(x.name, y.name, wide, tall, (x.unit, y.unit)),
     ]
-    for index, (one, line) in enumerate(zip(series, lines, strict=True)):
+    for index, (one, line, mark) in enumerate(zip(series, lines, marked, strict=True)):
         labels = [
             f"{format_axis_value(x, across)}, {format_axis_value(y, up)}" for across, up in line
         ]
-        marks += draw_series(place(line), labels, one, index)
+        marks += draw_series(place(line), labels, replace(one, marked_index=mark), index)
     return Drawing(
         plot.title, PLOT_WIDTH, PLOT_HEIGHT, tuple(marks), draw_legend(series), plot.note
     )
@@ -220,14 +221,17 @@ def _shorten_name(words: Words) -> Words:
     return words
 
 
-def _thin_points(points: Array) -> Array:
-    """Select at most `MAX_LINE_POINTS` points, including the first and the last point."""
-    if len(points) <= MAX_LINE_POINTS:
-        return points
-    kept: Array = points[
-        np.unique(np.linspace(0, len(points) - 1, MAX_LINE_POINTS).round().astype(int))
-    ]
-    return kept
+def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.intp]:
+    """Return the indices of the drawn points of a line, among ``points`` of shape (n, 2).
+
+    These are the finite points, thinned to `MAX_LINE_POINTS` including the first and the last, and
+    the marked point if it is finite.
+    """
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    if len(finite) <= MAX_LINE_POINTS:
+        return finite
+    kept = finite[np.linspace(0, len(finite) - 1, MAX_LINE_POINTS).round().astype(int)]
+    return np.union1d(kept, np.intersect1d(finite, [-1 if marked_index is None else marked_index]))
 
 
 def _compute_range(values: Array, room: float) -> tuple[float, float]:
@@ -285,12 +289,12 @@ def draw_axes(
 
 
 def draw_series(places: Array, labels: Sequence[str], series: Series, index: int) -> list[Mark]:
-    """Create the SVG marks of a series: a polyline, and dots if the series has data points.
+    """Create the SVG marks of a series: a polyline, and dots if ``Series.points`` is true.
 
     Args:
         places: Points, shape (n, 2) [CSS pixels]; y points down.
         labels: Text of each point, shown at the mouse pointer.
-        series: Series.
+        series: Series; ``marked_index`` refers to ``places``.
         index: Index of the series, which selects the style.
     """
     rounded = np.round(places, 1).tolist()
