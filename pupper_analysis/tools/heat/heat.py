@@ -62,8 +62,8 @@ class MotorHeat(Result):
         limit_temperature: Largest permitted temperature of the winding (degC); None if unknown.
         time_to_limit: Time until the winding reaches this temperature (s); None if unknown,
             infinite if never.
-        continuous_torque: Torque at which the winding finally reaches its limit (N m); None if
-            unknown.
+        continuous_torque: Torque at which the winding finally reaches its limit, at most the peak
+            torque (N m); None if unknown.
         unknown: Unknown numbers of the motor that the temperatures need.
     """
 
@@ -129,7 +129,8 @@ class HeatStudy(Result):
     def first(self) -> MotorHeat:
         """Motor that reaches its limit first; without one, the motor closest to its limit.
 
-        Motors with unknown temperatures follow, ordered by their copper loss.
+        A motor that grows hotter without bound, with an unknown limit, precedes motors that stay
+        below theirs. Motors with an unknown temperature or limit follow, ordered by copper loss.
         """
 
         def rank(motor: MotorHeat) -> tuple[float, float, float]:
@@ -137,18 +138,20 @@ class HeatStudy(Result):
             time = math.inf if motor.time_to_limit is None else motor.time_to_limit
             final, limit = motor.steady_temperature, motor.limit_temperature
             margin = math.inf if final is None or limit is None else limit - final
+            if final is not None and math.isinf(final):  # also if the limit is unknown
+                margin = -math.inf
             return time, margin, -motor.cold_loss
 
         return min(self.motors, key=rank)
 
     @property
     def overheats(self) -> bool:
-        """Whether a motor reaches its limit."""
+        """Whether a motor reaches its limit, or grows hotter without bound."""
         return any(motor.overheats for motor in self.motors)
 
     @property
     def known(self) -> bool:
-        """Whether all loaded joints have a motor with a known temperature and limit."""
+        """Whether each joint has a motor, and each loaded motor a known temperature and limit."""
         judged = all(
             motor.time_to_limit is not None or motor.torque == 0.0 for motor in self.motors
         )
@@ -283,7 +286,10 @@ def _compute_heat(
 def _choose_times(
     heats: tuple[MotorHeat, ...], motors: list[Motor], ambient: float | None
 ) -> Array:
-    """Return the times of the curves [s]: to the last limit, or to the final temperatures."""
+    """Return the times of the curves [s], shape (n,), from 0 to the longest time of a motor.
+
+    This is the time to its limit, or to `_SETTLED_FRACTION` of its final rise; at most a day.
+    """
     longest = 0.0
     for heat, motor in zip(heats, motors, strict=True):
         if heat.steady_temperature is None or not heat.current:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.pupper.variant_files import write_variant
-from pupper_analysis.tools.heat.heat import study_heat
+from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
 from tests.support.commands import answer
 from tests.support.variants import load, stand_of
 
@@ -156,3 +157,25 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     bad = answer("heat", "v3", "--motor", str(path))
     assert bad.returncode == 2
     assert "resistance: 2 rpm: rpm is not a unit" in bad.stderr
+
+
+def test_motor_without_limit_that_runs_away_precedes_others() -> None:
+    """Reference: equations of the thermal node; 1/R_th < i^2 R alpha gives no final temperature."""
+    bare = {"continuous_torque": None, "unknown": (), "current": 1.0, "steady_loss": 1.0}
+    cool = MotorHeat(
+        joint="cool", motor="a", torque=1.0, cold_loss=1.0, steady_temperature=40.0,
+        limit_temperature=80.0, time_to_limit=math.inf, **bare,
+    )  # fmt: skip
+    unknown = replace(
+        cool, joint="unknown", cold_loss=9.0, steady_temperature=None, time_to_limit=None
+    )
+    hot = replace(
+        cool, joint="hot", steady_temperature=math.inf, limit_temperature=None, time_to_limit=None
+    )
+    assert hot.overheats
+    study = HeatStudy(
+        name="robot", stand=stand_of("v3"), motors=(cool, unknown, hot), omitted=(), loss=11.0,
+        supply_voltage=None, battery_current=None, battery_energy=None, battery_time=None,
+        times=np.zeros(1), temperatures=np.zeros((1, 3)),
+    )  # fmt: skip
+    assert study.first is hot
