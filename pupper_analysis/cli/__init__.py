@@ -79,7 +79,11 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command that the first argument names; an error suggests similar names."""
+        """Return name, command and further arguments; the first argument names the command.
+
+        Raises:
+            click.UsageError: If there is no such command; the message suggests similar names.
+        """
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
             alike = difflib.get_close_matches(name, list_tools())
@@ -197,7 +201,10 @@ _RESOURCE_ERRORS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC, errn
 
 
 def _describe_lack(error: Exception) -> str:
-    """Return a description of a missing resource of the system; empty for other errors."""
+    """Return the description of a missing resource, such as disk space; empty for other errors.
+
+    A deleted current folder is also a missing resource.
+    """
     if isinstance(error, OSError) and error.errno in _RESOURCE_ERRORS:
         return f"the system has no more to give: {error.strerror}"
     if isinstance(error, FileNotFoundError):

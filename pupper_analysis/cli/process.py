@@ -124,7 +124,8 @@ class ProcessEnding:
 
     Attributes:
         signal: Number of the signal; 0 without a signal.
-        caught: True if `ProcessEnded` has reached the code that ends the process.
+        caught: True if `ProcessEnded` has reached the code that ends the process, or the context of
+            `catch_ending_signals` has ended. The exception is then not raised again.
     """
 
     signal: int = 0
@@ -144,6 +145,7 @@ RAISE_INTERVAL = 0.3
 tuned."""
 
 _active_endings: list[ProcessEnding] = []
+"""States of the active contexts of `catch_ending_signals`, the innermost last."""
 
 
 def raise_if_ended() -> None:
@@ -161,8 +163,9 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
     """Turn the signals that end a process into an exception, and record the signal.
 
     If a library suppresses the exception, and the platform has interval timers, the exception is
-    raised again. A second signal ends the process at once. The signals are SIGINT, SIGTERM and
-    SIGHUP if they have the default handler; outside of the main thread, no signal is caught.
+    raised again, unless the process has a handler of SIGALRM. A second signal ends the process at
+    once. The signals are SIGINT, SIGTERM and SIGHUP if they have the default handler; outside of
+    the main thread, no signal is caught.
 
     Yields:
         State of the process.

@@ -124,6 +124,7 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
 
 
+# Arguments of commands that take one robot, and several robots: variants or files.
 robot_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]")
 robots_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]...")
 
@@ -311,7 +312,8 @@ def print_warnings(robot: Robot, *, everything: bool = False) -> None:
 
     Args:
         robot: Robot.
-        everything: True to print all notes, otherwise the warnings and errors alone.
+        everything: True to print all notes, otherwise the warnings and errors alone, at most
+            ``MAX_SHORT_NOTES`` lines.
     """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
     from pupper_analysis.present.document import diagnostic_text

@@ -96,7 +96,8 @@ class OutputPath(click.Path):
             kind: Format that is written.
 
         Raises:
-            ConfigurationError: If the suffix belongs to another format.
+            ConfigurationError: If the suffix belongs to another format or, for a figure or page, is
+                not one of its own.
         """
         suffix = path.suffix.lower()
         drawn = kind in (kinds.PICTURE_KIND, kinds.PAGE_KIND)
@@ -286,7 +287,11 @@ class Command(click.Command):
         return click.UsageError(str(message), ctx)
 
     def invoke(self, context: click.Context) -> Any:
-        """Check that the output files of the command can be written, and run the command."""
+        """Check that the output files of the command can be written, and run the command.
+
+        Files that the parameters name are registered as inputs, which no result replaces. An error
+        about an argument of a function then names the typed option.
+        """
         run = context.with_resource(ensure_run())
         run.request = _collect_options(self, context)
         take_parameter = context.params.get if self._has_force else context.params.pop
@@ -351,8 +356,8 @@ In ``[JOINTS=]NM`` the name is optional, which stands for all joints."""
 def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
     """Return the name to which a value of an option belongs, and the value as typed.
 
-    A value without a name belongs to the empty name. A repeatable option that takes no assignments
-    is a list: each value is its own name, so values never contradict.
+    The name is empty for an option that is not repeatable, and for a value without ``JOINTS=``. In
+    other repeatable options, a value without a name is its own name, so values never contradict.
     """
     text = str(value)
     if not option.multiple:
@@ -445,10 +450,11 @@ _SYNONYMS = {
 
 
 def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
-    """Return the options whose names contain all words of an unknown name and more.
+    """Return the options that a user may mean by an unknown option.
 
-    Without such an option, the options with similar names are returned. Names are compared without
-    the leading hyphens, because these make all short names similar.
+    These are its synonyms (`_SYNONYMS`), or else the options whose names contain all words of the
+    unknown name and more, or else those with similar names. Names are compared without the leading
+    hyphens, because these make all short names similar.
 
     Args:
         unknown: Unknown option, such as ``--limit``.
@@ -476,7 +482,10 @@ def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., 
 
 
 def _collect_options(command: click.Command, context: click.Context) -> dict[str, Any]:
-    """Return {option: value} of the specified options, without paths of results."""
+    """Return {option: value} of the options that are typed, or set by the file of ``--stance``.
+
+    Paths of results and ``--force`` are not included.
+    """
     default_sources = (ParameterSource.DEFAULT, None)
     return {
         max(option.opts, key=len).lstrip("-").replace("-", "_"): context.params[name]
@@ -490,7 +499,7 @@ def _collect_options(command: click.Command, context: click.Context) -> dict[str
 
 
 def _list_named_files(command: click.Command, context: click.Context) -> Iterator[Path]:
-    """Yield the paths of files that the parameters may name."""
+    """Yield the paths of files that the parameters may name, and of the files in a named folder."""
     for parameter in command.params:
         reads = isinstance(parameter, click.Argument) or isinstance(parameter.type, click.Path)
         if not reads or isinstance(parameter.type, OutputPath):
@@ -635,8 +644,8 @@ MODEL_FILE = ModelFile()
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     """Return a URDF and an MJCF in this order, in whatever order they were typed.
 
-    A variant has both formats, and stands for the one that the other file does not have. Files of
-    other formats, and files that cannot be read, keep the typed order.
+    A variant has both formats, and represents the format that the other file does not have. Files
+    that cannot be read keep the typed order.
 
     Raises:
         ConfigurationError: If both files are URDFs, or both are MJCFs.
@@ -721,8 +730,8 @@ def parse_quantity(kind: str, text: str) -> float:
 
 
 MAX_BARE_LENGTH: Final = 5.0
-"""Upper bound of lengths that are accepted without a unit [m]. Larger values are probably in mm
-or cm: no two parts of a legged robot are so far apart (chosen, not tuned)."""
+"""Length [m] from which on a length without a unit is refused. Such a value is probably in mm or
+cm: no two parts of a legged robot are so far apart (chosen, not tuned)."""
 
 
 def is_millimetres(kind: str, value: float) -> bool:
@@ -961,8 +970,9 @@ def show_results(
         style: ``text`` or ``markdown``.
         robots: Robots of the results; Markdown includes the notes of the robots.
         overview: Blocks that compare the results.
-        everything: True to print all tables and notes.
-        next_step: Command to run next. Default: the next step of the only result.
+        everything: True to print all tables and notes. Ignored for Markdown.
+        next_step: Command to run next. Default: the next step of the only result. Ignored for
+            Markdown.
     """
     from pupper_analysis.present.documents.registry import build_report
 
@@ -985,7 +995,7 @@ def show_report(
         style: ``text`` or ``markdown``.
         everything: True to print all tables and notes. Ignored for Markdown.
         next_step: Command to run next. Default: the next step of the document, if the report
-            contains a single document.
+            contains a single document. Ignored for Markdown.
     """
     if style == "markdown":
         from pupper_analysis.base.provenance import collect_provenance
@@ -1073,6 +1083,7 @@ def finish_command(json_path: Path | None, content: object, *, passed: bool) -> 
 
     Raises:
         click.exceptions.Exit: If ``passed`` is False.
+        ProcessEnded: If a signal has arrived.
         OutputError: If the file cannot be written, or must not be replaced.
     """
     write_json(json_path, content)

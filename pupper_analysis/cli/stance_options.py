@@ -130,7 +130,8 @@ OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 class RobotAndTask:
     """Values of the stance options, as typed.
 
-    Each field is the value of an option; ``stance`` contains the options of the stand task.
+    ``which`` contains the options of the robot, ``stance`` those of the stand task. The command
+    sets ``fixed_base``; each other field is the value of an option.
     """
 
     which: RobotOptions
@@ -244,7 +245,11 @@ class RobotAndTask:
         return shared.parse_place("payload-at", self.payload_at or "0,0,0")
 
     def show(self, result: Result, robot: Robot) -> None:
-        """Show a result of the robot in the requested format."""
+        """Show a result of the robot in the requested format.
+
+        If the verdict names a difference between the two files, and all details are printed, the
+        first problem to repair in the files follows.
+        """
         named = [(robot.name, result)]
         shared.show_results(named, self.style, robots=[robot], everything=self.everything)
         verdict = getattr(result, "verdict", None)
@@ -359,7 +364,14 @@ def match_joints(option: str, pattern: str, robot: Robot) -> list[bool]:
 
 
 def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") -> dict[str, float]:
-    """Return {joint: effort limit [N m]} of the texts of ``--effort`` or of another option."""
+    """Return {joint: effort limit [N m, of a slide N]} of the texts of ``--effort``.
+
+    ``option`` is the name of the option, for errors.
+
+    Raises:
+        UnknownNameError: If a pattern matches no joint.
+        ConfigurationError: If a text has another form.
+    """
     efforts: dict[str, float] = {}
     for pattern, value in _parse_assignments(option, texts):
         matches = match_joints(option, pattern, robot)
@@ -431,7 +443,7 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
     Raises:
         UnknownNameError: If a pattern matches no joint.
         ConfigurationError: If a text has another form.
-        ModelError: If the patterns leave out a joint, and the model has no position servos.
+        ModelError: If the first pattern leaves out a joint, and the model has no position servos.
     """
     from pupper_analysis.robot.servos import model_with_servos
 

@@ -38,12 +38,12 @@ Array = NDArray[np.float64]
 def text(key: str, **values: object) -> Text:
     """Create a text in both languages from the catalogue.
 
+    The Chinese text is formed on access to ``Text.zh``.
+
     Args:
         key: Key in the catalogue (``texts.toml``, ``terms.toml`` or a table ``[texts]`` of a tool).
         **values: Values of the template's placeholders. A ``Text`` is inserted in the language of
             the result.
-
-    The Chinese text is formed on first access.
 
     Raises:
         KeyError: If the catalogue has no such key.
@@ -135,7 +135,8 @@ class Series:
             omitted.
         points: True to draw a marker at each point.
         note: Short result beside the name in the legend; None if absent.
-        marked_index: Index of the point with the larger marker; None if no point is marked.
+        marked_index: Index, in ``x`` and ``y``, of the point with the larger marker; None if no
+            point is marked. Without effect if ``points`` is False.
         reference: True for a line with which the other lines are compared.
     """
 
@@ -171,7 +172,7 @@ class Plot:
 
     Attributes:
         title: Title of the plot.
-        detail: True if the short terminal view omits the plot.
+        detail: False: no plot is a detail. Terminals show no plots.
     """
 
     kind: ClassVar[str] = "plot"

@@ -57,7 +57,7 @@ class Annotation:
         title: Subject by name. With ``kind`` and file it identifies the annotation, also after the
             line or a number in the message has changed.
         message: A single sentence.
-        place: ``file:line``, ``file``, or None.
+        place: ``file:line``, ``file:<element>``, ``file``, or None.
         rule: Identifier of the kind of finding; the title is used if empty.
         about: Short description of the rule; ``kind`` is used if empty.
         known: True if a baseline contains the annotation; None without a baseline.
@@ -188,13 +188,12 @@ def _escape_brackets(text: str) -> str:
 
 
 def _make_location(file: str, line: int | None) -> dict[str, Any]:
-    # A relative reference may not begin with "C:", which would be a scheme; so ":" is quoted, too.
     """Create a SARIF location, in line 1 if there is no line number.
 
     GitHub shows no result without a line.
     """
+    # A relative reference must not begin with a scheme, such as "C:"; so ":" is quoted, too.
     uri = Path(file).as_uri() if Path(file).is_absolute() else quote(os.fsencode(file))
-    # GitHub shows no result without a line.
     return {"artifactLocation": {"uri": uri}, "region": {"startLine": line or 1}}
 
 
@@ -241,8 +240,8 @@ def write_github(annotations: Iterable[Annotation]) -> str:
 
 
 def _escape_data(text: str) -> str:
-    # Ends of lines have words of their own there; what else would act on a log is shown.
     """Escape the message of a GitHub workflow command, a line that GitHub shows beside a file."""
+    # GitHub defines escapes for line ends; other control characters are written visibly.
     message = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
     return escape_control(message)
 

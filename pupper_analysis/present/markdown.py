@@ -75,7 +75,7 @@ def fold_lines(title: str, lines: Iterable[str]) -> str:
 
 
 def _write_document(document: Document, *, whole: bool) -> list[str]:
-    """Return the Markdown sections of a document; its tables and plots only if ``whole``."""
+    """Return the Markdown sections of a document; its blocks only if ``whole``."""
     sign = VERDICT_SIGNS.get(document.mark, "")
     verdict = "" if document.verdict is None else f"{_escape_words(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escape_words(document.title)}"

@@ -254,7 +254,7 @@ def list_views(result: Any, robot: Robot | None = None) -> View:
 
 @list_views.register(Configuration)
 def _list_configuration(config: Configuration, robot: Robot | None = None) -> View:
-    """Return the 3-D view of a robot in a configuration."""
+    """Return the view of a robot in a configuration."""
     return _make_view(robot or config.robot, config.qpos)
 
 
@@ -312,11 +312,13 @@ def _can_open_window() -> bool:
 
 
 def _make_cameras(robot: Robot, qpos: Array, azimuths: Array, elevation: float) -> Array:
-    """Return cameras that see the whole robot, all with the same distance and looked-at point.
+    """Return cameras that see the robot's first and last configuration.
+
+    All cameras have the same distance and looked-at point.
 
     Args:
         robot: Robot.
-        qpos: Configurations, shape (n, nq), of which the first and the last are fitted.
+        qpos: Configurations, shape (n, nq).
         azimuths: Azimuth of each camera, shape (n,) [deg].
         elevation: Elevation of all cameras [deg].
 
@@ -364,7 +366,7 @@ def draw_views(
 
     Raises:
         ConfigurationError: If the size is not positive.
-        DisplayError: If there is no OpenGL.
+        DisplayError: If the drawing process fails or takes too long, for example without OpenGL.
     """
     if min(size) < 1:
         raise ConfigurationError("size", diagnose("picture-without-pixels"))
@@ -398,7 +400,7 @@ def _list_drivers() -> tuple[str, ...]:
 
 
 def _run_drawing(folder: Path, driver: str) -> str | None:
-    """Draw the views stored in a folder, in another process; return why this failed, or None.
+    """Draw the views stored in a folder, in another process; return the failure, or None.
 
     ``driver`` is the value of MUJOCO_GL, which selects MuJoCo's rendering backend.
     """

@@ -31,6 +31,7 @@ def plot_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
 
     Raises:
         ConfigurationError: If the result has no plot, or the robot is missing.
+        StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
     """
     import_module("pupper_analysis.present.stand_plots")  # registers its plots
 

@@ -89,7 +89,7 @@ class Contact:
 
     Attributes:
         foot: Name of the foot, or of a contact with a grip.
-        point: Centre of pressure, shape (3,) [m], in the world frame.
+        point: Centre of pressure, or contact point of a grip, shape (3,) [m], in the world frame.
         force: Force on the foot, shape (3,) [N], in world axes.
     """
 

@@ -51,7 +51,7 @@ def draw_posture(posture: SolvedPosture, robot: Robot | None = None) -> tuple[Ax
     """Draw the stand of a posture, or else the skeleton of the posture without forces.
 
     Raises:
-        ConfigurationError: If the robot is missing, or is not the robot of the posture.
+        ConfigurationError: If the robot is missing, or is not the robot of the posture's stand.
         StaticsInfeasibleError: If the posture is that of a stand, and no contact forces balance the
             stand.
     """

@@ -1,10 +1,10 @@
 """Documents on a terminal: verdict, key figures, and tables that fit the width.
 
 The short view omits blocks marked as detail, and the tables of a brief document. A brief document
-is two lines, the verdict and the limit or cause, and the next command; the last line counts what -v
-adds. In a table that is too wide, columns of
-sentences are wrapped; if the table is still too wide, the table is printed in parts that repeat the
-first column. Names and numbers are never cut.
+has up to three lines: verdict, limit or cause, and the next command. A last line counts the omitted
+findings, tables and notes. In a table that is too wide, columns of sentences are wrapped; if the
+table is still too wide, the table is printed in parts that repeat the first column. Names and
+numbers are never cut.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ class _PrintedLine(NamedTuple):
 
 
 _COMMAND_PATTERN = re.compile(r"(?<!\S):(?=:)|#(?=#\[)")
-"""Start of a command to a CI service: ``::error::`` at a line start, ``##[error]`` anywhere.
+"""Start of a command to a CI service: ``::error::`` at the start of a line or after a space, and
+``##[error]`` anywhere.
 
 Source: actions/runner, ActionCommand.TryParseV2 and TryParse."""
 
@@ -79,7 +80,7 @@ def _escape_line(text: str) -> str:
 
 
 class SafeConsole(Console):
-    """Console that prints control characters (ESC, U+202E) in escaped form."""
+    """Console that escapes control characters (ESC, U+202E) of strings; callers escape ``Text``."""
 
     def render_str(self, text: str, **_: Any) -> Text:
         """Return a text with escaped control characters, line by line; markup has no effect."""
@@ -87,7 +88,7 @@ class SafeConsole(Console):
 
 
 def make_console() -> Console:
-    """Create a console of rich on standard output that escapes control characters."""
+    """Create a console of rich on standard output that escapes control characters of strings."""
     return SafeConsole(highlight=False, emoji=False, markup=False)
 
 
@@ -102,14 +103,15 @@ def print_report(
     """Print the documents of a report, and then its overview.
 
     If the report has an overview and ``everything`` is false, a summary takes the place of each
-    document, and the last line names the option that prints the tables.
+    document. If a document has blocks, the last line then names the option that prints them.
 
     Args:
         out: Console.
         report: Report.
         everything: Also print the blocks that the short view omits.
         next_command: Command line to run after the report; empty for none.
-        hidden_notes: Number of notes on the robots that the caller does not print.
+        hidden_notes: Number of notes on the robot that the caller does not print; stated for a
+            single document only.
     """
     several = bool(report.overview) and not everything
     single = len(report.documents) == 1
@@ -145,7 +147,7 @@ def print_document(
     Args:
         out: Console.
         document: Document.
-        everything: Also print the blocks that the short view omits.
+        everything: Also print details, all notes and the blocks that the short view omits.
         next_command: Command line to run next, printed below the key figures; empty for none.
         hidden_notes: Number of notes on the robot that the caller does not print.
     """
@@ -194,8 +196,8 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
     """Print a document's verdict, title, failures and findings.
 
     The first failure or finding is on the line of the verdict. With ``everything``, details follow.
-    Otherwise, the messages are printed in their short form, and all but the first are joined into
-    one line.
+    Otherwise, the messages are printed in their short form, and the second and further messages are
+    joined into one line (`_join_short_messages`).
     """
     short = not everything
     messages = [*document.failures, *document.findings, *(document.details if everything else ())]
@@ -415,7 +417,8 @@ class _PrintedColumn(NamedTuple):
         head: Header with unit.
         cells: Text of each row.
         left: True if the column is left-aligned.
-        width: Width of the longest line [characters].
+        width: Width of the longest cell, or word of the header [characters]; at least that of the
+            header, or `_MIN_HEADER_WIDTH` if the header is longer.
         least: Smallest width to which the column may be wrapped [characters]; equal to ``width`` if
             the column is not wrapped.
     """
@@ -428,7 +431,10 @@ class _PrintedColumn(NamedTuple):
 
 
 def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Text]:
-    """Return the lines of a table, divided into parts that fit; each part has the first column.
+    """Return the lines of a table, divided into parts that each begin with the first column.
+
+    A part fits the width if its first two columns do. A table is not divided if the first column is
+    wider than half of the width.
 
     Args:
         out: Console.

@@ -73,8 +73,8 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Return the statements of a verdict, without repetitions.
 
     Statements that agree with the verdict come first. In a bad verdict, the causes (`_CAUSES`)
-    follow directly after the first statement. Remarks about impossible masses and inertias precede
-    all statements of a bad verdict, because no simulation of such a file has a meaning.
+    follow directly after the first statement. A remark about an impossible mass or inertia is the
+    first statement of a bad verdict, because no simulation of such a file has a meaning.
     """
     run_clauses, fails = (
         tuple(make_keyframe_run_clauses(verdict.keyframe_run)),
@@ -118,7 +118,8 @@ _DECIDING_REMARKS = {
     VerdictCode.LIMITS_UNKNOWN: "torque-limits-unknown",
     VerdictCode.MASSES_UNKNOWN: "link-masses-unknown",
 }
-"""{code of a verdict: code of the remark that is the reason for it}. This remark comes first."""
+"""{code of a verdict: code of the remark that is the reason for it}. This remark precedes the
+statements on simulations."""
 
 _VERDICT_WORDS = {
     Question.STANDS: ("HOLDS", "FAILS"),
@@ -243,8 +244,9 @@ def judged_document(
     """Create the document of a result whose answer is a verdict.
 
     The short answer contains the verdict with the first text of ``answer``, ``limit``, the warnings
-    and assumptions that change the meaning of the verdict, and the other texts of ``answer``. A
-    terminal prints the other statements and the tables with -v only.
+    and assumptions that change the meaning of the verdict, and the other texts of ``answer``. In a
+    bad verdict the reasons precede these texts. A terminal prints the other statements and the
+    tables with -v only.
 
     Args:
         kind: Kind of result, such as "stance" or "payload limit".
@@ -253,7 +255,8 @@ def judged_document(
         answer: At least one text: first the number that the user requested, such as the largest
             payload, then further numbers.
         details: Further statements.
-        failures: Reasons against the result, in addition to the reasons of the verdict.
+        failures: Reasons against the result, in addition to the reasons of the verdict; ignored if
+            the verdict is good, like ``causes``.
         word: Verdict in one or two words. Default: the word of the judge's verdict.
         limit: Cause that limits the number, or the number that belongs to it, such as the base
             height; None if there is none.

@@ -35,14 +35,14 @@ WARNING_UTILISATION, FULL_UTILISATION = 0.9, 1.0
 reached; 0.9 is chosen, not tuned."""
 
 
-def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
+def utilisation_cell(share: float, limit: float) -> doc.Number:
     """Create a cell with a motor utilisation in percent and a bar.
 
     The cell shows a dash if the limit is zero, or if the limit or the utilisation is not finite.
 
     Args:
         share: |torque| / limit.
-        limit: Effort limit [N m].
+        limit: Effort limit [N m], of a slide [N].
     """
     if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
         return doc.number_cell(None, "")
@@ -165,7 +165,7 @@ def torque_table(
 
     Args:
         statics: Static equilibrium.
-        limits: Effort limits, shape (nu,) [N m].
+        limits: Effort limits, shape (nu,) [N m, of slides N].
         more: Further columns, {column: values of shape (nu,)}.
     """
     rows: list[tuple[doc.Cell, ...]] = [
@@ -244,7 +244,10 @@ def torque_plot(
 
 
 def contact_table(statics: GravityCompensation) -> doc.Table:
-    """Create the table of contact forces [N] in world axes, with friction utilisations."""
+    """Create the table of the forces [N] on feet, welds and grips, in world axes.
+
+    For feet, the table also has the friction utilisation.
+    """
     loads: dict[str, tuple[Iterable[float], float | None]] = {
         **{
             foot: (load.force, load.friction_utilisation)

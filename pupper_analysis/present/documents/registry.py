@@ -51,9 +51,9 @@ def value_cell(value: object) -> Cell:
     """Create a table cell with the value of a result's field, numbers with six digits.
 
     A list, mapping or array is written out up to `MAX_SHOWN_ENTRIES` and `MAX_CELL_LENGTH`; a
-    longer array is replaced by the size or shape.
+    longer value is replaced by its size or shape.
     """
-    if hasattr(value, "phrase"):  # as a stand's task says what it asks for
+    if hasattr(value, "phrase"):  # such as the description of a stand task
         return diagnostic_text(value.phrase())
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number_cell(float(value), ".6g")

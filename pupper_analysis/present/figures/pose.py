@@ -47,8 +47,8 @@ class Skeleton:
     """Lines that represent a robot, from MuJoCo's kinematics of the MJCF, in the world frame [m].
 
     Attributes:
-        legs: {foot: points of shape (n, 3)}: joints from the base to the foot, then the centre of
-            the contact sphere.
+        legs: {foot: points of shape (n, 3)}: joints from the base to the foot, then the contact
+            point of the foot: the centre of the contact sphere, if the foot has one.
         boxes: Corners of the boxes of the base, shape (n, 8, 3): of its box geoms or, without any,
             of the bounding boxes of its geoms. Corner 4 i + 2 j + k has the signs i, j, k along
             the edges.
@@ -144,11 +144,13 @@ _PROJECTIONS = (
 )
 """Projection matrix and title of each panel. Seen from above, +x is up and +y is left."""
 
-_MAX_ARROW_RATIO = 0.35  # length of the largest force's arrow / length of the support polygon
+_MAX_ARROW_RATIO = 0.35
 """Length of the arrow of the largest force, relative to the length of the support polygon. Chosen,
 not tuned."""
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
-_BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
+"""Colours of the legs on the side of the viewer, and on the other side of the base."""
+_BASE_FILL_COLOUR, _BASE_EDGE_COLOUR = "#FBE3AE", "#7A5300"
+"""Colours of the boxes of the base: faces, and edges with the polygon of the hips."""
 _SUPPORT_COLOUR = "#CFE8F7"
 """Fill colour of the support polygon."""
 _RING_STYLE: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
@@ -219,7 +221,7 @@ def make_pose_figure(
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
         Line2D([], [], color=drawing.BLACK_COLOUR, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING_STYLE, label="swing foot")] if stand.task.swing else []),
-        Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
+        Patch(facecolor=_BASE_FILL_COLOUR, edgecolor=_BASE_EDGE_COLOUR, label="base"),
         Line2D(
             [],
             [],
@@ -313,7 +315,9 @@ def _draw_stand(
 
     for box in lines.boxes:
         outline = hull_corners(box @ projection.T)
-        base = Polygon(outline, fc=_BASE_FACE, ec=_BASE_EDGE, alpha=0.4, lw=0.8, zorder=3)
+        base = Polygon(
+            outline, fc=_BASE_FILL_COLOUR, ec=_BASE_EDGE_COLOUR, alpha=0.4, lw=0.8, zorder=3
+        )
         axes.add_patch(base)
     support: dict[str, Any] = {
         "fc": _SUPPORT_COLOUR,
@@ -339,7 +343,7 @@ def _draw_stand(
         )
         line(leg[-1], **mark, ms=7 * small, zorder=order)
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
-    line(np.concatenate([around, around[:1]]), color=_BASE_EDGE, lw=2.2, zorder=3)
+    line(np.concatenate([around, around[:1]]), color=_BASE_EDGE_COLOUR, lw=2.2, zorder=3)
     line(
         np.array([seen.com, seen.com_projection]),
         color=drawing.GREEN_COLOUR,
@@ -386,7 +390,8 @@ def _measure_support(seen: StandingScene) -> float:
 def _draw_scale(axes: Axes, seen: StandingScene) -> None:
     """Draw a bar of a round length, with the length, below the view from above."""
     limit = 0.6 * _measure_support(seen)
-    length = max((one for one in _SCALE_LENGTHS if one <= limit), default=_SCALE_LENGTHS[0])
+    fitting = (length for length in _SCALE_LENGTHS if length <= limit)
+    length = max(fitting, default=_SCALE_LENGTHS[0])
     low, high = axes.get_ylim()
     axes.set_ylim(low - 0.12 * (high - low), high)  # room below the feet
     label = f"{1e3 * length:g} mm"
