@@ -75,7 +75,7 @@ class ServoBounds(Result):
             or grip.
         holding_kp_factor: Smallest simulated factor on the stiffness with which the robot stands
             without feed-forward (1); None if the robot stands with the present stiffness, or with
-            no simulated factor.
+            no simulated factor, or if ``least_kp_factor`` is None.
         largest_kd_factor: Largest factor on the damping with which an explicit PD controller is
             stable (1); infinite without a bound; None without damping, or if no factor is stable.
         timestep: Time step of the model, and period of this controller (s).

@@ -50,7 +50,7 @@ def find_motor(name: str) -> Motor:
 
     Raises:
         UnknownNameError: If the text is neither a known name nor a file.
-        ModelError: If the file is not valid.
+        ModelError: If the file cannot be read, or is not valid.
     """
     if name in list_motors():
         return read_motor(Path(str(_DATA / f"{name}.toml")))

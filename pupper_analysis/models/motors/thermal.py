@@ -30,8 +30,8 @@ THERMAL_NUMBERS = (
     "resistance_rise",
     "resistance_temperature",
 )
-"""Numbers of a motor without which no temperature can be computed; those of the housing are left
-out together."""
+"""Numbers of a motor without which no temperature can be computed. Both numbers of the housing may
+be unknown: the network then has one node."""
 
 _TIME_TOLERANCE = 1e-12
 """Relative tolerance of the time at which a temperature is reached. Chosen, not tuned."""

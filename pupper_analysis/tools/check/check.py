@@ -247,7 +247,8 @@ def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck
 def _list_changes(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
     """Yield changes of the files since a git revision, as remarks.
 
-    A change is left out if ``found`` contains it as a difference between URDF and MJCF.
+    A change is left out if ``found`` contains it as a difference between URDF and MJCF, or states
+    that a file of the pair cannot be read.
     """
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}

@@ -234,6 +234,9 @@ class _Comparison:
 
         Each such joint becomes a difference, as does another type of the base. Frames that only one
         version has are dropped.
+
+        Raises:
+            ModelError: If both versions have joints, but none in common.
         """
         if one.joints and two.joints and not self.pairs:
             message = diagnose("no-joint-in-common", other=self.sources[0].name)
@@ -383,7 +386,7 @@ def _sum_mass(values: MultibodyTree) -> float:
 def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
     """Replace the joint name in the value of a mimic joint or a motor; return other values.
 
-    ``names`` is {old name: new name}.
+    ``names`` is {name in the value: name that replaces it}.
     """
     if isinstance(value, list) and value and isinstance(value[0], str):
         return [names.get(value[0], value[0]), *value[1:]]
@@ -502,8 +505,8 @@ class RandomStates:
 
         Returns:
             {quantity: values, shape (n, ...)}: mass matrix, gravity [N m], bias forces minus
-            passive forces such as damping [N m], CoM, positions of joints and feet in the world
-            [m].
+            passive forces such as damping [N m], CoM [m], and positions [m] in the world of the
+            bodies that the joints move ("joint positions") and of the frames ("foot positions").
         """
         model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))

@@ -768,7 +768,7 @@ class SimulatedPair:
         Returns:
             {quantity: largest difference of a joint coordinate [m, rad]}, and messages. Both are
             empty if the models have no common joint; if ``explained`` is False, also if the
-            compiled models are equal, or if rounding errors can cause the effects.
+            compiled models are equal, the motions agree, or rounding errors can cause the effects.
         """
         old, new = self.old, self.new
         if not self._common_joints or (

@@ -251,11 +251,10 @@ class VersionedFile:
         return self.name if is_object(self.path) else self._replace_paths(place.path)
 
     def read(self, read: Callable[[Path | ModelObject | str], _T]) -> _T:
-        """Call ``read`` with the path of this file, its copy from git, or the robot in memory.
+        """Return the result of ``read`` for this file, its copy from git, or the robot in memory.
 
-        Returns the result of ``read``.
-
-        If ``read`` raises a ModelError, the message names the file as the user passed it.
+        Raises:
+            ModelError: If ``read`` raises one; the message names the file as the user passed it.
         """
         try:
             return read(self.path)

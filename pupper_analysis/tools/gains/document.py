@@ -215,7 +215,7 @@ def _make_bound_table(study: GainStudy) -> doc.Table:
 
 
 def _name_first_joints(bound: GainBound) -> doc.Words:
-    """Return the names of the joints that move most in the mode of a bound, or a dash."""
+    """Return the names of the two joints that move most in the mode of a bound, or a dash."""
     return (
         join_words([doc.Name(name) for name in bound.joints[:2]]) if bound.joints else doc.Name("-")
     )

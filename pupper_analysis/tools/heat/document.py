@@ -59,7 +59,7 @@ def _format_minutes(seconds: float) -> str:
 
 
 def _describe_first(motor: MotorHeat) -> doc.Words:
-    """State the time to the limit, or the final temperature, of a motor."""
+    """State the time to the limit, the final temperature, or the runaway of a motor."""
     time, final = motor.time_to_limit, motor.steady_temperature
     values = {
         "joint": doc.Name(motor.joint),
@@ -75,7 +75,7 @@ def _describe_first(motor: MotorHeat) -> doc.Words:
 
 
 def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield the unknown numbers of each kind of motor, and the joints without motor."""
+    """Yield the unknown numbers of each kind of loaded motor, and up to 4 joints without motor."""
     lacking: dict[str, tuple[str, ...]] = {}
     for motor in study.motors:
         if motor.unknown and motor.torque:
@@ -158,7 +158,10 @@ def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
 
 
 def _list_plots(study: HeatStudy) -> Iterable[doc.LinePlot]:
-    """Yield the plot of the temperatures of the hottest motors, if a temperature is known."""
+    """Yield the plot of the temperatures of the hottest motors and of `HeatStudy.first`.
+
+    Without a loaded motor with known temperatures, nothing is yielded.
+    """
     known = [
         index for index, motor in enumerate(study.motors) if motor.steady_temperature is not None
     ]

@@ -53,7 +53,10 @@ class EditableMjcf:
         return self._bodies.get(name)
 
     def find_joint(self, name: str, body: str) -> Element | None:
-        """Return the XML element of a joint; a joint without a name is found by its body's name."""
+        """Return the XML element of a joint, or else the first joint without a name in its body.
+
+        None if the body is a copy, or has neither joint.
+        """
         element = self._bodies.get(body)
         if element is None:
             return None

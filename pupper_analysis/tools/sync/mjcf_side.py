@@ -175,7 +175,7 @@ class MjcfSide(Side):
         self.model: mujoco.MjModel = self.robot.mj_model
 
     def plan(self, taken: Collection[Key]) -> None:
-        """Plan the changes of the MJCF for selected differences (kind, element).
+        """Plan the changes of the MJCF for selected differences (kind, element), and its `gains`.
 
         Changes of positions are planned first, because children move with the parent body.
         """

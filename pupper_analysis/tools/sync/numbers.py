@@ -62,7 +62,7 @@ class WrittenNumbers:
     Attributes:
         urdf: Path of the URDF in the folder; None if the robot has none.
         mjcf: Path of the MJCF in the folder; None if the robot has none.
-        edits: Changes of attributes, in the files from which the robot was loaded.
+        edits: Changes of attributes, in the files that were read.
         contents: {path in the folder: content} of the models and of the files that the models need.
         sources: Files that were read.
     """
@@ -140,8 +140,9 @@ def write_numbers(
         robot: Robot. A model that was generated from the other model has no file.
         numbers: {(kind, element): value}. For a link that moves, in the frame of the URDF's link:
             ``mass`` [kg], ``com`` (3,) [m], ``inertia`` (3, 3) about the CoM [kg m^2]. For a joint:
-            ``damping``, ``friction``, ``armature`` without the values of motors, and ``kp`` and
-            ``kd`` of the position servo, at the joint [N m/rad, N m s/rad], in the MJCF only.
+            ``damping`` and ``friction`` and, in the MJCF only, ``armature``, all without the values
+            of motors, and ``kp`` and ``kd`` of the position servo, at the joint [N m/rad, N m
+            s/rad].
         files: URDF and MJCF, if different from the files from which the robot was loaded.
 
     Returns:
@@ -397,7 +398,9 @@ def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Ke
 
 
 def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
-    """Check that all bodies of a robot have the values that the files state.
+    """Check that all bodies of a robot have mass, CoM and inertia as the files state.
+
+    Of a base that is fixed in the world, the mass alone is compared.
 
     Raises:
         ModelError: If a body differs: the robot was changed after loading, or has other files.

@@ -88,7 +88,7 @@ class PrimPlaces:
         Args:
             kind: Kind of the element, such as link or joint.
             name: Name of the element.
-            child: Child element to locate instead. Default: the element itself.
+            child: Ignored, since the prim of a body states its mass.
         """
         assert self.usd is not None
         return self.usd.place(kind, name, child)

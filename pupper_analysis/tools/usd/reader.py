@@ -243,7 +243,8 @@ def make_mjspec(model: UsdModel) -> mujoco.MjSpec:
     """Write a model as a MuJoCo spec: bodies, joints, inertials, couplings, gravity; no shapes.
 
     Raises:
-        ModelError: If MuJoCo has no joint of a kind, or refuses an inertia.
+        ModelError: If MuJoCo has no joint of a kind, no constraint for a loop, or refuses an
+            inertia.
     """
     spec = mujoco.MjSpec()
     spec.modelname = model.file.path.stem
