@@ -126,6 +126,9 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 
 # Arguments of commands that take one robot, and several robots: variants or files.
 robot_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]")
+robot_and_sources_argument = click.argument(
+    "words", nargs=-1, type=_RobotWord(), metavar="[ROBOT] [SOURCE]..."
+)
 robots_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]...")
 
 

@@ -54,6 +54,13 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("walk", "v3", "--policy", "policy.json", "--orders"): (
         *(("--command", "1,0,0"), ("--seeds", "2"), ("--vary", "mass"), ("--fit", "fit.json")),
     ),
+    ("walk", "v3", "--policy", "policy.json", "--response"): (
+        *(("--vary", "mass"), ("--orders",), ("--trace", "trace.npz")),
+    ),
+    ("walk", "v3", "--policy", "policy.json", "--init"): (
+        *(("--contract", "policy.toml"), ("--effort", "3"), ("--response",)),
+        *(("--trace", "trace.npz"), ("--json", "a.json"), ("--orders",)),
+    ),
     ("live", "v3", "--drop", "--headless"): (("--port", "1"), ("--fixed-base",)),
     ("live", "v3", "--mujoco", "--headless"): (("--port", "1"),),
     ("live", "v3", "--no-browser"): (("--headless",),),
@@ -121,9 +128,9 @@ USED: dict[str, set[str]] = {
     "payload": _SERVO | _LOAD | _POLICY | {"continuous", "payload_at"},
     "push": _SERVO | _LOAD | _POLICY | {"directions", "resolution"},
     "stand": _SERVO | _LOAD | {"minimum_stiffness", "explain"},
-    "study": {"folder", "workers", "minimise", "maximise", "numbers"},
+    "study": {"folder", "workers", "dask", "minimise", "maximise", "numbers"},
     "sync": {"dry_run", "changes"},
-    "walk": {"policy", "contract", "seconds", "orders"},
+    "walk": {"policy", "seconds", "init"},
     "workspace": _LOAD,
 }
 """{command: options that are used whenever the command accepts these options}."""

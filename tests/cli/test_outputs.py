@@ -49,6 +49,7 @@ OPTIONS = {
     "fitted": "fit.json",
     "logs": "log.csv",
     "record": "plan.csv",
+    "trace": "trace.npz",
     "config": "pupper-analysis.toml",
 }
 """{option that names a file to be read: the file}; ``--urdf`` and ``--mjcf`` are arguments here."""
@@ -181,7 +182,7 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
             if isinstance(parameter, click.Option)
             and isinstance(parameter.type, click.Path)
             and not isinstance(parameter.type, OutputPath)
-            and parameter.name not in ("urdf", "mjcf", "stands", "logs", "record", *left)
+            and parameter.name not in ("urdf", "mjcf", "stands", "logs", "record", "trace", *left)
             for word in (max(parameter.opts, key=len), OPTIONS[str(parameter.name)])
         ]
         yield [str(command.name), *given, *inputs, *more]

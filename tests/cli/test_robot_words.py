@@ -21,10 +21,10 @@ COMMANDS = sorted(cli.group.list_commands(click.Context(cli.group)))
 _OTHER_INPUT = {
     "check": "check takes a folder",
     "study": "a TOML file describes a study",
-    "walk": "it is no policy",
+    "walk": "exactly one policy is needed",
 }
 """{command: text of the error about a robot that is not installed}: commands without a robot on the
-command line, and ``walk``, which reads the policy before the robot."""
+command line, and ``walk``, which needs the policy before the robot."""
 
 _ROBOT_ARGUMENTS = {"words", "file", "folder", "sources", "source", "urdf", "mjcf", "old", "new"}
 """Names of arguments that specify robots."""

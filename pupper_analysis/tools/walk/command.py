@@ -18,6 +18,7 @@ from pupper_analysis.cli.robots import (
     RobotOptions,
     add_options,
     pass_robot_options,
+    robot_and_sources_argument,
 )
 from pupper_analysis.cli.stance_options import EFFORT_OPTION, parse_efforts
 from pupper_analysis.tools.walk.modes import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @shared.command("walk")
-@click.argument("words", nargs=-1, type=click.Path(), metavar="[ROBOT] [SOURCE]...")
+@robot_and_sources_argument
 @add_options(FILE_OPTIONS, VARIANT_OPTIONS)
 @shared.file_option(
     "--policy",
@@ -150,7 +151,7 @@ def command(
     no command is ignored; with --trace, the trace agrees as well), 1 otherwise, 2 bad input.
     """  # noqa: D301 - click reads the \b
     _refuse_idle_options(
-        orders=orders, response=response, trace=trace is not None, vary=vary is not None
+        init=init, orders=orders, response=response, trace=trace is not None, vary=vary is not None
     )
     from pupper_analysis.tools.contract.contract import TRACED
     from pupper_analysis.tools.contract.deployment import read_deployment
@@ -168,22 +169,11 @@ def command(
 
     checked_command = parse_walking_command(command_text)
     words, sources = split_sources(words)
-    policy_path, sources = select_policy(policy, sources)
     source = which.select_robot(words) or "v3"
+    policy_path, sources = select_policy(policy, sources)
     robot = load_walking_robot(source, style, everything=everything)
     deployment = read_deployment(robot, sources, policy_path) if sources else None
     if init:
-        idle = (
-            "command_text",
-            "seeds",
-            "seconds",
-            "vary",
-            "fitted",
-            "effort",
-            "orders",
-            "contract",
-        )
-        refuse_idle("--init", *idle, "json_path", "report_path", "everything")
         _write_first_contract(policy_path, robot, deployment)
         return
     loaded_policy = Policy.load(policy_path, contract, deployment)
@@ -235,8 +225,22 @@ def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | N
     click.echo(str(diagnose("walk-template-written", file=str(path), missing=missing)))
 
 
-def _refuse_idle_options(*, orders: bool, response: bool, trace: bool, vary: bool) -> None:
+def _refuse_idle_options(
+    *, init: bool, orders: bool, response: bool, trace: bool, vary: bool
+) -> None:
     """Refuse typed options that have no effect in the selected mode."""
+    if init:
+        idle = (
+            "command_text",
+            "seeds",
+            "seconds",
+            "vary",
+            "fitted",
+            "effort",
+            "orders",
+            "contract",
+        )
+        refuse_idle("--init", *idle, "trace", "response", "json_path", "report_path", "everything")
     if orders:
         refuse_idle("--orders", "command_text", "seeds", "vary", "fitted")
     if response:
