@@ -85,7 +85,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 
 
 def _describe_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
-    """Yield the range of the first metric, with the variables of both extreme designs."""
+    """Yield the range of the first metric that varies, and the variables of the extreme designs."""
     measured = [
         summary
         for summary in outcome.measured
