@@ -148,7 +148,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         passed: Whether the stand is verified.
         failures: Reasons of the failure.
         stays: Whether the robot stands still on its feet, also after the nudge, as predicted or
-            not.
+            not. A foot may be idle if URDF and MJCF describe different robots.
         collapses: Whether the simulation diverged, or the robot has fallen over, sunk, been thrown
             up or left its place at the end; for a fixed base, whether a joint ends far from the
             stand.
