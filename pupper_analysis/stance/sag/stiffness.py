@@ -115,12 +115,10 @@ def minimum_stiffness(
         if found not in search.lost or not search.follow(found):
             break
         high = found  # continuation has missed the equilibrium that removed feed-forward reaches
-        while low == high:
-            low /= 2
+        while low == high or search.stands(low):  # continuation may have missed it there, too
+            low, high = low / 2, low
             if low < MIN_STIFFNESS:
                 return high
-            if search.stands(low):
-                high = low
     return high
 
 

@@ -8,7 +8,11 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.stance.sag.steady_state import find_sag_failure
-from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, minimum_stiffness
+from pupper_analysis.stance.sag.stiffness import (
+    _StiffnessSearch,
+    estimate_minimum_stiffness,
+    minimum_stiffness,
+)
 from tests.support.variants import load
 
 
@@ -55,3 +59,34 @@ def test_a_small_tolerance_needs_few_tested_values() -> None:
     assert minimum_stiffness(robot, stand) == pytest.approx(least, rel=0.01)
     assert find_sag_failure(robot, stand, kp=least) is None
     assert find_sag_failure(robot, stand, kp=(1 - 1e-6) * least) is not None
+
+
+@pytest.mark.slow
+def test_equilibria_that_continuation_misses_are_found_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A continuation that fails below 6 N m/rad, once. Reference: the result without failure.
+
+    The soles of Booster's T1 need this: continuation ends 5 % above the least stiffness.
+    """
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask())
+    least = minimum_stiffness(robot, stand)
+    continued, followed = _StiffnessSearch.stands_at_first, _StiffnessSearch.follow
+    found: list[float] = []
+
+    def fail_once(search: _StiffnessSearch, value: float) -> bool:
+        if search._path is None or found[1:] or value > 6:
+            return continued(search, value)
+        search.lost.add(value)
+        return False
+
+    def follow(search: _StiffnessSearch, value: float) -> bool:
+        if followed(search, value):
+            found.append(value)
+        return found[-1:] == [value]
+
+    monkeypatch.setattr(_StiffnessSearch, "stands_at_first", fail_once)
+    monkeypatch.setattr(_StiffnessSearch, "follow", follow)
+    assert minimum_stiffness(robot, stand) == pytest.approx(least, rel=0.01)
+    assert len(found) == 2  # at the start, and below the lost values
