@@ -42,6 +42,11 @@ _BOUNDED_DYNAMICS = (
 """Actuator dynamics with which a force never exceeds the force of the largest command."""
 
 
+MIN_EFFORT = 1e-9
+"""Smallest torque limit [N m, N] of a motor; a smaller limit counts as zero, because utilisations
+overflow with it. Chosen: the smallest geared motors have 1e-4 N m."""
+
+
 class EffortCode(StrEnum):
     """Meaning of the torque limit of a joint."""
 
@@ -170,7 +175,7 @@ class EffortLimit(Result):
         """
         if self.origin is None:
             return EffortCode.UNKNOWN
-        if self.lower < 0 or self.upper > 0:
+        if max(-self.lower, self.upper) >= MIN_EFFORT:
             return EffortCode.STATED
         low, high = self.origin.stated
         return EffortCode.NEGATIVE if low > high else EffortCode.ZERO
@@ -190,9 +195,10 @@ class EffortLimit(Result):
     def symmetric_torque(self) -> float:
         """Largest torque that the limit permits in both directions [N m, N]; infinite if unknown.
 
-        min(-lower, upper), or 0 if the range does not contain both signs.
+        min(-lower, upper), or 0 if the range does not contain both signs, or below `MIN_EFFORT`.
         """
-        return max(0.0, min(-self.lower, self.upper))
+        torque = min(-self.lower, self.upper)
+        return torque if torque >= MIN_EFFORT else 0.0
 
 
 def resolve_effort_limit(

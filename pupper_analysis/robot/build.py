@@ -35,7 +35,13 @@ from pupper_analysis.models.conversion import (
     pinocchio_from_urdf,
 )
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.efforts import EffortLimit, EffortStatement, Motor, placeholder_efforts
+from pupper_analysis.models.efforts import (
+    MIN_EFFORT,
+    EffortLimit,
+    EffortStatement,
+    Motor,
+    placeholder_efforts,
+)
 from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.models.transmission import is_at_one_joint
@@ -486,9 +492,10 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     for name, effort in efforts.items():
         if name not in robot.joint_names:
             raise UnknownNameError(robot.name, "joint", name, robot.joint_names)
-        if isinstance(effort, bool) or not 0 < effort < math.inf:
-            stated = Quantity(effort, old_limits[name].unit)
-            problem = diagnose("effort-not-valid", joint=name, effort=stated)
+        if isinstance(effort, bool) or not MIN_EFFORT <= effort < math.inf:
+            unit = old_limits[name].unit
+            stated, least = Quantity(effort, unit), Quantity(MIN_EFFORT, unit)
+            problem = diagnose("effort-not-valid", joint=name, effort=stated, least=least)
             raise ConfigurationError("effort", problem)
     if not efforts:
         return robot

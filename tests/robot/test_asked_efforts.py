@@ -13,13 +13,15 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.efforts import Motor, placeholder_efforts
+from pupper_analysis.models.efforts import EffortCode, Motor, placeholder_efforts
 from pupper_analysis.present.verdict import split_verdict_lines
-from pupper_analysis.robot.build import with_efforts
+from pupper_analysis.robot.build import rebuild_robot, with_efforts
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import with_payload
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.statics.equilibrium import ForceDistribution
 from tests.support import arm
-from tests.support.variants import load
+from tests.support.variants import load, stand_of
 
 
 @pytest.mark.parametrize("effort", [0.7, 30.0])  # less, and more, than the file's
@@ -140,3 +142,21 @@ def test_equal_efforts_of_all_motors_are_judged_by_the_weight_of_the_robot() -> 
     assert message.code == "efforts-beyond-robot"
     assert message.values["same"]
     assert message.values["share"] == pytest.approx(91)
+
+
+@pytest.mark.filterwarnings("error")
+def test_effort_that_no_motor_has_is_refused_or_counts_as_zero() -> None:
+    """1 / 1e-300 overflows in squares: NumPy warned, and utilisations had no meaning."""
+    robot = load("v3")
+    with pytest.raises(pa.ConfigurationError, match=r"1e-300 N m at .* of at least 1e-09 N m"):
+        with_efforts(robot, {"leg_front_r_1": 1e-300})
+    text = robot.description.urdf
+    changed = re.sub(r'effort="[^"]*"', 'effort="1e-300"', text)
+    stated = rebuild_robot(robot, urdf=changed)
+    assert {limit.code for limit in stated.efforts} == {EffortCode.ZERO}
+    assert not stated.effort_limits.any()
+    stand = stand_of("v3")
+    shares = stand_statics(
+        stated, stand.with_robot(stated), distribution=ForceDistribution.MIN_MAX_TORQUE
+    )
+    assert np.isinf(shares.motor_utilisation).any()

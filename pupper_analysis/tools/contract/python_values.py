@@ -118,7 +118,11 @@ class _ReturnSignal(Exception):  # noqa: N818
 
 
 class _LeaveSignal(Exception):  # noqa: N818
-    """Control flow: ``break``, or ``raise`` in a function."""
+    """Control flow: ``break``."""
+
+
+class _RaiseSignal(Exception):  # noqa: N818
+    """Control flow: ``raise``."""
 
 
 class _NextSignal(Exception):  # noqa: N818
@@ -253,7 +257,7 @@ class Evaluator:
         except (MemoryError, ValueError) as error:
             raise make_file_error(Place(path), diagnose("contract-too-deep")) from error
         result = self.modules[path] = ModuleNames(path, re.split("\r\n?|\n", text))
-        with suppress(_LeaveSignal, _NextSignal, _ReturnSignal):
+        with suppress(_LeaveSignal, _NextSignal, _RaiseSignal, _ReturnSignal):
             self.run_statements(tree.body, Scope(result))
         return result
 
@@ -315,13 +319,12 @@ class Evaluator:
         )
 
     def _run_raise(self, *_: object) -> None:
-        """Raise the signal that leaves the innermost loop, or else the function or module.
+        """Leave all loops up to the ``try`` statement with handlers, or the function or module."""
+        raise _RaiseSignal
 
-        For the statements ``raise`` and ``break``.
-        """
+    def _run_break(self, *_: object) -> None:
+        """Leave the innermost loop."""
         raise _LeaveSignal
-
-    _run_break = _run_raise
 
     def _run_continue(self, *_: object) -> None:
         """Continue with the next iteration of a loop."""
@@ -347,16 +350,19 @@ class Evaluator:
     def _run_try(self, statement: ast.Try | ast.With, scope: Scope) -> None:
         """Evaluate the body of ``try`` or ``with``, then of ``else`` and ``finally``.
 
-        Exception handlers are not evaluated.
+        Exception handlers are not evaluated: their targets become unknown if the body raises. An
+        exception leaves a ``try`` without handlers after ``finally``.
         """
-        self.run_statements(
-            [
-                *statement.body,
-                *getattr(statement, "orelse", ()),
-                *getattr(statement, "finalbody", ()),
-            ],
-            scope,
-        )
+        handlers = getattr(statement, "handlers", ())
+        try:
+            self.run_statements([*statement.body, *getattr(statement, "orelse", ())], scope)
+        except _RaiseSignal:
+            if not handlers:
+                raise
+            for handler in handlers:
+                self._invalidate_targets(handler, scope)
+        finally:
+            self.run_statements(getattr(statement, "finalbody", []), scope)
 
     _run_with = _run_try
 
@@ -441,7 +447,7 @@ class Evaluator:
                     return self.load_module(file)
         return None
 
-    def _invalidate_targets(self, statement: ast.stmt, scope: Scope) -> None:
+    def _invalidate_targets(self, statement: ast.stmt | ast.ExceptHandler, scope: Scope) -> None:
         """Set all variables that a statement may assign to unknown values."""
         within = (node for node in ast.walk(statement) if isinstance(node, ast.stmt))
         for said, node in ((inner, node) for inner in within for node in ast.walk(inner)):
@@ -858,7 +864,7 @@ class Evaluator:
             self.run_statements(node.body, scope)
         except _ReturnSignal as done:
             return done.node
-        except (_LeaveSignal, _NextSignal) as error:
+        except (_LeaveSignal, _NextSignal, _RaiseSignal) as error:
             raise NotConstantError from error
         finally:
             self.depth -= 1

@@ -33,6 +33,16 @@ KNOWN = {
     "continue": ("x = {}\nfor n in 'a', 'b':\n    if n == 'a':\n        continue\n    x[n] = 1\n",
                  {"b": 1}),
     "break": ("x = []\nfor n in range(5):\n    if n:\n        break\n    x.append(n)\n", [0]),
+    "raise leaves all loops of a try": (
+        "x = []\ntry:\n    for n in 1, 2:\n        for m in 3, 4:\n            x.append(n * m)\n"
+        "            raise ValueError\n    x.append(0)\nexcept ValueError:\n    pass\n", [3]),
+    "raise within a called loop": (
+        "def f():\n    for n in 1, 2:\n        raise ValueError\n    return n\nx = 7\nx = f()\n",
+        "<f()>"),
+    "raise ends a module": ("x = 1\nfor n in 1, 2:\n    raise ValueError\nx = 2\n", 1),
+    "at last after a raise": (
+        "x = [1]\ntry:\n    raise ValueError\nexcept ValueError:\n    pass\nfinally:\n"
+        "    x.append(2)\n", [1, 2]),
     "pop": ("x = {'a': 1, 'b': 2}\nx.pop('a')\n", {"b": 2}),
     "insert and extend": ("x = [2]\nx.insert(0, 1)\nx.extend([3, 4])\n", [1, 2, 3, 4]),
     "setdefault": ("x = {}\nx.setdefault('a', 3)\nx.setdefault('a', 4)\n", {"a": 3}),
