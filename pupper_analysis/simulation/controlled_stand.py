@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.stability import HOLD_DURATION, copy_data, select_most_moving
 from pupper_analysis.simulation.rollout import StandStart
 
@@ -199,9 +200,9 @@ class ControlledStand:
         model.opt.enableflags &= ~mujoco.mjtEnableBit.mjENBL_SLEEP.value
         size = 2 * model.nv + model.na
         state, inputs = np.zeros((size, size)), np.zeros((size, model.nu))
-        mujoco.mjd_transitionFD(
-            model, copy_data(model, self._start), _DIFFERENCE_STEP, True, state, inputs, None, None
-        )
+        data = copy_data(model, self._start)
+        with silence_mujoco():  # of an unstable model; the derivative is checked below
+            mujoco.mjd_transitionFD(model, data, _DIFFERENCE_STEP, True, state, inputs, None, None)
         effect = inputs[:, self._controls]
         if not (np.isfinite(state).all() and np.isfinite(effect).all()):
             raise ConfigurationError(

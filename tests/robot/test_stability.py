@@ -351,3 +351,15 @@ def test_mode_grows_if_its_rate_exceeds_one_ten_thousandth_per_second(
     kp, kd = MOMENT - rate, 1.0
     assert compute_exponents(kp, kd).max() == pytest.approx(rate, rel=1e-3)
     assert bool(make_stability(pendulum(kp, kd, "implicitfast")).unstable) is grows
+
+
+def test_derivative_of_an_unstable_model_prints_no_warning(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Negative damping makes the effective mass of the implicit step singular in MuJoCo."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option integrator="implicitfast"/><worldbody><body><joint damping="-1e9"/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    step_derivative(model, mujoco.MjData(model), 1e-6)
+    assert capfd.readouterr().err == ""
