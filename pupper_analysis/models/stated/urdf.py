@@ -217,7 +217,7 @@ def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
         _changed: Modification time [ns]; only a part of the cache key.
     """
     try:
-        mesh = _load_mesh(path, merge=False)
+        mesh = _read_binary_stl(path) or _load_mesh(path, merge=False)
         points = np.asarray(mesh.vertices, dtype=float)
         faces = np.asarray(mesh.faces)
     except Exception as error:  # parsers raise various exceptions for broken meshes
@@ -229,6 +229,30 @@ def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     if faces.min() < 0 or faces.max() >= len(points):
         return diagnose("mesh-vertex-unknown", vertex=int(faces.max()) + 1, vertices=len(points))
     return Mesh(points, faces).hull()
+
+
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
+"""Record of a triangle in a binary STL file (de facto standard of the format)."""
+
+_STL_HEADER_BYTES = 84
+"""Bytes of a binary STL file before the triangles: a text of 80 bytes, and the number of triangles.
+"""
+
+
+def _read_binary_stl(path: Path) -> Mesh | None:
+    """Read a binary STL file, with three vertices per triangle; None for other or empty files.
+
+    The result equals that of trimesh, which is slow to import.
+    """
+    if path.suffix.lower() != ".stl" or path.stat().st_size <= _STL_HEADER_BYTES:
+        return None
+    content = path.read_bytes()
+    count = int.from_bytes(content[_STL_HEADER_BYTES - 4 : _STL_HEADER_BYTES], "little")
+    if len(content) != _STL_HEADER_BYTES + count * _STL_TRIANGLE.itemsize:
+        return None
+    triangles = np.frombuffer(content, _STL_TRIANGLE, offset=_STL_HEADER_BYTES)
+    points = triangles["vertices"].reshape(-1, 3).astype(float)
+    return Mesh(points, np.arange(len(points)).reshape(-1, 3))
 
 
 def _load_mesh(path: Path, *, merge: bool) -> Any:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
-from pupper_analysis.models.stated.urdf import read_urdf_model
+import numpy as np
+import pytest
+import trimesh
+
+from pupper_analysis.models.shapes import Mesh
+from pupper_analysis.models.stated.urdf import read_mesh_file, read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
 
 URDF = """<robot name="robot"><link name="base">
@@ -25,3 +31,29 @@ def test_collision_meshes_collide_and_visual_meshes_do_not(tmp_path: Path) -> No
         "touched": (True, ()),
         "ball": (True, (0.1,)),
     }
+
+
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
+def test_stl_files_are_read_as_by_trimesh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """Reference: trimesh, which writes and reads the file; a binary file is read without it."""
+    solid = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
+    path = tmp_path / "a.stl"
+    solid.export(path, file_type=kind)
+    read = trimesh.load(path, force="mesh", process=False)
+    expected = Mesh(np.asarray(read.vertices), np.asarray(read.faces)).hull()
+    if kind == "stl":
+        monkeypatch.setitem(sys.modules, "trimesh", None)
+    hull = read_mesh_file(path, 0)
+    assert isinstance(hull, Mesh)
+    np.testing.assert_array_equal(hull.vertices, expected.vertices)
+    np.testing.assert_array_equal(hull.faces, expected.faces)
+
+
+@pytest.mark.parametrize("content", [b"", b" " * 80 + b"\x02\0\0\0" + b"\0" * 50])
+def test_stl_files_without_the_stated_triangles_are_refused(tmp_path: Path, content: bytes) -> None:
+    """Reference: the number of triangles in the header, 2, and the bytes of one triangle."""
+    path = tmp_path / "a.stl"
+    path.write_bytes(content)
+    assert not isinstance(read_mesh_file(path, 0), Mesh)
