@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.gait import (
@@ -136,11 +137,14 @@ def map_response(
             this number.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
-            feet, or the rate of the policy exceeds that of the time steps.
+        ConfigurationError: If an argument is out of range, all limits are 0, the base is fixed, the
+            robot has no feet, or the rate of the policy exceeds that of the time steps.
         ModelError: If the policy does not fit the robot.
     """
     checked = np.abs(check_command(limits))
+    if not checked.any():  # a map without axes would pass
+        problem = diagnose("not-between", given=0, low="0 (exclusive)", high=100)
+        raise ConfigurationError("command", problem)
     check_runs(seeds, seconds, WARM_UP_SECONDS)
     stage = prepare_stage(robot, policy)
     fractions = np.arange(-NUM_STEPS, NUM_STEPS + 1) / NUM_STEPS

@@ -67,7 +67,7 @@ def test_achieved_velocities_equal_single_walks(tmp_path: Path) -> None:
 
 def test_invalid_limits_are_refused(tmp_path: Path) -> None:
     policy = Policy.load(made.write_standing_policy(tmp_path / "still.json"))
-    for limits in ((1.0, 1.0), (float("nan"), 0, 0), (1e3, 0, 0)):
+    for limits in ((1.0, 1.0), (float("nan"), 0, 0), (1e3, 0, 0), (0, 0, 0)):
         with pytest.raises(ConfigurationError):
             map_response(load("v3"), policy, limits)
 
