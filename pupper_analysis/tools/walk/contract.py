@@ -1,7 +1,8 @@
 """Contract of a policy and a robot: the observation, and the meaning of the actions.
 
-Inputs are statements {contract key: value} of the policy file and of a TOML file. `make_contract`
-merges these statements, checks them against the sizes of the network, and returns a `Contract`.
+Inputs are statements {contract key: value} of the policy file, of a deployment and of a TOML file.
+`make_contract` merges these statements, checks them against the sizes of the network, and returns a
+`Contract`.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ TERM_SIZES = {
 }
 """Number of elements of each term; None if the number follows from the joints or the phases.
 
-Velocities and gravity refer to the base, in the base frame. Joint positions
-are relative to the default positions. The up-command is the commanded vertical in the base frame.
-The phase contains the cosines and then the sines of all phases; ``phase-sine`` and ``phase-cosine``
-are its parts, as ``command-velocity`` and ``command-turning`` are of the command. The accelerometer
-measures acceleration minus gravity at the origin of the base. Contacts are 1 for each foot that
-touches anything, else 0, in the order of the robot's feet."""
+Velocities and gravity refer to the base, in the base frame. Joint positions are relative to the
+default positions. The up-command is the commanded vertical in the base frame. The phase contains
+the cosines and then the sines of all phases; ``phase-sine`` and ``phase-cosine`` are its parts, as
+``command-velocity`` and ``command-turning`` are of the command. The accelerometer measures
+acceleration minus gravity at the origin of the base, in the base frame. Contacts are 1 for each
+foot that touches anything, else 0, in the order of the robot's feet."""
 
 _TERM_ALIASES = {
     "base_lin_vel": "linear-velocity",
@@ -485,7 +486,7 @@ def _read_history(merged: _MergedValues) -> tuple[int, bool]:
 
 
 def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
-    """Return the terms of an observation; each entry is a name, or a table of name and scale."""
+    """Return the terms of an observation: each is stated by name, or as name, scale and clip."""
     entries = merged.values.get("observation")
     if not isinstance(entries, list) or not entries:
         raise merged.make_error("observation", diagnose("contract-lacks", key="observation"))
@@ -541,6 +542,9 @@ def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Sta
         deployment: Numbers of a deployment, for joints of the robot.
         inputs: Number of inputs of the network.
         outputs: Number of outputs of the network.
+
+    Raises:
+        ModelError: If terms of the observation have different numbers of frames.
     """
     values, places, origins = dict[str, Any](), dict[str, str](), dict[str, str]()
 
@@ -615,6 +619,7 @@ def _convert_term(term: ObservedTerm) -> dict[str, Any]:
 
 _BASIC_TERMS = ("angular-velocity", "gravity", "command", "joint-positions", "joint-velocities",
                 "last-action")  # fmt: skip
+"""Terms that the observations of all `KNOWN_LAYOUTS` contain, in their order."""
 
 KNOWN_LAYOUTS: Mapping[str, tuple[tuple[str, ...], float]] = {
     "legged_gym 1.0": (("linear-velocity", *_BASIC_TERMS), 0.0),
@@ -636,7 +641,7 @@ _SCALES_OF_TERMS = {
 def _put_known_layout(
     deployment: Deployment, inputs: int, joints: int, put: Callable[..., None]
 ) -> None:
-    """State the observation of the framework of legged_gym that has the network's size.
+    """State the observation of the first of `KNOWN_LAYOUTS` that has the network's size.
 
     Nothing is stated unless the files contain scales as in legged_gym.
 

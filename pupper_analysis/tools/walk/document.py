@@ -1,7 +1,7 @@
-"""Documents of `walk`: gaits, tracked intervals, and rankings of interpretations of a policy.
+"""Documents of `walk`: gaits, tracked intervals, responses, traces, rankings of interpretations.
 
-Inputs are results of `walk` (`Walk`, `TrackedIntervals`, `Orders`); outputs are documents that are
-independent of the output format, with values in printed units.
+Inputs are results of `walk` (`Walk`, `TrackedIntervals`, `ResponseMap`, `TraceCheck`, `Orders`);
+outputs are documents that are independent of the output format, with values in printed units.
 """
 
 from __future__ import annotations
@@ -295,7 +295,10 @@ _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
 
 
 def make_key_table(contract: Contract) -> doc.Table:
-    """Create the table of the contract's keys, with the source of each."""
+    """Create the table of keys of the contract, with value, origin and source of each.
+
+    Optional keys that no file states, and that have no effect, are left out.
+    """
     values: dict[str, Any] = {
         "observation": ", ".join(term.name for term in contract.terms),
         "joints": ", ".join(contract.joints[:3]) + (" ..." if len(contract.joints) > 3 else ""),

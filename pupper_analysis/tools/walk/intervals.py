@@ -250,7 +250,7 @@ class TrackedIntervals(Result):
         intervals: An interval per quantity, with all other quantities unchanged.
         rollouts: Number of simulated runs.
         seconds: Duration of each run.
-        remarks: Errors and assumptions of the robot's files behind the result.
+        remarks: Errors and assumptions of the robot's files and the deployment behind the result.
     """
 
     name: str

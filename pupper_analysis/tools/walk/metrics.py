@@ -11,7 +11,9 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError
 
 
-def _bind_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[Any], float], str]:
+def _make_policy_metric(
+    measure: Callable[[Any], float], text: str
+) -> tuple[Callable[[Any], float], str]:
     """Return a metric of a design that walks with a policy, and a hash of policy and command.
 
     Args:
@@ -63,13 +65,13 @@ argument ``of_file`` creates the function from the file of the policy."""
 METRICS: dict[str, dict[str, Any]] = {
     "walk_margin": {
         **_COMMON_ARGUMENTS,
-        "of_file": partial(_bind_policy, lambda gait: gait.margin if gait.tracks else 0.0),
+        "of_file": partial(_make_policy_metric, lambda gait: gait.margin if gait.tracks else 0.0),
         "unit": "1",
         "fallen": 0.0,
     },
     "walk_torque": {
         **_COMMON_ARGUMENTS,
-        "of_file": partial(_bind_policy, _read_largest_torque),
+        "of_file": partial(_make_policy_metric, _read_largest_torque),
         "unit": "N m",
     },
 }

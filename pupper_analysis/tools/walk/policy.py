@@ -93,8 +93,7 @@ class Policy:
     ) -> Policy:
         """Read a walking policy (network and contract) from files.
 
-        No code of the file is executed, except TorchScript, by torch's
-        interpreter.
+        No code of the file is executed, except TorchScript, by torch's interpreter.
 
         Args:
             path: ONNX file, RTNeural's JSON, or TorchScript (requires torch).

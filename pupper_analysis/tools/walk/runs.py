@@ -150,7 +150,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
         ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts more
             often than once per time step.
         ModelError: If a joint has no motor, the policy states kp without kd or kd without kp,
-            neither policy nor robot has gains, or the number of joints differs.
+            neither policy nor robot has gains, or the number of joints or of observed feet differs.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     robot.check_floating()
@@ -320,7 +320,8 @@ class Lockstep:
         commands: Commands of all runs, shape (runs, 3); may be changed between two actions.
         active: Indices of the n runs that continue, shape (n,).
         current: States of the active runs, shape (n, size).
-        observed: Last observations of the active runs, shape (n, inputs).
+        observed: Observations for the last action, of the runs that were active then, shape (n,
+            inputs).
         tick: Number of actions so far.
     """
 

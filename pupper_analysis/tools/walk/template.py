@@ -86,7 +86,10 @@ def write_template(
 
 
 def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
-    """Return {key: TOML value} of the robot's files, if the policy commands all joints."""
+    """Return {key: TOML value} of suggestions: frequent terms of an observation, and the joints.
+
+    Joint names and start pose [rad] are included if the policy commands all joints of the robot.
+    """
     terms = ["angular-velocity", "gravity", "command", "joint-positions", "joint-velocities"]
     values: dict[str, Any] = {"observation": [*terms, "last-action"]}
     if robot.nu == outputs:
@@ -96,7 +99,7 @@ def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
 
 
 def _format_value(value: Any) -> str:
-    """Return a value as TOML: a number, a text, a list, or a table in braces."""
+    """Return a value as TOML: a number, a text, a truth value, a list, or a table in braces."""
     if isinstance(value, dict):
         return (
             "{" + ", ".join(f"{key} = {_format_value(item)}" for key, item in value.items()) + "}"

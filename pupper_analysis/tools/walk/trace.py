@@ -93,7 +93,7 @@ def read_trace(path: str | Path) -> Trace:
 
     Raises:
         ModelError: If the file cannot be read, an array is missing or has an invalid shape, a
-            number is not finite, or there are less than `MIN_SAMPLES` samples.
+            number is not finite, times do not ascend, or there are less than `MIN_SAMPLES` samples.
     """
     path = Path(path)
     try:
@@ -200,7 +200,7 @@ class TraceCheck(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the network and at least one term were checked, and nothing disagrees."""
+        """Whether the network and a term, or the targets, agree, and nothing disagrees."""
         mistakes = [check.mistake for check in self.checks]
         checked = [check for check in self.checks[1:] if check.mistake == ""]
         return bool(checked) and all(mistake in ("", "unchecked") for mistake in mistakes)
@@ -215,8 +215,8 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
         trace: Trace of this policy.
 
     Raises:
-        ModelError: If observations or actions have other sizes than those of the network, or a
-            joint of the trace does not exist.
+        ModelError: If observations or actions have other sizes than those of the network, the trace
+            lacks a joint of the policy, or an array does not have a column per joint.
     """
     contract, observations = policy.contract, trace.arrays["observations"]
     sizes = (policy.network.inputs, policy.network.outputs)
