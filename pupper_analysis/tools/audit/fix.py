@@ -103,10 +103,16 @@ def _ensure_element(document: XmlDocument, repair: ValueRepair) -> Element:
 
 
 def _descend(element: Element, path: str) -> Element | None:
-    """Return the element at a path of tags below an element; None if a tag is missing."""
+    """Return the element at a path of tags below an element; None if a tag is missing.
+
+    A number from 1 in brackets selects one of several children: ``visual[2]/geometry/mesh``.
+    """
     current: Element | None = element
-    for tag in path.split("/") if path else ():
-        current = None if current is None else current.find(tag)
+    for step in path.split("/") if path else ():
+        tag, _, number = step.rstrip("]").partition("[")
+        children = [] if current is None else current.findall(tag)
+        index = int(number or 1) - 1
+        current = children[index] if index < len(children) else None
     return current
 
 

@@ -115,7 +115,8 @@ class ValueRepair(Result):
         file: File to be changed.
         tag: Tag of the named element, for example ``link``.
         name: Name of the element.
-        child: Path from the named element to the changed element; "" for the named element.
+        child: Path from the named element to the changed element, as visual[2]/origin; "" for the
+            named element.
         old: {attribute: text in the file}; "" for an attribute of a new element.
         new: {attribute: new text}.
         reason: Source of the new values.

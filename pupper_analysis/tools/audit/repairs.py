@@ -549,7 +549,7 @@ def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
     """Yield the paths of existing mesh files whose names differ from a missing one in the suffix.
 
     Files in the same folder are compared without the last suffix, and without regard to capitals.
-    Only the mesh of a link with a single element of this path is repaired.
+    Nothing is proposed if another link uses the missing file, too.
     """
     if not isinstance(robot, UrdfModel) or found.message.code != "mesh-missing":
         return
@@ -558,9 +558,12 @@ def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
     if not isinstance(names, tuple) or len(names) != 1 or link is None:
         return
     name = str(names[0])
-    paths = ("visual/geometry/mesh", "collision/geometry/mesh")
     places = [
-        path for path in paths if [e.get("filename") for e in link.element.iterfind(path)] == [name]
+        f"{tag}[{number}]/geometry/mesh"
+        for tag in ("visual", "collision")
+        for number, shape in enumerate(link.element.iterfind(tag), start=1)
+        for mesh in shape.iterfind("geometry/mesh")
+        if mesh.get("filename") == name
     ]
     users = [mesh for mesh in robot.file.root.iter("mesh") if mesh.get("filename") == name]
     if len(places) != len(users):

@@ -1127,3 +1127,14 @@ def test_joint_that_cannot_move_does_not_start_outside_its_limits(tmp_path: Path
         <origin xyz="0.3 0 0"/><axis xyz="0 1 0"/></joint></robot>"""
     )
     assert not find_findings(audit_model(path), "start-outside-limits")
+
+
+def test_weight_beyond_the_motors_names_the_link_that_is_nearly_all_of_it(tmp_path: Path) -> None:
+    """Reference: the masses of the edited file."""
+    path = tmp_path / "robot.urdf"
+    text = OWN["urdf"].read_text()
+    start = text.index('<link name="RL_calf">')
+    path.write_text(text[:start] + text[start:].replace('value="0.05"', 'value="900"', 1))
+    (found,) = (f for f in audit_model(path).findings if f.rule == "mass-beyond-motors")
+    assert found.element == "link 'RL_calf'"
+    assert found.message.startswith("the robot weighs")

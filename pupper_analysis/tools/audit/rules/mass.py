@@ -135,7 +135,8 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
             solid = [
                 replace(part, shapes=tuple(s for s in part.shapes if s.collides)) for part in group
             ]
-            points, drawn = list_extent_points(solid, body), False
+            points = list_extent_points(solid, body)
+            drawn = all(s.kind == "mesh" for part in solid for s in part.shapes)
         if points is None:
             outside = compute_hull_distance(list_link_points(robot, body), inertial.com)
             if 0 < span < outside:
@@ -178,8 +179,9 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The torque of the weight (weight [N] times the longest distance between successive hinges [m])
     must not exceed the sum of the efforts of all hinges [N m]. The severity is WARNING, and ERROR
-    above `IMPOSSIBLE_FACTOR` times the sum. Robots with fewer than two hinges, or with an effort
-    that is unknown, infinite or not positive, are skipped.
+    above `IMPOSSIBLE_FACTOR` times the sum. The finding names a moving link with more than
+    `MAX_MASS_FRACTION` of the mass, or else the base. Robots with fewer than two hinges, or with an
+    effort that is unknown, infinite or not positive, are skipped.
     """
     hinges = [
         joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT and joint.parent
@@ -197,6 +199,14 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
     lever = max(distances, default=0.0)
     torque = robot.total_mass * standard_gravity * lever
     if torque > sum(efforts):
+        heaviest = next(
+            (
+                name
+                for name, link in robot.links.items()
+                if link.moving and link.mass > MAX_MASS_FRACTION * robot.total_mass
+            ),
+            None,
+        )
         message = diagnose(
             "mass-beyond-motors",
             mass=Quantity(robot.total_mass, "kg"),
@@ -204,15 +214,21 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
             torque=Quantity(torque, "N m"),
             joints=known,
             effort=Quantity(sum(efforts), "N m"),
+            heaviest=heaviest,
         )
         impossible = torque > IMPOSSIBLE_FACTOR * sum(efforts)
         severity = Severity.ERROR if impossible else None
-        yield CheckFinding(robot.link_tag, robot.base, message, severity=severity)
+        yield CheckFinding(robot.link_tag, heaviest or robot.base, message, severity=severity)
 
 
 IMPOSSIBLE_FACTOR = 10.0
 """Torque of the weight, relative to the sum of all efforts, above which no stance can be held: an
 error. Straight legs and unusual units explain smaller factors. Chosen, not tuned."""
+
+
+MAX_MASS_FRACTION = 0.9
+"""Mass of a moving link, relative to the mass of the robot, above which the weight beyond the
+motors is the weight of this link. Chosen, not tuned."""
 
 
 @rule

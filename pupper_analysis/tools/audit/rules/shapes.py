@@ -390,20 +390,22 @@ def compute_median_density(robot: RobotModel, name: str) -> float | None:
 def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find the only drawn moving link of a URDF without collision shapes.
 
-    Links that are fixed to the link are included. Links below 1 % of the mass of the robot, and
+    Links that are fixed to the link are included. A link below 1 % of the mass of the robot, and
     robots with fewer than `MIN_OTHER_LINKS` other drawn moving links are skipped.
     """
     drawn = []
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
         shapes = [shape for part in group for shape in part.shapes if shape.kind != "none"]
-        heavy = sum(part.mass for part in group) >= MIN_MASS_FRACTION * robot.total_mass
-        if body.moving and heavy and any(not shape.collides for shape in shapes):
-            drawn.append((body.name, any(shape.collides for shape in shapes)))
-    bare = [name for name, collides in drawn if not collides]
+        if body.moving and any(not shape.collides for shape in shapes):
+            mass = sum(part.mass for part in group)
+            drawn.append((body.name, mass, any(shape.collides for shape in shapes)))
+    bare = [(name, mass) for name, mass, collides in drawn if not collides]
     if len(bare) == 1 and len(drawn) > MIN_OTHER_LINKS:
-        message = diagnose("moving-link-without-collision", others=len(drawn) - 1)
-        yield CheckFinding("link", bare[0], message)
+        ((name, mass),) = bare
+        if mass >= MIN_MASS_FRACTION * robot.total_mass:
+            message = diagnose("moving-link-without-collision", others=len(drawn) - 1)
+            yield CheckFinding("link", name, message)
 
 
 @rule
@@ -411,8 +413,8 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links whose collision shapes are apart from their visual shapes.
 
     The bounding boxes along the axes of the link must overlap within `MIN_GAP_FRACTION` of the
-    extent of the visual shapes. Links with a mesh that was not read are compared only if the same
-    file is a visual shape and a collision shape: the distance is then that of the origins.
+    extent of the visual shapes. If a mesh was not read, the distance is that of the origins of the
+    same mesh (`_measure_equal_mesh_gap`).
     """
     for body in robot.links.values():
         sides = [
@@ -446,22 +448,21 @@ def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
 
 
 def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
-    """Return the distance between the origins of equal visual and collision meshes of a link [m].
+    """Return the distance between the origins of a collision mesh and the same visual mesh [m].
 
-    None unless the link has one visual and one collision mesh, whose files have the same stem.
+    Meshes with the same stem of the file are the same. None unless the link has a single collision
+    shape, and exactly one visual shape is the same mesh.
     """
-    link = robot.file.tree.links[name]
-    pairs = {}
-    for tag, shape, geometry in link.shapes:
-        if geometry is None or geometry.tag != "mesh" or tag in pairs:
-            return None
-        pairs[tag] = (PurePath(geometry.get("filename", "")).stem, origin_of(shape))
-    if len(pairs) != 2 or pairs["visual"][0] != pairs["collision"][0]:
+    found: dict[str, list[tuple[str, Array]]] = {"visual": [], "collision": []}
+    for tag, shape, geometry in robot.file.tree.links[name].shapes:
+        if geometry is not None and geometry.tag == "mesh":
+            stem = PurePath(geometry.get("filename", "")).stem
+            found[tag].append((stem, origin_of(shape).translation))
+    if len(found["collision"]) != 1 or sum(s.collides for s in robot.links[name].shapes) != 1:
         return None
-    gap: float = np.linalg.norm(
-        pairs["visual"][1].translation - pairs["collision"][1].translation
-    ).item()
-    return gap
+    ((stem, place),) = found["collision"]
+    places = [visual for other, visual in found["visual"] if other == stem]
+    return float(np.linalg.norm(places[0] - place)) if len(places) == 1 else None
 
 
 IMPOSSIBLE_FACTOR = 10.0
