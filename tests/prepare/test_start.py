@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import warnings
 from dataclasses import replace
@@ -201,3 +202,38 @@ def test_start_keyframe_is_at_the_origin_and_has_the_height_of_the_stand() -> No
     np.testing.assert_allclose(keyframe.qpos[2:], data.qpos[2:], rtol=0, atol=5.1e-7)
     assert keyframe.qpos[:2] == (0.0, 0.0)
     assert keyframe.qpos[2] == round(qpos[2], 6)
+
+
+@pytest.mark.slow
+def test_legs_of_two_joints_stand_where_forward_kinematics_reaches(tmp_path: Path) -> None:
+    """Closed form: with the ankle at angle a, the base is l sin(a) + r above the ground.
+
+    The hips only yaw and each ankle has one angle, so that height and horizontal position of a foot
+    are not independent. The dimensions are those of RealAnt.
+    """
+    length, radius, reach = 0.1216, 0.032, 0.094
+    legs = ""
+    for number, (x, y) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        legs += f"""<body pos="{reach * x} {reach * y} 0"><joint name="hip{number}" axis="0 0 1"
+        range="-40 40"/><geom type="sphere" size="0.02" mass="0.03" contype="0" conaffinity="0"/>
+        <body><joint name="ankle{number}" axis="{-y} {x} 0" range="30 100"/>
+        <geom type="capsule" size="{radius}" mass="0.08"
+        fromto="0 0 0 {length / 2**0.5 * x} {length / 2**0.5 * y} 0"/></body></body>"""
+    motors = "".join(
+        f'<motor joint="{part}{number}" ctrlrange="-10 10"/>'
+        for number in range(4)
+        for part in ("hip", "ankle")
+    )
+    path = tmp_path / "ant.xml"
+    path.write_text(
+        f"""<mujoco model="ant"><worldbody><geom name="floor" type="plane" size="9 9 1"/>
+        <body name="torso" pos="0 0 0.3"><freejoint/><geom type="sphere" size="0.055" mass="1"/>
+        {legs}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
+    )
+    robot = pa.load_robot(mjcf=path)
+    stand = pa.solve_stand(robot)
+    joints = dict(zip(robot.joint_names, stand.joint_positions(robot), strict=True))
+    for number in range(4):
+        angle = joints[f"ankle{number}"]
+        assert stand.qpos[2] == pytest.approx(length * math.sin(angle) + radius, abs=1e-6)
+    assert pa.judge_stand(robot, stand).passed

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -473,7 +474,8 @@ def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
 
     A root whose only joint is a free joint is an object, and is ignored if there are other roots
     with joints. If exactly one of these roots has a free base, this root is chosen; the rest may be
-    doors or drawers.
+    doors or drawers. Roots in the world that <connect> or <weld> couples are one robot, whose base
+    is the world: a linkage with two fixed pivots.
 
     Raises:
         ModelError: If there are several robots, or none.
@@ -488,6 +490,8 @@ def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
         raise ModelError(file.path, diagnose("no-joints"))
     if not robots and len(found) > 1:
         raise ModelError(file.path, diagnose("several-free-bodies"))
+    if len(found) > 1 and _are_coupled(model, found):
+        return 0
     if len(found) > 1:
         candidates = [
             diagnose(
@@ -499,6 +503,23 @@ def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
     [root] = found
     floating_bodies = [int(body) for body in floating if model.body_rootid[body] == root]
     return floating_bodies[0] if floating_bodies else root
+
+
+def _are_coupled(model: mujoco.MjModel, roots: Sequence[int]) -> bool:
+    """Return True if active <connect> and <weld> equalities join all root bodies into one group."""
+    groups = {root: {root} for root in roots}
+    for equality in range(model.neq):
+        is_body = model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_BODY.value
+        kind = mujoco.mjtEq(int(model.eq_type[equality]))
+        is_rigid = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+        if not (is_body and is_rigid and model.eq_active0[equality]):
+            continue
+        ends = (model.eq_obj1id[equality], model.eq_obj2id[equality])
+        first, second = (int(model.body_rootid[end]) for end in ends)
+        if first in groups and second in groups:
+            joined = groups[first] | groups[second]
+            groups |= dict.fromkeys(joined, joined)
+    return len(groups[roots[0]]) == len(roots)
 
 
 def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
@@ -528,7 +549,8 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
         if root not in roots_with_joints:
             raise ModelError(file.path, diagnose("body-without-joints", subject=("body", body)))
     moving = {int(model.body_rootid[index]) for index in model.jnt_bodyid}
-    others = sorted(moving - {root})
+    # A robot whose base is the world consists of all roots that move in the world.
+    others = sorted(moving - {root}) if root else []
     if not others:
         return file
     spec = file.spec.copy()

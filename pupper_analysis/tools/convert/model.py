@@ -7,7 +7,7 @@ base, it simulates the stand of the robot and the file itself from the keyframe.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import cast
@@ -168,8 +168,6 @@ def convert_model(
             kept = run_from_keyframe(output)
             why = [] if kept is None else kept.failures
             failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
-    if failures:  # no simulation with an impossible mass has a meaning: it precedes the others
-        failures[:0] = [remark for remark in remarks if remark.code in IMPOSSIBLE_CODES]
     return Conversion(
         source=name,
         output=str(output),
@@ -184,7 +182,7 @@ def convert_model(
         verification=verification,
         kept=kept,
         floating=robot is not None and robot.floating and bool(robot.feet),
-        failures=tuple(failures),
+        failures=_put_impossible_first(failures, remarks),
         agree=agree,
         passed=not failures,
     )
@@ -202,6 +200,14 @@ def _check_output(output: Path, *, force: bool) -> None:
     check_writable(output, MODEL_KIND, force=force)
     if output.exists() and not output.is_file():
         raise OutputError(output, diagnose("output-not-regular"))
+
+
+def _put_impossible_first(
+    failures: Iterable[Diagnostic], remarks: Iterable[Diagnostic]
+) -> tuple[Diagnostic, ...]:
+    """Return failures after the remarks about impossible masses; nothing without a failure."""
+    found = tuple(failures)
+    return (*(one for one in remarks if found and one.code in IMPOSSIBLE_CODES), *found)
 
 
 def _make_converted_robot(

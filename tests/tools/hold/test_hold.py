@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.posture import find_posture, held_stand
 from pupper_analysis.stance.sag.steady_state import steady_state
+from pupper_analysis.statics.equilibrium import gravity_compensation
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import arm as by_hand
 from tests.support.arm import STIFFNESS, arm, load_arm
@@ -264,3 +266,44 @@ def test_a_light_welded_base_does_not_shake(tmp_path: Path) -> None:
 def test_invalid_posture_is_refused(joints: dict[str, float], said: str) -> None:
     with pytest.raises((pa.ConfigurationError, pa.UnknownNameError), match=said):
         find_posture(arm(), joints)
+
+
+@pytest.mark.slow
+def test_linkage_with_two_pivots_in_the_world_is_one_robot(tmp_path: Path) -> None:
+    """Reference: bare MuJoCo at rest on servos of 10,000 N m/rad, which do not sag."""
+    arm = """<body name="{0}1" pos="{1} 0 1"><joint name="{0}m" axis="0 1 0" range="-3 3"/>
+    <geom type="capsule" fromto="0 0 0 {1} 0 -0.15" size="0.01" mass="0.3" contype="0"/>
+    <body name="{0}2" pos="{1} 0 -0.15"><joint name="{0}p" axis="0 1 0" range="-3 3"/>
+    <geom type="capsule" fromto="0 0 0 {2} 0 -0.2" size="0.01" mass="0.3" contype="0"/>
+    </body></body>"""
+    servos = "".join(f'<position name="{n}m" joint="{n}m" kp="10000" kv="100"/>' for n in "ab")
+    path = tmp_path / "linkage.xml"
+    path.write_text(
+        f"""<mujoco><compiler angle="radian"/><option integrator="implicitfast" timestep="0.001"/>
+        <default><geom conaffinity="0"/></default><worldbody>
+        {arm.format("a", -0.1, 0.2)}{arm.format("b", 0.1, -0.2)}</worldbody>
+        <equality><connect body1="a2" body2="b2" anchor="0.2 0 -0.2"/></equality>
+        <actuator>{servos}</actuator></mujoco>"""
+    )
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    for _ in range(4000):
+        mujoco.mj_step(model, data)
+    robot = pa.load_robot(mjcf=path)
+    config = Configuration(robot, find_posture(robot).qpos)
+    statics = gravity_compensation(config, contacts=[])
+    torques = dict(zip(robot.joint_names, statics.joint_torques, strict=True))
+    expected = {"am": data.actuator_force[0], "bm": data.actuator_force[1]}
+    assert expected["am"] == pytest.approx(0.662, abs=0.002)
+    for joint, torque in expected.items():
+        assert torques[joint] == pytest.approx(torque, rel=2e-3)
+
+
+def test_two_arms_in_the_world_without_a_coupling_are_several_robots(tmp_path: Path) -> None:
+    arm = (
+        """<body name="{0}1"><joint name="{0}j" axis="0 1 0"/><geom size="0.1" mass="1"/></body>"""
+    )
+    path = tmp_path / "arms.xml"
+    path.write_text(f"<mujoco><worldbody>{arm.format('a')}{arm.format('b')}</worldbody></mujoco>")
+    with pytest.raises(pa.ModelError, match="several robots"):
+        pa.load_robot(mjcf=path)
