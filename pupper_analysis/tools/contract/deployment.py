@@ -126,8 +126,8 @@ def read_deployment(
 def _find_order(placed: Sequence[PlacedSource]) -> PlacedSource | None:
     """Return the source whose joint order is that of the policy's arrays; None without.
 
-    The names in a policy file define the order of its arrays. Otherwise the first source with an
-    order counts, one with names or motor numbers before one with an assumed order.
+    The names in a policy file define the order of its arrays. Otherwise the first source with joint
+    names in order counts, then with motor numbers, then with an assumed order.
     """
     ranks = {"named": 0, "motors": 1, "policy": 1, "assumed": 2}
     known = [one for one in placed if one.order]
@@ -145,7 +145,7 @@ def _assume_order(placed: Sequence[PlacedSource], joints: RobotJoints) -> Placed
     """Return a trainer with the joint order of its framework; None without a trainer.
 
     The order of Isaac Lab is by depth in the tree, that of mjlab and Isaac Gym is limb by limb. The
-    joints are those with an action scale or stiffness.
+    joints are those with a stiffness or, without any, those with an action scale.
     """
     for source in placed:
         if source.source.role is not Role.TRAINER:

@@ -312,7 +312,10 @@ def _tabulate_observations(contract: Contract) -> doc.Table:
 
 
 def make_contract_annotations(contract: Contract) -> list[Annotation]:
-    """Create annotations for a CI service: each disagreement at the line of each source."""
+    """Create annotations for a CI service: each disagreement at the line of each source.
+
+    Sources and quantities that were not compared come first.
+    """
     return [
         Annotation(
             ANNOTATION_LEVELS[finding.severity],

@@ -40,7 +40,7 @@ class Origin(StrEnum):
     STATED = "stated"
     """The file states the number."""
     DEFAULT = "default"
-    """Default of a framework; the file states another value or none at another place."""
+    """Default of a framework, for a number that the file does not state."""
     DERIVED = "derived"
     """Computed from other numbers of the file."""
     ASSUMED = "assumed"

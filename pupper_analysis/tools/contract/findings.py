@@ -390,8 +390,8 @@ def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
 
     Returns:
         {joint: other joint, whose number in the first source is that of the joint in the second}.
-        Empty if the numbers are not a permutation, if they only differ in their signs, or if more
-        than half of the joints have the same number.
+        Empty for less than two joints, if the numbers are not a permutation, if they only differ in
+        their signs, or if more than half of the joints have the same number.
     """
     a, b = (
         Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)

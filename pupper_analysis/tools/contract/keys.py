@@ -63,7 +63,7 @@ class KeyRule:
     inverse: bool = False
 
     def accepts(self, node: Node) -> bool:
-        """Return True if the shape of a value is that of the rule."""
+        """Return True if a value is present and has the shape of the rule."""
         value = node.value
         shape = "list" if isinstance(value, list) else "table" if node.table else "number"
         return node.is_present and self.shape in ("", shape)

@@ -220,7 +220,7 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
             if how == "assumed" and statement.origin is Origin.STATED:
                 statement = replace(statement, origin=Origin.ASSUMED)
         elif statement.is_part and (
-            statement.joint not in matched or statement.quantity not in _ANGLE_QUANTITIES
+            statement.joint not in matched or statement.quantity not in _QUANTITIES_BY_NAME
         ):
             assigned = [
                 joint
@@ -290,7 +290,7 @@ def list_observations(source: Source) -> list[str]:
     return [term.common_name for term in source.observations]
 
 
-_ANGLE_QUANTITIES = ("default angle", "action offset")
+_QUANTITIES_BY_NAME = ("default angle", "action offset")
 """Quantities whose keys in a trainer's table are names of joints, if such joints exist, otherwise
 parts of names: legged_gym has names, booster_gym has parts."""
 

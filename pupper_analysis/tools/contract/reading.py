@@ -72,7 +72,11 @@ def make_names_distinct(read: Sequence[Source]) -> list[Source]:
 
 
 def split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
-    """Separate files (with the name of a configuration) from folders."""
+    """Return requests for the files, each with the name of a configuration if stated, and folders.
+
+    ``FILE:NAME`` is split if no file has this whole name. Modules that a file imports are searched
+    in the folders.
+    """
     folders, files = [], list[tuple[Path, str]]()
     for source in sources:
         path, name = Path(source), ""
@@ -87,7 +91,11 @@ def split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[
 
 
 def read_file(request: Request) -> list[Source]:
-    """Read a file with all readers for the suffix."""
+    """Return the sources of a file, read with all readers for its suffix.
+
+    Raises:
+        ModelError: If no reader has this suffix, or the file cannot be read.
+    """
     ending = request.path.suffix.lower()
     able = [reader for reader in load_readers() if ending in reader.FILE_SUFFIXES]
     if not able:

@@ -234,7 +234,7 @@ class Session:
         self._work_pending.set()
 
     def get_shown_stance(self) -> tuple[Answer | None, SteadyState | Diagnostic | None]:
-        """Return the solved stance that the page shows, and the predicted sag, for a download.
+        """Return the solved stance that the page shows, and the predicted sag.
 
         The sag is a message if there is no equilibrium, and None until computed.
         """
