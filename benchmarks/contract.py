@@ -32,18 +32,23 @@ HEADER = ("repository", "commit", "robot", "sources", "numbers", "quantity", "se
 """Columns of the table."""
 
 COMMITS = {
+    "AgibotTech/agibot_x1_infer": "9e0b818",
+    "BoosterRobotics/booster_gym": "da396a0",
     "DeepRoboticsLab/rl_training": "127b4ff",
+    "EGalahad/sim2real": "7c29b2d",
     "G-Levine/neural_controller": "3ffbbe6",
     "HybridRobotics/Berkeley-Humanoid-Lite": "edc4738",
     "Improbable-AI/walk-these-ways": "0e7236b",
     "JensenLav/unitree_rl_mjlab": "5053c93",
     "LeCAR-Lab/ASAP": "91df82c",
+    "Open-X-Humanoid/TienKung-Lab": "7ce828b",
     "OpenRobotLab/HoST": "70bb580",
     "OpenRobotLab/OpenHomie": "0746fab",
     "amazon-far/holosoma": "fc600e7",
     "ccrpRepo/RoboMimic_Deploy": "ffe3d40",
     "fan-ziqi/rl_sar": "e384912",
     "fan-ziqi/robot_lab": "09f7fb4",
+    "haraduka/mevius": "35fdb6c",
     "leggedrobotics/legged_gym": "8fa29ac",
     "limxdynamics/tron1-rl-isaacgym": "d26da7f",
     "mujocolab/mjlab": "0eda4e7",
@@ -209,6 +214,18 @@ def list_cases() -> Iterator[Case]:
     yield Case("G-Levine/neural_controller", "Pupper v3", (
         "ours/urdf/pupper_v3.urdf", "ours/mjcf/pupper_v3.xml", "launch/config.yaml",
         "launch/policy_latest.json"))  # fmt: skip
+    yield Case("BoosterRobotics/booster_gym", "t1", (
+        "resources/T1/T1_serial.urdf", "envs/T1.yaml", "deploy/configs/T1.yaml"))  # fmt: skip
+    yield Case("EGalahad/sim2real", "g1", (
+        "data/robots/g1/g1_29dof_nohand.xml", "config/robot/g1-real.yaml"))  # fmt: skip
+    yield Case("AgibotTech/agibot_x1_infer", "x1", (
+        "src/module/sim_module/model/mjcf/robot/xyber_x1/xyber_x1_serial.xml",
+        "src/module/control_module/cfg/rl_x1.yaml"))  # fmt: skip
+    yield Case("haraduka/mevius", "mevius", ("models/mevius.urdf", "scripts/parameters.py"))
+    assets = "legged_lab/assets/tienkung2_lite"
+    yield Case("Open-X-Humanoid/TienKung-Lab", "tienkung2_lite", (
+        f"{assets}/urdf/tienkung2_lite.urdf", f"{assets}/mjcf/tienkung.xml",
+        f"{assets}/tienkung.py", "legged_lab/scripts/sim2sim.py"))  # fmt: skip
 
 
 def _make_rows(folder: Path, case: Case) -> Iterator[list[str]]:
