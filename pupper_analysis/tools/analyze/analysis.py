@@ -43,7 +43,7 @@ class JointSummary(Result):
     """Axis, limits and passive terms of a joint.
 
     Attributes:
-        name: Name of the joint, equal in both files.
+        name: Name of the joint, equal in both loaded models.
         motion: ``roll``, ``pitch`` or ``yaw`` if the axis is within 1 degree of x, y or z of the
             base at zero angles; otherwise ``oblique``. For a sliding joint ``along x``, ``along
             y`` or ``along z``; otherwise ``oblique slide``.

@@ -150,7 +150,7 @@ def _select_next_step(analysis: Analysis) -> doc.NextStep:
 
 
 def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[doc.Words]:
-    """Return the verdict's warnings ``first``, and the failures of the run without feed-forward.
+    """Yield the verdict's warnings ``first``, and the failures of the run without feed-forward.
 
     The failures are omitted if the verdict already contains them.
     """

@@ -1,8 +1,8 @@
 """Write the repairs of an audit into the files: a patch, and the changed bytes.
 
 Inputs are audits, of whose findings only those with a single repair are applied. Attribute values
-are replaced in the bytes of the file, so that all other bytes stay. Files with uncommitted changes
-in git are refused.
+are replaced, and missing elements inserted, in the bytes of the file, so that all other bytes stay.
+Files with uncommitted changes in git are refused.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def make_patch(document: XmlDocument) -> str:
 
 
 def write_documents(documents: Iterable[XmlDocument]) -> None:
-    """Write changed files. Only the bytes of the changed attribute values differ from before.
+    """Write changed files. Only the changed attribute values and new elements differ from before.
 
     Raises:
         OutputError: If a file cannot be written, or has uncommitted changes in a git repository.

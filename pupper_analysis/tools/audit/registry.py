@@ -190,7 +190,8 @@ class Audit(Tabular):
         format: Format of the file.
         passed: True if there is no finding of severity ERROR.
         counts: Number of findings of each severity.
-        findings: Findings, sorted by severity, file and line.
+        findings: Findings, sorted by severity, then causes before consequences (`Rule.precedence`),
+            file and line.
         rules_run: Ids of the rules that were run.
         disabled: Ids of the rules that the caller disabled.
         notes: Content that was left out.

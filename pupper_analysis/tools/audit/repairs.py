@@ -1,9 +1,9 @@
 """Repairs of findings: the values of a file that would pass, and the reason.
 
-A repair replaces attributes of a single element. A finding has one repair if the right value is
-known, several candidates if a few values are possible, and none otherwise. The new value is
-derived from the mirrored element or from the joint of an actuator, or it is the old value with
-another unit or decimal point.
+A repair replaces attributes of one or more elements, or adds them. A finding has one repair if the
+right value is known, several candidates if a few values are possible, and none otherwise. The new
+value is, for example, derived from the mirrored element, from equal limbs or from the joint of an
+actuator, or it is the old value with another unit or decimal point.
 """
 
 from __future__ import annotations
@@ -148,7 +148,8 @@ has the wrong value. Chosen, not tuned."""
 def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repairs of the masses of two mirrored links (`_repair_number`).
 
-    If the tensors of both links have the ratio of the masses, the tensor is scaled with the mass.
+    The tensor is scaled with the mass if the tensors of both links have the ratio of the masses,
+    and that ratio is above sqrt(10) or below its reciprocal.
     """
     if isinstance(robot, UrdfModel):
         partner = str(found.message.values["other"])
@@ -546,9 +547,9 @@ def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
 
 
 def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the paths of existing mesh files whose names differ from a missing one in the suffix.
+    """Yield the paths of existing mesh files whose names are similar to that of a missing one.
 
-    Files in the same folder are compared without the last suffix, and without regard to capitals.
+    They differ in the last suffix or in capitals (`_list_similar_files`).
     Nothing is proposed if another link uses the missing file, too.
     """
     if not isinstance(robot, UrdfModel) or found.message.code != "mesh-missing":
@@ -622,7 +623,10 @@ def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the reversed axis of the joint whose axis points against those of the other joints."""
+    """Yield the reversed axis of the joint whose axis points against those of the other joints.
+
+    If it is uncertain which joint of a mirrored pair that is, both are candidates.
+    """
     if not isinstance(robot, UrdfModel) or found.message.code != "mirror-axis-reversed":
         return
     reason = diagnose("repair-of-limb", other=str(found.message.values["like"]))

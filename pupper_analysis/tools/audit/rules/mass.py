@@ -465,9 +465,8 @@ def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
     The volume of a link is that of its visual shapes, or of its collision shapes if it has no
     visual shapes or the volume of a shape is unknown. Links below 1e-4 of the total mass, links of
     unknown volume, and copies (links with the mass and the volume of another link, as the four
-    thighs of a quadruped) are not counted.
-    Reported if at least `MIN_EQUAL_FRACTION` of at least `MIN_COMPARED_LINKS` links have one
-    density within `DENSITY_RTOL`.
+    thighs of a quadruped) are not counted. Reported if at least `MIN_EQUAL_FRACTION` of at least
+    `MIN_COMPARED_LINKS` links have one density within `DENSITY_RTOL`.
     """
     densities: dict[str, float] = {}
     masses: list[tuple[float, float]] = []

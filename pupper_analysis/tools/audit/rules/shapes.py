@@ -309,7 +309,9 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     The mass is the sum of a root link or moving link and all links fixed to it. Visual and
     collision shapes, and the origins of the link, its frames and its children, define the hull.
     Plausible are 2 to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read. The severity
-    is WARNING, and ERROR above `IMPOSSIBLE_FACTOR` times `MAX_DENSITY`.
+    is WARNING, and ERROR above `IMPOSSIBLE_FACTOR` times `MAX_DENSITY`. A plausible density is
+    reported, too, if it is above `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median
+    of the other links.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`), bodies with small shapes
     (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.

@@ -66,7 +66,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Yield the shapes of a URDF with a size or scale that is zero or, for a length, negative."""
+    """Yield the shapes of a URDF with a size or scale of at most 0, or a length below 0."""
     for link, _, shape in _list_shapes(robot):
         tag = str(shape.tag)
         if tag == "box":
