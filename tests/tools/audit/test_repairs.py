@@ -297,3 +297,37 @@ def test_link_denser_than_steel_and_the_other_links_gets_candidates(tmp_path: Pa
     assert found.element == "link 'b'"
     assert len(found.repairs) == 2  # a decimal point, and the density of the other links
     assert found.repairs[0].new == {"value": "4.2872"}
+
+
+def test_broken_path_of_the_second_visual_mesh_is_repaired_in_place(tmp_path: Path) -> None:
+    """Reference: the original bytes."""
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "body.stl")
+    shape = '<visual><geometry><mesh filename="body.stl"/></geometry></visual>'
+    text = (
+        '<robot name="r"><link name="b"><inertial><mass value="1"/><inertia ixx="0.002"'
+        ' iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial>'
+        f"{shape}{shape}</link></robot>"
+    )
+    path = tmp_path / "robot.urdf"
+    path.write_text('body.stl.bak"'.join(text.rsplit('body.stl"', 1)))
+    documents, count = apply_repairs([audit_model(path)])
+    assert count == 1
+    write_documents(documents)
+    assert path.read_text() == text
+
+
+@pytest.mark.slow
+def test_link_without_shapes_is_no_exception_if_another_link_loses_its_mass(tmp_path: Path) -> None:
+    """Two links without collision shapes are a choice, whatever their masses are."""
+    text = URDF.read_text()
+    for name in ("FL_hip", "RL_hip"):
+        start = text.index("<collision>", text.index(f'<link name="{name}">'))
+        end = text.index("</collision>", start) + len("</collision>")
+        text = text[:start] + text[end:]
+    start = text.index("<inertial>", text.index('<link name="RL_hip">'))
+    end = text.index("</inertial>", start) + len("</inertial>")
+    path = tmp_path / "robot.urdf"
+    for changed in (text, text[:start] + text[end:]):
+        path.write_text(changed)
+        rules = {finding.rule for finding in audit_model(path).findings}
+        assert "moving-link-without-collision" not in rules
