@@ -368,8 +368,8 @@ def describe_impossible_inertias(model: mujoco.MjModel) -> Diagnostic | None:
     """Create the message about bodies with a radius of gyration above the extent of the robot.
 
     The radius of gyration is sqrt(I / m), with the largest principal moment I. The extent is the
-    diagonal of the box around the bounding spheres of all geoms and the frames of all bodies in
-    ``qpos0``. No part of the robot can have such a moment. None without such bodies.
+    diagonal of the box around the bounding spheres of the geoms and the frames of all moving bodies
+    in ``qpos0``. No part of the robot can have such a moment. None without such bodies.
     """
     moving = model.body_weldid > 0
     heavy = moving & (model.body_mass > 0)

@@ -415,9 +415,10 @@ def simulate_prediction(
         published: Published model.
         robot: Prepared robot.
         prediction: Predicted state of rest.
-        until_decided: End the simulation of a robot with a free base `_APPROACH_INTERVAL` after the
-            nudge if the deviation of the torques is large and does not fall (`_is_lasting`). The
-            numbers of the result are then those at this time.
+        until_decided: End the simulation of a robot with a free base, whose actuators have no
+            activations, `_APPROACH_INTERVAL` after the nudge if the deviation of the torques is
+            large and does not fall (`_is_lasting`). The numbers of the result are then those at
+            this time.
 
     Returns:
         Comparison; None if the base cannot be placed, for example because it is fixed, or if
@@ -541,7 +542,8 @@ def _is_lasting(earlier: float, deviation: float) -> bool:
     """Return True if the torques deviate much from the prediction, and do not approach it.
 
     The deviation exceeds `_MIN_LASTING_RATIO` times the tolerance, and falls too slowly to count as
-    approaching the prediction: within `_APPROACH_INTERVAL`, by less than `_MAX_APPROACH_RATIO`.
+    approaching the prediction: within `_APPROACH_INTERVAL`, it would remain above
+    `_MAX_APPROACH_RATIO` of its value.
 
     Args:
         earlier: Largest torque deviation in the first of two successive windows of `FORCE_WINDOW`,

@@ -486,7 +486,8 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
 
     Raises:
         UnknownNameError: If there is no such joint.
-        ConfigurationError: If an argument has another type, or a limit is not positive and finite.
+        ConfigurationError: If an argument has another type, or a limit is below `MIN_EFFORT` or not
+            finite.
     """
     old_limits = {limit.joint: limit for limit in robot.efforts}
     for name, effort in efforts.items():

@@ -346,7 +346,7 @@ class Robot(EngineModels):
 
         Servos change neither configurations nor torques at rest. The robot has the start pose, the
         collision shapes, the contacts and the effort limits of this robot; its MuJoCo model lacks
-        the added servos and visual meshes. This robot itself, if no step is postponed.
+        the added servos and visual meshes. This robot itself, if servo tuning is not postponed.
         """
         found: Robot | Callable[[], Robot] | None = vars(self).get(_BEFORE_SERVOS)
         if found is None or isinstance(found, Robot):

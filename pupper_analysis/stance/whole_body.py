@@ -196,8 +196,8 @@ def solve_posture(
         robot: Robot without closed loops and couplings.
         tasks: Tasks, for example ``pa.stance.PositionTask("hand", (0.3, 0, 0.4))``.
         start: Initial configuration (nq,), or a stand, whose contacts are kept and whose joint
-            margin applies; of a solved posture, the stand or else ``qpos``. Default:
-            ``robot.home``.
+            margin applies; of a solved posture, the stand if it has one and the base is free, else
+            ``qpos``. Default: ``robot.home``.
         contacts: Contact points that keep their positions of ``start``, for a free base. Default:
             those of the stand, or ``robot.bearing_points``; with none, the base moves freely. A
             robot with a fixed base has none.

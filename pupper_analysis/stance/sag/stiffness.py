@@ -1,8 +1,8 @@
 """Smallest stiffness of the servos with which a robot stands without feed-forward.
 
 `minimum_stiffness` bisects the stiffness. Near a known equilibrium, the equilibrium of another
-stiffness is one Newton solve away (continuation, Allgower and Georg 1990), so that only the first
-stiffness needs the path on which the feed-forward is removed (`HomotopyPath`).
+stiffness is one Newton solve away (continuation, Allgower and Georg 1990). So few stiffnesses,
+such as the first, need the path on which the feed-forward is removed (`HomotopyPath`).
 """
 
 from __future__ import annotations
@@ -127,9 +127,10 @@ def estimate_minimum_stiffness(
 ) -> float:
     """Estimate the smallest kp [N m/rad] with which a robot stands without feed-forward.
 
-    Unlike `minimum_stiffness`, creep is simulated at most once: a prediction replaces the
-    bisection (`_predict_stiffness`). Measured: 0 to 5 % above `minimum_stiffness` for T1 and
-    v3-long-leg, within 1 % for v3, original and Go2.
+    Unlike in `minimum_stiffness`, creep near the result is simulated only once: a prediction
+    replaces the bisection (`_predict_stiffness`). If the predicted kp is at least twice that of the
+    upper end of the bracket, the result is that of `minimum_stiffness`. Measured: 0 to 5 % above
+    `minimum_stiffness` for T1 and v3-long-leg, within 1 % for v3, original and Go2.
 
     Args:
         robot: Robot.
@@ -158,8 +159,9 @@ def _bracket_stiffness(
     """Bracket the least kp [N m/rad] by powers of two.
 
     Returns:
-        The search, a value without equilibrium, and twice this value, with an equilibrium, which
-        creep may end. The first value is 0 if the robot stands with all values down to `_LEAST_KP`.
+        The search, a value with which the robot does not stand, and twice this value, with which
+        the robot stands before the feet creep. The first value is 0 if the robot stands with all
+        values down to `_LEAST_KP`.
 
     Raises:
         The errors of `minimum_stiffness`.
@@ -210,7 +212,7 @@ class _Grid:
 
 
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
-    """Return the index of the largest value without equilibrium, by bisection of a bracket."""
+    """Return the index of the largest value with which the robot does not stand, without creep."""
     first, last = 0, grid.count
     while last - first > 1:
         middle = (first + last) // 2
@@ -273,7 +275,7 @@ def _bisect_stiffness(
 
 
 def _check_ratios(robot: Robot, ratios: ArrayLike | None) -> Array:
-    """Return ratios of the stiffness, shape (nu,): not negative, finite, and one positive."""
+    """Return ratios of the stiffness, shape (nu,): finite, not negative, at least one positive."""
     if ratios is None:
         return np.ones(robot.nu)
     values = real_array("ratios", ratios)

@@ -205,7 +205,7 @@ def _check_output(output: Path, *, force: bool) -> None:
 def _put_impossible_first(
     failures: Iterable[Diagnostic], remarks: Iterable[Diagnostic]
 ) -> tuple[Diagnostic, ...]:
-    """Return failures after the remarks about impossible masses; nothing without a failure."""
+    """Return failures after the remarks about impossible inertials; () without a failure."""
     found = tuple(failures)
     return (*(one for one in remarks if found and one.code in IMPOSSIBLE_CODES), *found)
 
