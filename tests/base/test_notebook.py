@@ -76,7 +76,7 @@ def test_robot_configuration_stand_and_statics_have_tables() -> None:
     assert float(position.split(", ")[2]) == pytest.approx(stand.qpos[2], rel=1e-3)
     assert rows_of(stand)["foot_error"][1] == "m or rad"
     torques, unit = rows_of(pa.gravity_compensation(config))["joint_torques"]
-    assert (len(torques.split(", ")), unit) == (robot.nu, "N m")
+    assert (len(torques.split(", ")), unit) == (robot.nu, "N m or N")
 
 
 def test_the_repr_of_a_configuration_states_robot_and_base() -> None:

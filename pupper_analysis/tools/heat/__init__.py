@@ -1,4 +1,4 @@
-"""Predict how hot the motors of a stance become, and the current of the battery."""
+"""Predict the temperature of the motors of a stance."""
 
 HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

@@ -60,7 +60,7 @@ def command(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Predict how hot the motors become that hold a stance, and how long a battery lasts.
+    """Predict the temperature of the motors of a stance, and the battery current.
 
     The torque of each joint at rest determines the current of its motor, the copper loss, and the
     temperature of the winding over time. Robot and stance are given as for `stand`. Numbers that
@@ -70,8 +70,8 @@ def command(
     Examples:
       pupper-analysis heat v3 --motor mit-mini-cheetah --limit 80
       pupper-analysis heat v3 --motor dephy-actpack --battery 74
-      pupper-analysis heat v3 --motor dephy-actpack --motor '*_3=mit-mini-cheetah' \\
-        --limit 80 --payload 1 --figure heat.png
+      pupper-analysis heat v3 --motor dephy-actpack \\
+        --motor '*_3=mit-mini-cheetah' --limit 80 --payload 1 --figure heat.png
 
     Exit status: 0 no motor reaches its limit, 1 a motor does or a number is unknown, 2 bad input.
     """  # noqa: D301 - click reads the \b
