@@ -23,7 +23,7 @@ _ROBOT_ARGUMENTS = ("words", "file", "urdf", "mjcf", "source")
 
 _OUTPUT_PARAMETERS = ("everything", "style", "force")
 """Names of the options for the form of the output, and of ``--force``, which permits overwriting.
-The next command does not get them."""
+The next command does not get these options."""
 
 
 def complete_command(step: NextStep | None) -> str:
@@ -95,7 +95,7 @@ def print_next_step(step: NextStep | None) -> None:
 
 
 def _list_values(value: object) -> list[str]:
-    """Return the typed values of a parameter as words; none if it was not typed."""
+    """Return the typed values of a parameter as words; none for an untyped parameter."""
     if isinstance(value, list | tuple):
         return [str(one) for one in value]
     return [value] if isinstance(value, str) else []

@@ -151,7 +151,7 @@ class RobotOptions:
 
     @staticmethod
     def pop_from(values: dict[str, Any]) -> RobotOptions:
-        """Remove the options of the robot from a command's values, and return them.
+        """Remove the options of the robot from a command's values, and return the options.
 
         Args:
             values: {parameter: value} of a command; modified. Missing options become None.

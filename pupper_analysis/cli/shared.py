@@ -1077,7 +1077,7 @@ def finish_command(json_path: Path | None, content: object, *, passed: bool) -> 
     """Write results as JSON if a path was typed, and end the command with status 1 if it failed.
 
     Args:
-        json_path: Path of the option ``--json``; None if it was not typed.
+        json_path: Path of the option ``--json``; None if not typed.
         content: Results.
         passed: Whether all checks of the command passed. Otherwise this function does not return.
 

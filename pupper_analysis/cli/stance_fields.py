@@ -66,7 +66,7 @@ def _complete_value(
 
 
 def _list_elements(kind: str, words: Sequence[str] | None) -> list[str]:
-    """Return the names of the feet, joints or links of a robot; none if it cannot be loaded.
+    """Return the names of the feet, joints or links of a robot; none if the robot cannot be loaded.
 
     Args:
         kind: ``foot``, ``joint`` or ``link``.

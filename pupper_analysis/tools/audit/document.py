@@ -37,7 +37,7 @@ MAX_SHOWN_GROUPS = 40
 
 @build_document.register(Audit)
 def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
-    """Create the report of an audit: grouped findings, the most severe first, and their number.
+    """Create the report of an audit: grouped findings, the most severe first, and a count.
 
     `build_document` calls this function for an `Audit`.
     """
@@ -80,7 +80,7 @@ def _pluralise_severity(severity: str, count: int) -> str:
 def _group_findings(audit: Audit) -> Iterable[doc.FileFinding]:
     """Yield findings with equal messages as groups, the most severe first.
 
-    The reason of a rule and its general repair are shown once for each rule and severity, with the
+    The reason and the general repair of a rule are shown once for each rule and severity, with the
     last group.
     """
     rules: dict[tuple[str, Severity], dict[str, list[Finding]]] = {}
@@ -105,7 +105,7 @@ def _describe_group(
     Args:
         audit: Audit with the findings.
         group: Findings, at least one, for different elements of the file, for example links.
-        advice: Texts about the rule and its general repair, which follow the concrete repairs.
+        advice: Texts about the rule and the general repair, which follow the concrete repairs.
     """
     first, *others = group
     message = doc.diagnostic_text(first.diagnostic)
@@ -127,7 +127,7 @@ def _describe_group(
 
 
 def _describe_repairs(finding: Finding) -> Iterable[doc.Words]:
-    """Describe the repair of a finding, or its alternative repairs; nothing without a repair."""
+    """Describe the repair, or the alternative repairs, of a finding; nothing without a repair."""
     candidates = [
         (_format_change(repair), doc.diagnostic_text(repair.reason)) for repair in finding.repairs
     ]
@@ -205,7 +205,7 @@ def make_rules_table() -> doc.Table:
 
 
 def make_fix(repair: ValueRepair) -> Fix:
-    """Convert a repair to byte ranges of the file on disk, each with the text that replaces it."""
+    """Convert a repair to byte ranges of the file on disk, each with the replacing text."""
     splices = locate_repair(repair)
     return Fix(f"{_format_change(repair).text} ({repair.reason})", repair.file, splices)
 

@@ -42,8 +42,8 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
 def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
     """Apply a repair to a file in memory, and return whether it was applied.
 
-    It is not applied if an element has other values than the repair expects, because another repair
-    has changed the element, or if the element is not unique.
+    A repair is not applied if an element has other values than the repair expects, because another
+    repair has changed the element, or if the element is not unique.
     """
     changes = repair.list_changes()
     for change in changes:

@@ -93,7 +93,7 @@ RULES: Mapping[str, Rule] = MappingProxyType(_read_catalogue())
 
 CHECKS: Mapping[str, Check] = MappingProxyType(_REGISTERED_CHECKS)
 """{id of a rule: function that yields its findings}, for URDF and MJCF. Formats that other packages
-register have their own."""
+register have separate checks."""
 
 
 def rule(check: Check) -> Check:
@@ -133,7 +133,7 @@ class ValueRepair(Result):
     further: tuple[ValueRepair, ...] = ()
 
     def list_changes(self) -> tuple[ValueRepair, ...]:
-        """Return this change and the changes that belong to it."""
+        """Return this change and the changes that belong to the same repair."""
         return (self, *self.further)
 
 
@@ -257,7 +257,7 @@ def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None
 
 
 def list_link_points(robot: RobotModel, body: Link) -> Array:
-    """Return the origin of a link, and the origins of its frames and of its child links.
+    """Return the origins of a link, of the link's frames and of the child links.
 
     Returns:
         Points, shape (n, 3) [m], in the frame of the link.

@@ -3,7 +3,7 @@
 A repair replaces attributes of one or more elements, or adds them. A finding has one repair if the
 right value is known, several candidates if a few values are possible, and none otherwise. The new
 value is, for example, derived from the mirrored element, from equal limbs or from the joint of an
-actuator, or it is the old value with another unit or decimal point.
+actuator, or is the old value with another unit or decimal point.
 """
 
 from __future__ import annotations

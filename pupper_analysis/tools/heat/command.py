@@ -62,7 +62,7 @@ def command(
 ) -> None:
     """Predict the temperature of the motors of a stance, and the battery current.
 
-    The torque of each joint at rest determines the current of its motor, the copper loss, and the
+    The torque of each joint at rest determines the motor current, the copper loss, and the
     temperature of the winding over time. Robot and stance are given as for `stand`. Numbers that
     the data of a motor do not state are named, not guessed.
 
@@ -106,7 +106,7 @@ def command(
 
 
 def _read_file_motors(robot: Robot) -> dict[str, Motor]:
-    """Return {joint: motor} of the `dcmotor` actuators of the robot's MJCF, if it has a file."""
+    """Return {joint: motor} of the `dcmotor` actuators of the robot's MJCF, if there is a file."""
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.motors.dcmotor import list_dcmotors
 
@@ -118,7 +118,7 @@ def _read_file_motors(robot: Robot) -> dict[str, Motor]:
 
 
 def _assign_motors(texts: tuple[str, ...], robot: Robot) -> dict[str, Motor]:
-    """Return {joint: motor} of the texts ``[JOINTS=]MOTOR``, of which later ones have priority."""
+    """Return {joint: motor} of the texts ``[JOINTS=]MOTOR``, of which later texts have priority."""
     from pupper_analysis.models.motors.reading import find_motor
 
     assigned: dict[str, Motor] = {}
@@ -135,7 +135,7 @@ def _assign_motors(texts: tuple[str, ...], robot: Robot) -> dict[str, Motor]:
 
 
 def _print_motors() -> None:
-    """Print the names of the known motors with their sources."""
+    """Print the names and sources of the known motors."""
     from pupper_analysis.models.motors.reading import find_motor, list_motors
 
     for name in list_motors():

@@ -141,7 +141,7 @@ def _make_table(study: HeatStudy) -> doc.Table:
 
 
 def _finite(value: float | None) -> float | None:
-    """Return a finite value; None if it is infinite or None."""
+    """Return a finite value; None for an infinite value or None."""
     return None if value is None or not math.isfinite(value) else value
 
 

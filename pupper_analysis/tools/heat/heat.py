@@ -81,7 +81,7 @@ class MotorHeat(Result):
 
     @property
     def loss(self) -> float:
-        """Copper loss [W] at the final temperature if it is known and finite, otherwise cold."""
+        """Copper loss [W] at the final temperature if known and finite, otherwise cold."""
         if self.steady_loss is None or math.isinf(self.steady_loss):
             return self.cold_loss
         return self.steady_loss
@@ -127,7 +127,7 @@ class HeatStudy(Result):
 
     @property
     def first(self) -> MotorHeat:
-        """Motor that reaches its limit first; without one, the motor closest to its limit.
+        """Motor that reaches its limit first; if none does, the motor closest to its limit.
 
         A motor that grows hotter without bound, with an unknown limit, precedes motors that stay
         below theirs. Motors with an unknown temperature or limit follow, ordered by copper loss.
@@ -288,7 +288,7 @@ def _choose_times(
 ) -> Array:
     """Return the times of the curves [s], shape (n,), from 0 to the longest time of a motor.
 
-    This is the time to its limit, or to `_SETTLED_FRACTION` of its final rise; at most a day.
+    This is the time to the limit, or to `_SETTLED_FRACTION` of the final rise; at most a day.
     """
     longest = 0.0
     for heat, motor in zip(heats, motors, strict=True):

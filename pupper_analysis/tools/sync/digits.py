@@ -45,7 +45,7 @@ def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> st
     """Return the text of a vector for an XML attribute; unchanged numbers keep the file's digits.
 
     A number is unchanged if it differs by at most ``NUMBER_RTOL`` times the largest magnitude in
-    the vector, or times ``floor`` if that is larger.
+    the vector, or times ``floor`` if larger.
 
     Args:
         old: Numbers in the file, as written; may be fewer than those of ``new``, or none.

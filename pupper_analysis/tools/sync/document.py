@@ -107,7 +107,7 @@ def _list_failures(sync: Sync) -> Iterable[doc.Words]:
 
 
 def _make_choice_blocks(sync: Sync) -> Iterable[doc.Block]:
-    """Yield the differences with their lines in both files, and examples of ``--take``."""
+    """Yield the differences with the lines in both files, and examples of ``--take``."""
     for difference in sync.differences:
         places = (difference.urdf_place, difference.mjcf_place)
         columns = tuple(

@@ -94,7 +94,7 @@ class MatchedRobots:
         matched: Match of the two files.
         urdf: Joint tree of the URDF.
         mjcf: Joint tree of the MJCF, in the same frames.
-        own: Joint tree of the MJCF in its own frames: each body frame at the joint.
+        own: Joint tree of the MJCF in the MJCF's frames: each body frame at the joint.
         urdf_frames: {base or joint: pose of the URDF link's frame in the frame of the trees}.
         mjcf_frames: {base or joint: pose of the MJCF body's frame at the joint in the frame of the
             trees}.

@@ -54,7 +54,7 @@ of them is not changed."""
 
 
 def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
-    """Plan the changes of <inertial> that give a group of bodies its target inertia.
+    """Plan the changes of <inertial> that give a group of bodies the target inertia.
 
     The group moves together. One of its bodies is changed, with as few changed attributes as
     possible.
@@ -392,7 +392,7 @@ def _keep_trailing_parameters(element: Element, attribute: str, values: list[flo
 
 
 def plan_effort(side: MjcfSide, key: Key) -> None:
-    """Plan the changes of the MJCF that give a joint its target torque limit.
+    """Plan the changes of the MJCF that give a joint the target torque limit.
 
     The limit is the smallest of ``actuatorfrcrange`` of the joint, ``forcerange`` of the actuator,
     and ``ctrlrange`` of a plain motor. Each stated bound that is the smallest, or below the target,

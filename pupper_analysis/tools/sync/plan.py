@@ -324,7 +324,7 @@ class FileLayout:
 
     @staticmethod
     def arrange(main: Path, needed: Iterable[Path], within: Iterable[Path] = ()) -> FileLayout:
-        """List the files for a copy of a model in an output folder, with their common folder.
+        """List the files for a copy of a model in an output folder, and the common folder.
 
         Args:
             main: Main file of the model.

@@ -103,7 +103,7 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
 def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
     """Return the plane in which a planar robot moves, normal to an axis of the base.
 
-    None if the robot has no hinges, or they are not all parallel to one axis of the base.
+    None if the robot has no hinges, or the hinges are not all parallel to one axis of the base.
     """
     axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE_JOINT])
     for axis in range(3):
@@ -275,7 +275,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     pair is reported, with the entry of largest difference, if an entry of S I S - I' exceeds 10 %
     of the largest entry of both, or if I' has products of inertia of the wrong sign
     (`_find_wrong_sign`). Twice the rounding of the written digits (up to 50 %) replaces the 10 % if
-    it is larger. Pairs with different masses are not compared.
+    larger. Pairs with different masses are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):

@@ -307,11 +307,10 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find implausible densities: mass / volume of the convex hull of the shapes.
 
     The mass is the sum of a root link or moving link and all links fixed to it. Visual and
-    collision shapes, and the origins of the link, its frames and its children, define the hull.
-    Plausible are 2 to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read. The severity
-    is WARNING, and ERROR above `IMPOSSIBLE_FACTOR` times `MAX_DENSITY`. A plausible density is
-    reported, too, if it is above `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median
-    of the other links.
+    collision shapes, and the origins of link, frames and children, define the hull. Plausible are 2
+    to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read. The severity is WARNING, and
+    ERROR above `IMPOSSIBLE_FACTOR` times `MAX_DENSITY`. A plausible density is reported, too, if
+    above `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median of the other links.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`), bodies with small shapes
     (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
@@ -412,7 +411,7 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find links whose collision shapes are apart from their visual shapes.
+    """Find links whose collision shapes are apart from the visual shapes.
 
     The bounding boxes along the axes of the link must overlap within `MIN_GAP_FRACTION` of the
     extent of the visual shapes. If a mesh was not read, the distance is that of the origins of the
@@ -445,7 +444,7 @@ visual shapes, from which the gap is reported. Chosen, not tuned."""
 
 
 def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
-    """Return the extent of the origins of a link, its frames and its children [m]."""
+    """Return the extent of the origins of a link, the link's frames and the children [m]."""
     return _compute_extent(list_link_points(robot, body))
 
 

@@ -84,7 +84,7 @@ def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
 
 @rule
 def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find initial configurations with joints more than 1 mrad (1 mm) outside their limits.
+    """Find initial configurations with joints more than 1 mrad (1 mm) outside the limits.
 
     The severity is NOTE for ``qpos0`` of an MJCF and the zero angles of a URDF.
     """
@@ -331,7 +331,7 @@ def _compute_heights(
 ) -> Array:
     """Return the height above the ground of the lowest point of each geom, shape (n,) [m].
 
-    ``ground`` is the id of the ground plane's geom; if it is None, the ground is the plane z = 0.
+    ``ground`` is the id of the ground plane's geom; without an id, the ground is the plane z = 0.
     ``qpos``, shape (nq,), is the configuration; ``data`` is changed in place.
     """
     data.qpos[:] = qpos
