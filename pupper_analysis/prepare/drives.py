@@ -48,7 +48,11 @@ from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.simulation.settling import comes_to_rest
-from pupper_analysis.simulation.verify import MAX_BALANCE_RESIDUAL, StandVerification, verify_stand
+from pupper_analysis.simulation.verify import (
+    MAX_BALANCE_RESIDUAL_RATIO,
+    StandVerification,
+    verify_stand,
+)
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
 
@@ -388,7 +392,7 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
 def _are_different_robots(robot: Robot, verification: StandVerification) -> bool:
     """Return True if both files describe different robots: then no gains make the results agree."""
     weight = robot.weight
-    return verification.mujoco_residual > MAX_BALANCE_RESIDUAL * weight
+    return verification.mujoco_residual > MAX_BALANCE_RESIDUAL_RATIO * weight
 
 
 def make_missing_servos(

@@ -112,7 +112,7 @@ MAX_HEIGHT_LOSS_RATIO = 0.1
 feet. Only stands whose legs are too short to compensate for the penetration of the feet lose
 height with feed-forward. Chosen, not tuned."""
 
-MAX_BALANCE_RESIDUAL = 1e-3
+MAX_BALANCE_RESIDUAL_RATIO = 1e-3
 """Largest unbalanced generalised force in MuJoCo's model under the predicted contact forces and
 motor torques [N, N m], divided by the weight [N]. Above, the two files describe different robots,
 which is a failure. Rounded files leave 1e-6. Chosen, not tuned."""
@@ -731,7 +731,7 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
             predicted contact forces and motor torques.
         weight: Weight of the robot [N].
     """
-    if not residual > MAX_BALANCE_RESIDUAL * weight:
+    if not residual > MAX_BALANCE_RESIDUAL_RATIO * weight:
         return []
     masses = (float(robot.mj_model.body_subtreemass[0]), robot.total_mass)
     if math.isclose(*masses):  # the robots differ otherwise: no digits of rounding
