@@ -53,6 +53,7 @@ def run_with_robot(command: str, robot: str, folder: Path) -> Answer:
     return answer(*words, folder=folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(
     ("robot", "expected"),

@@ -89,6 +89,7 @@ def test_crosscheck_of_a_variant_and_a_file_names_a_next_command_that_runs(tmp_p
     assert f"next: pupper-analysis stand {file}\n" in done.stdout
 
 
+@pytest.mark.slow
 def test_differences_of_a_scaled_variant_are_located_by_its_name() -> None:
     """The model of a scaled variant has no file, and no lines."""
     changes = pa.diff_models("v3", "v3-heavy").changes
@@ -96,6 +97,7 @@ def test_differences_of_a_scaled_variant_are_located_by_its_name() -> None:
     assert all("pupper_v3_body.xml:" in change.old_place for change in changes)
 
 
+@pytest.mark.slow
 def test_model_in_memory_is_not_synchronised() -> None:
     """Reference: `sync` writes files; a scaled variant has none."""
     with pytest.raises(pa.ConfigurationError, match="analyze VARIANT --write"):
