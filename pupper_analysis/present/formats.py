@@ -221,8 +221,8 @@ def escape_control(text: str) -> str:
 def write_github(annotations: Iterable[Annotation]) -> str:
     """Convert annotations to GitHub workflow commands, a command per line.
 
-    GitHub shows the messages beside the lines of the files.
-    GitHub shows ten annotations per level and step; the log of the step contains all annotations.
+    GitHub shows the messages beside the lines of the files: ten annotations per level and step.
+    The log of the step contains all annotations.
 
     Source: GitHub documentation, "Workflow commands for GitHub Actions".
     """

@@ -364,6 +364,9 @@ class _ConfigReader:
             key: Key of the [[pair]]: ``urdf``, ``mjcf``, or the name of a tool such as
                 ``contract``. For a tool, ``text`` may also be a folder, or ``FILE:NAME``.
             text: Path in the configuration.
+
+        Raises:
+            ModelError: If there is no such file.
         """
         path, source = self.folder / text, self.folder / text.rpartition(":")[0]
         if not (is_input(path) or (key not in _PAIR_KEYS and (path.is_dir() or source.is_file()))):

@@ -459,7 +459,7 @@ def _git_command(given: str, *arguments: str) -> list[str]:
 def _read_git_objects(
     given: str, entries: Sequence[GitEntry], folder: Path | None
 ) -> Iterator[tuple[GitEntry, bytes]]:
-    """Yield the content of each entry; missing objects (partial clones) are skipped."""
+    """Yield the content of each file; submodules and missing objects are skipped."""
     command = _git_command(given, "cat-file", "--batch")
     with subprocess.Popen(
         command,

@@ -139,7 +139,7 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
 
     Args:
         robot: Robot.
-        headless: Print the sensor readings instead of opening a window.
+        headless: Print the sensor readings and the next command instead of opening a window.
 
     Raises:
         DisplayError: If no window can be opened.

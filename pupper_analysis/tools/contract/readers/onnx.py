@@ -116,7 +116,8 @@ def gather_fields(data: int | memoryview) -> ProtobufMessage:
         data: Bytes of the message.
 
     Returns:
-        {field number: values in order}: integers, or bytes of nested messages and texts.
+        {field number: values in order}: integers, or bytes of nested messages, texts and
+            numbers of fixed size.
 
     Raises:
         ValueError: If the data is not such a message.
