@@ -337,7 +337,8 @@ def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
     """Create the message about bodies that are denser than tungsten, however they are shaped.
 
     The volume is that of the ball around the CoM that contains the bounding spheres of all geoms,
-    the frame of the body and the frames of its children. None without such bodies.
+    the frame of the body and the frames of its children. Bodies without geoms are omitted, since
+    their size is unknown. None without such bodies.
     """
     radii = np.linalg.norm(model.body_ipos, axis=1)
     for body in range(1, model.nbody):
@@ -349,7 +350,8 @@ def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
         reach = float(np.linalg.norm(model.geom_pos[geom] - model.body_ipos[body]))
         radii[body] = max(radii[body], reach + float(model.geom_rbound[geom]))
     volumes = 4 / 3 * np.pi * np.maximum(radii, _MIN_RADIUS) ** 3
-    densities = np.where(model.body_weldid > 0, model.body_mass / volumes, 0.0)
+    shaped = np.isin(np.arange(model.nbody), model.geom_bodyid[model.geom_rbound > 0])
+    densities = np.where(shaped & (model.body_weldid > 0), model.body_mass / volumes, 0.0)
     bodies = np.flatnonzero(densities > _MAX_DENSITY)
     if not bodies.size:
         return None
