@@ -64,6 +64,9 @@ def test_blocks_that_are_not_run_need_a_network_or_another_program() -> None:
         "python",
         "--bridge ros2",
         "g1.xml",
+        "tcp://host",
+        "dask scheduler",
+        "deploy.yaml",
     )
     assert all(any(words in line for words in unreachable) for line in left), left
 

@@ -38,7 +38,14 @@ from tests.support.repository import ROOT
 FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs/zh/how-to")
 """Folders whose pages are run completely, in addition to the README."""
 
-NEVER = {"pip install": "it needs the network", "--bridge ros2": "it needs a robot's own computer"}
+NEVER = {
+    "pip install": "it needs the network",
+    "--bridge ros2": "it needs a robot's own computer",
+    "tcp://host": "it needs a cluster",
+    "dask scheduler": "it runs until it is stopped",
+    "deploy.yaml": "it needs the deployment of a robot",
+    "g1.xml policy.onnx --init": "it needs the policy of a robot",
+}
 """{words: reason} of lines that are run on no page."""
 
 HELP_EXITS = {"longer.urdf": 1, "mjcf:effort": 1, "diff v3 v3-heavy": 1}
