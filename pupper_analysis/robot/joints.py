@@ -54,9 +54,9 @@ def joint_motions(robot: Robot) -> dict[str, str]:
 
 
 def is_slide(robot: Robot, joint: str) -> bool:
-    """Return True if a joint is a slide."""
-    kind = robot.mj_model.jnt_type[robot.mj_model.joint(joint).id]
-    return bool(kind == JointKind.SLIDE)
+    """Return True if a joint is a slide; does not wait for servo tuning."""
+    model = robot.before_servos.mj_model
+    return bool(model.jnt_type[model.joint(joint).id] == JointKind.SLIDE)
 
 
 def _classify_motion(axis: Array, *, is_slide: bool) -> str:
