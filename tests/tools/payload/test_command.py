@@ -44,7 +44,7 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     assert content["trial"]["survived"]
     assert "at (10, 0, 80) mm of" in out
     assert f"base is ({1e3 * limit.offset[0]:.1f}, " in out
-    assert "nudged: it stays up" in out
+    assert "s after a nudge: stays upright" in out
     status, out, err = run_command(
         capfd, "payload", "-v", "v3-long-leg", *("--kp", "1", "--kd", "0.1")
     )
