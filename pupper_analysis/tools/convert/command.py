@@ -92,7 +92,7 @@ def command(
       pupper-analysis convert robot.urdf -o new.xml --armature 0.005
       pupper-analysis convert arm.urdf -o arm.xml --fixed-base
       pupper-analysis convert robot.xml -o new.urdf
-      pupper-analysis convert v3-long-leg -o new.xml
+      pupper-analysis convert v3-long-leg -o long-leg.xml
 
     Exit status: 0 both files agree and the robot stands, 1 otherwise (the file is written
     nevertheless), 2 invalid input.
