@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
-import multiprocessing
+import multiprocessing.context
 import os
 import pickle
 import platform
@@ -30,7 +30,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import parent_process, resource_tracker
 from multiprocessing.process import BaseProcess
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -296,6 +296,23 @@ class Progress:
         return rest / self.rate if self.rate else (float("inf") if rest else 0.0)
 
 
+class _RecordingContext(multiprocessing.context.SpawnContext):
+    """Start method *spawn*, with a list of all processes that were created with it.
+
+    An executor does not make its processes public; their exit codes tell a time limit from a crash.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.processes: list[BaseProcess] = []
+
+    def Process(self, *arguments: Any, **named: Any) -> BaseProcess:  # type: ignore[override]  # noqa: N802
+        """Create a process, as `multiprocessing.Process`, and add it to the list."""
+        process = super().Process(*arguments, **named)
+        self.processes.append(process)
+        return process
+
+
 class WorkerPool:
     """Executor of the caller, or worker processes that are replaced after an unexpected end.
 
@@ -309,6 +326,7 @@ class WorkerPool:
         self._given_executor = executor
         self.workers = workers or _count_workers(executor) or os.cpu_count() or 1
         self._executor = executor
+        self._processes: list[BaseProcess] = []
         self._num_submitted = 0
 
     @property
@@ -350,7 +368,8 @@ class WorkerPool:
         """Return the executor; create the processes if there are none."""
         if self._executor is None:
             # Spawn, because a fork copies locks that other threads of the parent hold.
-            context = multiprocessing.get_context("spawn")
+            context = _RecordingContext()
+            self._processes = context.processes
             self._executor = ProcessPoolExecutor(
                 self.workers, context, initializer=initialise_worker
             )
@@ -369,26 +388,21 @@ class WorkerPool:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
 
-    def _list_processes(self) -> list[BaseProcess]:
-        """Return the processes of the executor."""
-        return list((getattr(self._executor, "_processes", None) or {}).values())
-
     def exceeded_time_limit(self) -> bool:
         """Return True if a process of the pool has ended because of the time limit."""
         if self._given_executor is not None:
             return False
-        for process in self._list_processes():
+        for process in self._processes:
             process.join(EXIT_WAIT_SECONDS)
-        return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._list_processes())
+        return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._processes)
 
     def end_processes(self) -> None:
         """End the worker processes; those of an executor that the caller passed keep running."""
         if self._given_executor is None and self._executor is not None:
-            pool, processes = self._executor, self._list_processes()
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in processes:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+            for process in self._processes:
                 process.terminate()
-            for process in processes:
+            for process in self._processes:
                 process.join()
             self._executor, self._num_submitted = None, 0
 

@@ -1,10 +1,18 @@
-"""Studies on a Dask cluster: a killed worker loses no row; the table is that of a serial run."""
+"""Studies on a Dask cluster: killed workers and schedulers lose no row.
+
+The table is that of a serial run.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +25,10 @@ from pupper_analysis.tools.study.running import Progress
 from tests.support.commands import check_refusal
 
 
-def make_study() -> Any:
-    return pa.Study("v3", {"kp": [4.0 + 0.25 * k for k in range(24)]}, ["peak_torque"])
+def make_study(number: int) -> Any:
+    """Return a study of a number of servo gains, from kp of 4 to 10 N m/rad."""
+    gains = [4.0 + 6.0 * k / number for k in range(number)]
+    return pa.Study("v3", {"kp": gains}, ["peak_torque"])
 
 
 @pytest.mark.slow
@@ -26,7 +36,7 @@ def make_study() -> Any:
 def test_killed_worker_of_a_dask_cluster_loses_no_row(tmp_path: Path) -> None:
     """Reference: the serial run, to the last digit; each design is stored once."""
     with ThreadPoolExecutor(1) as thread:
-        serial = make_study().run(tmp_path / "serial", executor=thread)
+        serial = make_study(24).run(tmp_path / "serial", executor=thread)
     killed: list[int] = []
     with connect_dask("local:2") as (executor, workers):
         assert workers == 2
@@ -40,11 +50,79 @@ def test_killed_worker_of_a_dask_cluster_loses_no_row(tmp_path: Path) -> None:
                 os.kill(killed[0], signal.SIGKILL)
 
         folder = tmp_path / "cluster"
-        table = make_study().run(folder, executor=executor, workers=workers, progress=kill_one)
+        table = make_study(24).run(folder, executor=executor, workers=workers, progress=kill_one)
     assert killed
     assert len(table) == 24
     assert table["design"].is_unique
     assert len(pa.read_study(folder)) == 24
+    assert table.equals(serial)
+
+
+@contextmanager
+def run_cluster(port: int) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """Start a scheduler and two workers, each a process of the command line; yield them."""
+    address = f"tcp://127.0.0.1:{port}"
+    commands = (
+        ("scheduler", "--host", "127.0.0.1", "--port", str(port)),
+        ("worker", address, "--nthreads", "1", "--no-nanny"),
+        ("worker", address, "--nthreads", "1", "--no-nanny"),
+    )
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{kind}", *words, "--no-dashboard"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for kind, *words in commands
+    ]
+    try:
+        yield processes
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of Dask and its dependencies
+def test_killed_worker_and_restarted_scheduler_lose_no_row(tmp_path: Path) -> None:
+    """Reference: the serial run, to the last digit; each design is stored once.
+
+    A worker is killed after 6 designs and the scheduler after 16, which ends the run. The same
+    call continues on a new scheduler at the same address.
+    """
+    with ThreadPoolExecutor(1) as thread:
+        serial = make_study(60).run(tmp_path / "serial", executor=thread)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address, folder = f"tcp://127.0.0.1:{port}", tmp_path / "cluster"
+    with run_cluster(port) as (scheduler, worker, _):
+
+        def kill(progress: Progress) -> None:
+            if progress.done >= 6:
+                worker.kill()
+            if progress.done >= 16:
+                scheduler.kill()
+
+        with (
+            connect_dask(address) as (executor, workers),
+            pytest.raises(StudyError, match="run the same command again"),
+        ):
+            make_study(60).run(folder, executor=executor, workers=workers, progress=kill)
+    stored = len(pa.read_study(folder))
+    assert 16 <= stored < 60
+    resumed: list[int] = []
+    with run_cluster(port), connect_dask(address) as (executor, workers):
+        table = make_study(60).run(
+            folder,
+            executor=executor,
+            workers=workers,
+            progress=lambda progress: resumed.append(progress.num_stored),
+        )
+    assert resumed[-1] == stored
+    assert len(table) == 60
+    assert table["design"].is_unique
     assert table.equals(serial)
 
 
@@ -62,7 +140,7 @@ def test_module_that_workers_lack_is_named_with_a_remedy(tmp_path: Path) -> None
         _WithoutModule(1) as executor,
         pytest.raises(StudyError, match=r'module ours of a metric.*upload_file\("ours.py"\)'),
     ):
-        make_study().run(tmp_path, executor=executor)
+        make_study(24).run(tmp_path, executor=executor)
 
 
 @pytest.mark.parametrize("address", ["local:0", "local:two", "local:"])

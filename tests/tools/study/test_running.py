@@ -303,7 +303,7 @@ def test_broken_executor_loses_no_finished_design(tmp_path: Path) -> None:
     made = study(HEAVY, study_metrics.crashes)
     with (
         ProcessPoolExecutor(1, get_context("spawn")) as executor,
-        pytest.raises(pa.StudyError, match="run it again to go on"),
+        pytest.raises(pa.StudyError, match="run the same command again"),
     ):
         made.run(tmp_path, executor=executor)
     assert made.run(tmp_path, workers=1)["failure"].notna().sum() == 1
