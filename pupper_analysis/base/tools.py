@@ -3,7 +3,7 @@
 A tool is a package that answers one question. The first line of the package docstring is the
 question, and ``HELP_HEADING`` selects the heading in ``--help``. ``command.py`` contains the
 command, ``document.py`` the pages of the results, ``words.toml`` the texts. Optional modules that
-other packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. Discovery
+other packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``. Discovery
 imports no tool; question and heading are read from the source text.
 
 A format is a package that reads model files. ``format.toml`` describes the format, ``reader.py``

@@ -24,7 +24,7 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.inputs import discard_standard_input
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.runs import ensure_run
-from pupper_analysis.base.tools import HELP_HEADINGS, find_tool_modules, other_tools, own_tools
+from pupper_analysis.base.tools import HELP_HEADINGS, other_tools, own_tools
 from pupper_analysis.cli.process import (
     ProcessEnded,
     catch_ending_signals,
@@ -46,18 +46,11 @@ def list_tools() -> list[str]:
 
 @cache
 def _import_command(name: str) -> click.Command | None:
-    """Return a command, extended by the modules ``modes.py`` of all tools; None if unknown.
-
-    A module ``modes.py`` contains ``MODES``: {command: function that returns the command with
-    further options}.
-    """
+    """Return the command of a tool; None if there is no tool of this name."""
     tools = {**other_tools(), **own_tools()}
     if name not in tools:
         return None
     command: click.Command = import_module(f"{tools[name].package}.command").command
-    for package in find_tool_modules("modes").values():
-        add_modes = import_module(f"{package}.modes").MODES.get(name)
-        command = command if add_modes is None else add_modes(command)
     return command
 
 

@@ -25,7 +25,7 @@ from pupper_analysis.cli.robots import (
 from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_options, make_task, stance_option
 from pupper_analysis.cli.stance_options import GAIN_OPTIONS, PAYLOAD_OPTIONS
 from pupper_analysis.prepare.convert.files import RobotFiles
-from pupper_analysis.tools.walk.modes import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
+from pupper_analysis.tools.walk.options import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec

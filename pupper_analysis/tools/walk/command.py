@@ -21,7 +21,7 @@ from pupper_analysis.cli.robots import (
     robot_and_sources_argument,
 )
 from pupper_analysis.cli.stance_options import EFFORT_OPTION, parse_efforts
-from pupper_analysis.tools.walk.modes import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
+from pupper_analysis.tools.walk.options import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
