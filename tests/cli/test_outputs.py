@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 
 from pupper_analysis import cli
@@ -56,11 +57,18 @@ OPTIONS = {
 
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
-    **{name: [[], ["--policy", "policy.json"]] for name in ("push", "payload")},
     "heat": [["--motor", "dephy-actpack"]],
-    "walk": [["--seconds", "3", "--vary", "delay"]],
+    "walk": [
+        ["--seconds", "3", "--vary", "delay"],
+        ["deploy.yaml", "--seconds", "3", "--trace", "trace.npz"],
+    ],
     "live": [["--headless", "--drop"]],
-    "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],
+    "fit": [
+        ["--plan", "4"],
+        ["--stands", "stands.csv"],
+        ["--log", "log.csv"],
+        ["--record", "plan.csv", "--bridge", "typed", "-o", "recorded"],
+    ],
     "convert": [["-o", "new.xml"]],
     "study": [["-o", "results", "--workers", "1"]],
     "sync": [["--dry-run"], ["--take", "urdf"]],
@@ -127,6 +135,16 @@ def write_inputs(folder: Path) -> Path:
     (folder / "policy.toml").write_text(
         f'observation = ["gravity"]\ndefault = {[0] * count}\naction-scale = 1\nrate = 50\n'
     )
+    rows = np.zeros((20, 3)), np.zeros((20, count))
+    time = np.arange(20.0) / 50
+    np.savez(folder / "trace.npz", time=time, observations=rows[0], actions=rows[1])
+    joints = re.findall(r'<position [^>]*joint="(\w+)"', mjcf)
+    (folder / "deploy.yaml").write_text(f"joint_names: {joints}\nkps: {[200] * count}\n")
+    names = [f"{kind}.{joint}" for kind in ("command", "position") for joint in joints]
+    home = re.search(r'<key [^>]*qpos="([^"]*)"', mjcf)
+    assert home is not None
+    commands = ",".join(home[1].split()[7:])
+    (folder / "plan.csv").write_text(f"{','.join(names)}\n{commands}{',' * count}\n")
     fitted: dict[str, object] = {"kind": "delay", "subject": "", "component": ""}
     fitted |= {"stated": 0, "low": 0, "high": 0.01}
     (folder / "fit.json").write_text(json.dumps({"estimates": [fitted]}))
@@ -154,7 +172,7 @@ def reads(command: click.Command, words: list[str]) -> list[str]:
     named = [
         word
         for word in words
-        if word in INSIDE or word.endswith((".csv", ".toml", ".urdf", ".json"))
+        if word in INSIDE or word.endswith((".csv", ".npz", ".toml", ".urdf", ".json", ".yaml"))
     ]
     if command.name == "check":
         named.append("pupper-analysis.toml")
@@ -171,11 +189,11 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
         if isinstance(parameter, click.Argument)
         for word in ("study.toml",) * (command.name == "study") or ARGUMENTS[str(parameter.name)]
     ]
-    of_policy = ("policy", "contract")
     for more in MORE.get(str(command.name), [[]]):
-        # A stance or a policy, where there may be either.
-        either = "stance" in [one.name for one in command.params]
-        left = ("policy", "stance") if "--policy" in more else of_policy if either else ()
+        # A stance excludes a policy, a trace the file of a fit.
+        names = {one.name for one in command.params}
+        left = {"policy", "contract"} if "stance" in names else set[str]()
+        left |= {"fitted"} if "--trace" in more else set()
         inputs = [
             word
             for parameter in command.params
@@ -191,10 +209,9 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
 def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parameter, Path | None]]:
     """Yields the outputs of a command line; of folders with a file that is written into them."""
     for option in command.outputs:
-        if option.name == "figure" and "--policy" in line:
-            continue  # refused
         given = dict.fromkeys(str(one.name) for one in command.params)
         given |= {"count": 4 if "--plan" in line else None}
+        given |= {"record": "plan.csv" if "--record" in line else None}
         assert isinstance(option.type, OutputPath)
         holds = option.type.get_kind(given)
         if isinstance(holds, Folder):
@@ -265,7 +282,7 @@ def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> N
             messages = (*words, *force, given)
             assert given.returncode == 2, messages
             assert one_line(given), messages
-            refusals = ("this run reads", "this format is not written")
+            refusals = ("this run reads", "it is the plan", "this format is not written")
             assert not force or any(text in given.stderr for text in refusals), messages
             count += 1
         shutil.rmtree(folder / "into", ignore_errors=True)

@@ -21,6 +21,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, OutputError
 from pupper_analysis.base.files import (
     Writing,
+    check_writable,
     describe_os_error,
     remove_stale_files,
     resolve_target,
@@ -178,6 +179,7 @@ def _record_missing_stands(
 ) -> Recording:
     """Record the stands of a plan that the file does not contain."""
     planned = read_stands(plan).order_joints(robot)
+    check_writable(path, RECORD_KIND)
     margins = list(_check_plan(robot, planned))  # before anything moves
     com_std = compute_com_std(robot, ())
     recorded_names = _read_recorded_names(path, planned)
