@@ -5,6 +5,9 @@
     python benchmarks/studies.py efficiency        # 1 and 2 processes, 100 ms per design
     python benchmarks/studies.py overhead          # time per trivial design; memory
     python benchmarks/studies.py finding           # how large v3 may be, with a figure
+    python benchmarks/studies.py dask 2000         # two Dask workers against a bare loop
+    python benchmarks/studies.py scheduler 100000 --workers 1000  # workers that return rows at once
+    python benchmarks/studies.py store 1000000     # rows: writing, reading, size
     python benchmarks/studies.py kills 20          # of the parent, of a worker
 
 Designs of ``efficiency`` sleep, so that the use of the workers is measured independently of other
@@ -24,7 +27,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pupper_analysis as pa
 from pupper_analysis.tools.study import running
@@ -269,7 +275,191 @@ def test_kills(count: int, kinds: tuple[str, ...]) -> None:
         print(f"{kind}: {good} of {count} are the same afterwards")
 
 
-WHAT = ("speed", "simulated", "efficiency", "overhead", "kills", "finding")
+def loop_over_designs(study: pa.Study) -> float:
+    """Evaluate all designs in this process without a store; return the processor time [s]."""
+    import numpy as np
+
+    before = processor_time()
+    for names, numbers in study.designs():
+        robot_columns = [
+            index
+            for index, name in enumerate(study.variables)
+            if not running.is_servo_variable(name)
+        ]
+        order = np.lexsort(numbers[:, robot_columns[::-1]].T)  # neighbours share a robot
+        chunk = running.Chunk(
+            study.work(),
+            tuple(names[index] for index in order),
+            tuple(map(tuple, numbers[order].tolist())),
+        )
+        running.measure_designs(chunk)
+    return processor_time() - before
+
+
+def measure_dask(count: int) -> None:
+    """Print the processor time of a study on two Dask workers, and of a bare loop.
+
+    The start of a worker is measured by a study of a single design.
+    """
+    from pupper_analysis.tools.study.cluster import connect_dask
+
+    def run(study: pa.Study) -> float:
+        before = processor_time()
+        with tempfile.TemporaryDirectory() as folder, connect_dask("local:2") as (executor, number):
+            study.execute(folder, executor=executor, workers=number)
+        return processor_time() - before
+
+    study = pa.Study("v3", reduce_axes(count), SAG)
+    run(pa.Study("v3", {"kp": [5.0]}, SAG))  # byte code, and caches of the system
+    start = run(pa.Study("v3", {"kp": [5.0, 6.0]}, SAG))
+    bare = loop_over_designs(study)
+    total = run(study)
+    evaluation = total - start
+    print(f"{len(study)} designs: bare loop {bare:.1f} s, two Dask workers {total:.1f} s")
+    print(
+        f"start of the workers {start:.1f} s; without it {100 * (evaluation / bare - 1):.1f} % more"
+    )
+
+
+def return_rows(chunk: running.Chunk) -> running.ChunkOutcome:
+    """Return a recorded row for each design of a chunk at once, as if each had taken 25 ms."""
+    rows = tuple(
+        {"design": name, "kp": numbers[0], **RECORDED_ROW}
+        for name, numbers in zip(chunk.names, chunk.numbers, strict=True)
+    )
+    return running.ChunkOutcome(rows, 0.025 * len(rows))
+
+
+RECORDED_ROW: dict[str, object] = {
+    "peak_utilisation": 0.16,
+    "base_height": 0.12,
+    "servo_sag": 0.008,
+    "com_margin": 0.05,
+    "failure": None,
+    "reason": None,
+    "failed_metric": None,
+    "diagnostic": None,
+}
+"""Row of a design of v3 without the hash and the variables."""
+
+
+class RecordedExecutor(Executor):
+    """Executor that sends `return_rows` to a Dask cluster in place of the evaluation."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.executor = executor
+
+    def submit(self, _function: object, /, *given: object, **named: object) -> Future[object]:  # type: ignore[override]
+        """Submit `return_rows` with the arguments of the evaluation."""
+        return self.executor.submit(return_rows, *given, **named)  # type: ignore[arg-type]
+
+
+WORKERS_CODE = """
+import asyncio, sys
+sys.path.insert(0, sys.argv[3])
+from distributed import Worker
+async def main():
+    workers = [Worker(sys.argv[1], nthreads=1, dashboard=False, heartbeat_interval="5s",
+                      memory_limit=0) for _ in range(int(sys.argv[2]))]
+    for start in range(0, len(workers), 50):
+        await asyncio.gather(*workers[start:start + 50])
+    await asyncio.gather(*(worker.finished() for worker in workers))
+asyncio.run(main())
+"""
+"""Code of a process with many Dask workers."""
+
+
+def measure_scheduler(count: int, num_workers: int) -> None:
+    """Print time and memory of scheduler and client for many workers that return recorded rows.
+
+    All workers run in a process of their own, so that only messages and bookkeeping are measured.
+    """
+    psutil: Any = import_module("psutil")
+    distributed: Any = import_module("distributed")
+    port = 18786
+    address = f"tcp://127.0.0.1:{port}"
+    scheduler = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard"),
+            *("--host", "127.0.0.1", "--port", str(port)),
+        ],
+        stderr=subprocess.DEVNULL,
+    )
+    here = str(Path(__file__).parent)
+    fake = subprocess.Popen(
+        [sys.executable, "-c", WORKERS_CODE, address, str(num_workers), here],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        with (
+            distributed.Client(address, timeout=60) as client,
+            tempfile.TemporaryDirectory() as folder,
+        ):
+            client.wait_for_workers(num_workers, timeout=600)
+            watched = psutil.Process(scheduler.pid)
+            before, used = sum(watched.cpu_times()[:2]), processor_time()
+            study = pa.Study("v3", {"kp": pa.study.linspace(5.0, 20.0, count)}, SAG)
+            executor = RecordedExecutor(client.get_executor())
+            done = study.execute(folder, executor=executor, workers=num_workers)
+            chunks = done.work / running.CHUNK_SECONDS
+            spent = sum(watched.cpu_times()[:2]) - before
+            memory = watched.memory_info().rss / 1e6
+            mine = processor_time() - used
+            print(f"{num_workers} workers, {done.done} designs, about {chunks:.0f} chunks:")
+            print(f"scheduler {1e3 * spent / chunks:.2f} ms of processor a chunk, {memory:.0f} MB")
+            print(
+                f"client {1e3 * mine / chunks:.2f} ms of processor a chunk, {peak_memory():.0f} MB"
+            )
+            print(f"elapsed {done.seconds:.1f} s at a load of {os.getloadavg()[0]:.1f}")
+    finally:
+        for process in (fake, scheduler):
+            process.kill()
+            process.wait()
+
+
+def measure_store(count: int) -> None:
+    """Print time and size of the rows of a study in shards of the size that a long run writes."""
+    import hashlib
+
+    from pupper_analysis.tools.study.store import Store
+
+    with tempfile.TemporaryDirectory() as name:
+        store = Store(Path(name))
+        store.shards.mkdir(parents=True)
+        before = processor_time()
+        for start in range(0, count, running.SHARD_ROWS):
+            stop = min(count, start + running.SHARD_ROWS)
+            hashes = [hashlib.sha256(str(k).encode()).hexdigest()[:32] for k in range(start, stop)]
+            store.write([{"design": key, "kp": float(k), **RECORDED_ROW}
+                         for k, key in enumerate(hashes, start)])  # fmt: skip
+        written = processor_time()
+        keys = store.designs()
+        listed = processor_time()
+        memory = peak_memory()
+        table = store.table()
+        read = processor_time()
+        files = list(store.shards.glob("*.parquet"))
+        size = sum(path.stat().st_size for path in files)
+    print(f"{len(table)} rows in {len(files)} shards, {size / count:.0f} bytes a row")
+    print(
+        f"written in {written - before:.1f} s, {len(keys)} keys listed in {listed - written:.1f} s"
+    )
+    print(
+        f"table read in {read - listed:.1f} s; memory {memory:.0f} MB, then {peak_memory():.0f} MB"
+    )
+
+
+WHAT = (
+    "dask",
+    "scheduler",
+    "store",
+    "speed",
+    "simulated",
+    "efficiency",
+    "overhead",
+    "kills",
+    "finding",
+)
 """Names of the measurements."""
 
 
@@ -285,6 +475,12 @@ def main() -> None:
         measure_speed(given.count or 1000, given.workers)
     elif given.what == "simulated":
         measure_simulated(given.count or 100, given.workers)
+    elif given.what == "dask":
+        measure_dask(given.count or 2000)
+    elif given.what == "scheduler":
+        measure_scheduler(given.count or 10_000, given.workers)
+    elif given.what == "store":
+        measure_store(given.count or 1_000_000)
     elif given.what in ("efficiency", "overhead", "finding"):
         {
             "efficiency": measure_efficiency,

@@ -58,6 +58,14 @@ _SIGNALS = {
 """{array of a trace in an npz file: prefix of its columns in a CSV file}."""
 
 
+_NUM_COLUMNS = {"angular_velocity": 3, "gravity": 3, "quaternion": 4}
+"""{array of a trace: number of columns}, if it does not depend on the robot."""
+
+MAX_NORM_DEVIATION = 0.05
+"""Largest difference of the norm of a recorded quaternion from 1. Chosen: logs with two decimals
+have 0.01; a row of zeros or Euler angles have more."""
+
+
 @dataclass(frozen=True, eq=False)
 class Trace:
     """Record of a policy that ran on a robot; n samples, one per action.
@@ -93,7 +101,8 @@ def read_trace(path: str | Path) -> Trace:
 
     Raises:
         ModelError: If the file cannot be read, an array is missing or has an invalid shape, a
-            number is not finite, times do not ascend, or there are less than `MIN_SAMPLES` samples.
+            number is not finite, a quaternion has not norm 1 (`MAX_NORM_DEVIATION`), times do not
+            ascend, or there are less than `MIN_SAMPLES` samples.
     """
     path = Path(path)
     try:
@@ -110,6 +119,16 @@ def read_trace(path: str | Path) -> Trace:
     for name, array in arrays.items():
         if array.ndim != 2 or len(array) != len(time) or not np.isfinite(array).all():
             raise ModelError(path, diagnose("trace-array", name=name, count=len(time)))
+        size = _NUM_COLUMNS.get(name, array.shape[1])
+        if array.shape[1] != size:
+            found = array.shape[1]
+            raise ModelError(path, diagnose("trace-columns", name=name, found=found, wanted=size))
+    norms = np.linalg.norm(arrays.get("quaternion", np.ones((1, 1))), axis=1)
+    worst = int(np.argmax(abs(norms - 1)))
+    if abs(norms[worst] - 1) > MAX_NORM_DEVIATION:
+        raise ModelError(
+            path, diagnose("trace-quaternion", time=float(time[worst]), norm=float(norms[worst]))
+        )
     return Trace(path, time, arrays, joints)
 
 

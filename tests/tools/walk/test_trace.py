@@ -247,6 +247,9 @@ def test_csv_and_npz_give_equal_results(
         ({"actions": np.zeros((120, 11))}, "numbers in an observation"),
         ({"positions": np.full((120, 12), math.nan)}, "finite"),
         ({"joints": np.array(["a"] * 12)}, "columns"),
+        ({"quaternion": np.zeros((120, 3))}, "must have 4 columns, and has 3"),
+        ({"quaternion": np.zeros((120, 4))}, "has norm 0 in place of 1"),
+        ({"gravity": np.ones((120, 2))}, "must have 3 columns"),
     ],
 )
 def test_invalid_trace_is_refused(
