@@ -96,7 +96,7 @@ class Mesh:
 
     def hull(self) -> Mesh:
         """Return the convex hull; the mesh itself if there is none, for example of flat meshes."""
-        from scipy.spatial import ConvexHull, QhullError  # slow to import
+        from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 
         try:
             hull = ConvexHull(self.vertices)

@@ -66,7 +66,7 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
     projected = np.column_stack([points[on] @ side, points[on] @ np.cross(out, side)])
     if len(on) < 3:
         return []
-    from scipy.spatial import ConvexHull, QhullError  # slow to import
+    from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 
     try:
         hull = [int(number) for number in ConvexHull(projected).vertices]
@@ -424,7 +424,7 @@ def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
         return
     if rank == 0:
         return
-    from scipy.spatial import ConvexHull, QhullError  # slow to import
+    from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 
     try:
         hull = ConvexHull(np.vstack([surface, middle - _APEX_HEIGHT * down]))

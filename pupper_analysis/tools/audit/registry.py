@@ -281,7 +281,7 @@ def compute_hull_distance(points: Array, point: Array) -> float:
         points, or points in a plane), the largest signed distance to the sides of the bounding box
         along the coordinate axes.
     """
-    from scipy.spatial import ConvexHull, QhullError  # slow to import
+    from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 
     try:
         faces = ConvexHull(points).equations

@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import PurePath
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.base.diagnostics import (
     Quantity,
@@ -20,6 +19,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
+from pupper_analysis.base.qhull import ConvexHull, QhullError
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import Shape
 from pupper_analysis.models.stated.model import Array, Link, RobotModel, UrdfModel
