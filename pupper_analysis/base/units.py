@@ -6,8 +6,8 @@ Inputs are options, priors of a fit and column headers of measurement files.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass, fields, is_dataclass
 from functools import cache
 from typing import Final
 
@@ -84,11 +84,46 @@ def find_joint_units(unit: str) -> JointUnits:
     return select_joint_units(slides=unit in (SLIDE_UNITS.position, SLIDE_UNITS.effort))
 
 
-POSITION_UNIT: Final = f"{HINGE_UNITS.position} or {SLIDE_UNITS.position}"
+MIXED_UNITS: Final = JointUnits(
+    *(
+        f"{hinge} or {slide}"
+        for hinge, slide in zip(astuple(HINGE_UNITS), astuple(SLIDE_UNITS), strict=True)
+    )
+)
+"""Units of values of hinges and slides together, such as ``N m or N``."""
+
+
+def combine_joint_units(units: Iterable[JointUnits]) -> JointUnits:
+    """Return the units of values of several joints: those of all joints, or ``MIXED_UNITS``.
+
+    Without joints: units of a hinge.
+    """
+    different = set(units)
+    return MIXED_UNITS if len(different) > 1 else next(iter(different), HINGE_UNITS)
+
+
+def find_common_units(units: Iterable[str]) -> JointUnits:
+    """Return the units of values of several joints, from their units of positions or efforts."""
+    return combine_joint_units(find_joint_units(unit) for unit in units)
+
+
+POSITION_UNIT: Final = MIXED_UNITS.position
 """Unit in the metadata of a field with positions of hinges and slides: rad or m."""
 
-EFFORT_UNIT: Final = f"{HINGE_UNITS.effort} or {SLIDE_UNITS.effort}"
+VELOCITY_UNIT: Final = MIXED_UNITS.velocity
+"""Unit in the metadata of a field with velocities of hinges and slides: rad/s or m/s."""
+
+EFFORT_UNIT: Final = MIXED_UNITS.effort
 """Unit in the metadata of a field with motor torques of hinges and forces of slides: N m or N."""
+
+STIFFNESS_UNIT: Final = MIXED_UNITS.stiffness
+"""Unit in the metadata of a field with stiffnesses of hinges and slides: N m/rad or N/m."""
+
+DAMPING_UNIT: Final = MIXED_UNITS.damping
+"""Unit in the metadata of a field with dampings of hinges and slides: N m s/rad or N s/m."""
+
+ARMATURE_UNIT: Final = MIXED_UNITS.armature
+"""Unit in the metadata of a field with armatures of hinges and slides: kg m^2 or kg."""
 
 
 def convert_to_display(value: float, unit: str) -> tuple[str, float]:

@@ -37,6 +37,7 @@ from pupper_analysis.cli.stance_fields import (
     stance_option,
 )
 from pupper_analysis.prepare.convert.files import RobotFiles
+from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.stance.fields import ROBOT_FIELDS
 
 if TYPE_CHECKING:
@@ -395,7 +396,7 @@ def parse_continuous_torques(texts: tuple[str, ...], robot: Robot) -> dict[str, 
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: If a text has another form.
+        ConfigurationError: If a text has another form, or assigns a motor to a slide.
         ModelError: If the motor's file is not valid, or lacks a number.
     """
     torques: dict[str, float] = {}
@@ -408,12 +409,12 @@ def parse_continuous_torques(texts: tuple[str, ...], robot: Robot) -> dict[str, 
         from pupper_analysis.models.motors.thermal import compute_continuous_torque
 
         matches = match_joints("continuous", pattern or "*", robot)
+        joints = [
+            joint for joint, matched in zip(robot.joint_names, matches, strict=True) if matched
+        ]
+        check_motor_joints(robot, joints, "continuous")
         torque = compute_continuous_torque(find_motor(name))
-        torques |= {
-            joint: torque
-            for joint, matched in zip(robot.joint_names, matches, strict=True)
-            if matched
-        }
+        torques |= dict.fromkeys(joints, torque)
     return torques
 
 

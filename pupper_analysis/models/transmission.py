@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.units import DAMPING_UNIT, STIFFNESS_UNIT
 from pupper_analysis.models.mjcf import JointKind
 
 Array = NDArray[np.float64]
@@ -122,9 +123,9 @@ class ActuatorLaw:
     constant bias is left out.
 
     Attributes:
-        gain: kp of a position servo (N m/rad), or torque per unit of ctrl of a motor (N m).
-        stiffness: Stiffness (N m/rad); 0 for a motor.
-        damping: Damping (N m s/rad).
+        gain: kp of a position servo (N m/rad or N/m), or torque per unit of ctrl of a motor (N m).
+        stiffness: Stiffness (N m/rad or N/m); 0 for a motor.
+        damping: Damping (N m s/rad or N s/m).
         gear: Gear ratio.
     """
 
@@ -190,14 +191,14 @@ class MadeServo:
 
     Attributes:
         joint: Joint of the servo.
-        kp: Stiffness (N m/rad).
-        kd: Damping (N m s/rad).
+        kp: Stiffness (N m/rad or N/m).
+        kd: Damping (N m s/rad or N s/m).
         instead_of: Type of the actuator of the joint in the MJCF.
     """
 
     joint: str
-    kp: float = field(metadata={"unit": "N m/rad"})
-    kd: float = field(metadata={"unit": "N m s/rad"})
+    kp: float = field(metadata={"unit": STIFFNESS_UNIT})
+    kd: float = field(metadata={"unit": DAMPING_UNIT})
     instead_of: Drive
 
 

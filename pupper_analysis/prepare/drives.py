@@ -45,6 +45,7 @@ from pupper_analysis.prepare.servo_tuning import (
 )
 from pupper_analysis.prepare.touching import copy_visual_option
 from pupper_analysis.robot.build import rebuild_robot
+from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.simulation.settling import comes_to_rest
@@ -339,7 +340,9 @@ def _report_added_servos(
         return recorded, []
     num_passive = len(robot.description.passive_joints)
     num_own = robot.nu - len(added) - num_passive - len(list_dependent_joints(robot))
-    return recorded, [*notes.report_added_servos(added, num_own, built.mj_model.opt.timestep)]
+    units = get_common_units(robot, [servo.joint for servo in added])
+    timestep = built.mj_model.opt.timestep
+    return recorded, [*notes.report_added_servos(added, num_own, timestep, units)]
 
 
 def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
@@ -417,11 +420,12 @@ def make_missing_servos(
     dependent = {robot.joint_names[joint] for joint in list_dependent_joints(robot)}
     excluded = {*(list_position_servos(robot) if own is None else own), *dependent}
     missing = [index for index, name in enumerate(robot.joint_names) if name not in excluded]
-    stiffness = describe_span(kp[missing], "N m/rad")
+    units = get_common_units(robot, [robot.joint_names[index] for index in missing])
+    stiffness = describe_span(kp[missing], units.stiffness)
     message = diagnose(
         "servos-made",
         kp=stiffness,
-        kd=describe_span(kd[missing], "N m s/rad"),
+        kd=describe_span(kd[missing], units.damping),
         timestep=Quantity(timestep, "s"),
     )
     additions: list[Addition] = [

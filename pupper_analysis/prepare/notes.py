@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.units import JointUnits
 from pupper_analysis.models.transmission import (
     Drive,
     MadeServo,
@@ -19,7 +20,9 @@ from pupper_analysis.models.transmission import (
     is_at_one_joint,
 )
 from pupper_analysis.prepare.feet import Foot, has_ellipsoids, is_ball
-from pupper_analysis.robot.joints import joint_unit
+from pupper_analysis.robot.joints import (
+    joint_unit,
+)
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.problem import can_move_com
@@ -145,7 +148,7 @@ def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_added_servos(
-    servos: Sequence[MadeServo], own: int, timestep: float
+    servos: Sequence[MadeServo], own: int, timestep: float, units: JointUnits
 ) -> Iterator[Diagnostic]:
     """Report the added servos, and the defective servos that the added servos replace.
 
@@ -153,6 +156,7 @@ def report_added_servos(
         servos: Added servos.
         own: Number of joints that have a servo in the MJCF.
         timestep: Time step of the model with the added servos [s].
+        units: Units of the gains.
     """
     bad: dict[str, list[str]] = {}
     for servo in servos:
@@ -165,8 +169,8 @@ def report_added_servos(
         count=len(servos),
         bad=bool(bad),
         some=bool(own) and not bad,
-        kp=describe_span([servo.kp for servo in servos], "N m/rad"),
-        kd=describe_span([servo.kd for servo in servos], "N m s/rad"),
+        kp=describe_span([servo.kp for servo in servos], units.stiffness),
+        kd=describe_span([servo.kd for servo in servos], units.damping),
         timestep=Quantity(timestep, "s"),
     )
 

@@ -597,11 +597,13 @@ def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
 
 
 def _describe_gains(servos: ServosUsed) -> dict[str, Any]:
-    """Return the lowest gains of servos, and the highest gains if different."""
+    """Return the lowest gains of servos with units, and the highest gains if different."""
     (kp, kp_most), (kd, kd_most) = servos.kp, servos.kd
     return {
         "kp": kp,
         "kp_most": kp_most if kp_most != kp else None,
         "kd": kd,
         "kd_most": kd_most if kd_most != kd else None,
+        "stiffness_unit": servos.stiffness_unit,
+        "damping_unit": servos.damping_unit,
     }

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from pupper_analysis.base.diagnostics import Diagnostic
-from pupper_analysis.base.units import HINGE_UNITS, POSITION_UNIT
+from pupper_analysis.base.units import DAMPING_UNIT, HINGE_UNITS, POSITION_UNIT, STIFFNESS_UNIT
 from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.robot.fall import FALLEN_TILT, MAX_HEIGHT_LOSS_RATIO, BodyMotion
 
@@ -36,17 +36,21 @@ class ServosUsed:
     Attributes:
         source: Origin of the gains: the MJCF; added on loading at some joints, where the
             MJCF has no servo or an invalid one; or passed by the caller.
-        kp: Minimum and maximum stiffness (N m/rad) of the added servos; of all servos if none was
-            added.
-        kd: Minimum and maximum damping (N m s/rad) of the added servos; of all servos if none was
-            added.
+        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos; of all servos
+            if none was added.
+        kd: Minimum and maximum damping (N m s/rad or N s/m) of the added servos; of all servos
+            if none was added.
         made: Added servos that are in use.
+        stiffness_unit: Unit of ``kp``; both units if the servos are at hinges and slides.
+        damping_unit: Unit of ``kd``; both units if the servos are at hinges and slides.
     """
 
     source: ServoSource
-    kp: tuple[float, float] = field(metadata={"unit": "N m/rad"})
-    kd: tuple[float, float] = field(metadata={"unit": "N m s/rad"})
+    kp: tuple[float, float] = field(metadata={"unit": STIFFNESS_UNIT})
+    kd: tuple[float, float] = field(metadata={"unit": DAMPING_UNIT})
     made: tuple[MadeServo, ...] = ()
+    stiffness_unit: str = HINGE_UNITS.stiffness
+    damping_unit: str = HINGE_UNITS.damping
 
     @property
     def replacement_servos(self) -> tuple[MadeServo, ...]:

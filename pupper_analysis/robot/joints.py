@@ -8,7 +8,7 @@ base.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -21,6 +21,7 @@ from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.units import (
     JointUnits,
     Position,
+    combine_joint_units,
     find_untyped_degrees,
     select_joint_units,
 )
@@ -322,6 +323,26 @@ def check_in_range(
 def get_joint_units(robot: Robot, joint: str) -> JointUnits:
     """Return the units of the quantities of a joint: those of a slide, or of a hinge."""
     return select_joint_units(slides=is_slide(robot, joint))
+
+
+def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> None:
+    """Raise a ConfigurationError if a rotary motor is assigned to a slide.
+
+    The torque of a motor becomes the force of a slide by the lead of a screw, which no file states.
+
+    Args:
+        robot: Robot.
+        joints: Joints to which motors are assigned.
+        argument: Name of the argument or option, for the message.
+    """
+    slides = [joint for joint in joints if is_slide(robot, joint)]
+    if slides:
+        raise ConfigurationError(argument, diagnose("motor-at-slide", joints=slides))
+
+
+def get_common_units(robot: Robot, joints: Iterable[str]) -> JointUnits:
+    """Return the units of values of several joints together (`combine_joint_units`)."""
+    return combine_joint_units(get_joint_units(robot, joint) for joint in joints)
 
 
 def joint_unit(robot: Robot, joint: str) -> str:

@@ -23,6 +23,7 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
+from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -404,11 +405,14 @@ def find_servos_used(
         passive = [name in robot.description.passive_joints for name in robot.joint_names]
         chosen = chosen if made else (found.kp > 0) & ~np.array(passive)
     stiffness, damping = found.kp[chosen], found.kd[chosen]
+    units = get_common_units(robot, [robot.joint_names[index] for index in np.flatnonzero(chosen)])
     return ServosUsed(
         source,
         (float(stiffness.min()), float(stiffness.max())),
         (float(damping.min()), float(damping.max())),
         made,
+        units.stiffness,
+        units.damping,
     )
 
 

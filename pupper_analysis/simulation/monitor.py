@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import DAMPING_UNIT, STIFFNESS_UNIT
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.as_published import MIN_POSTURE_DEVIATION
 from pupper_analysis.robot.configuration import Configuration
@@ -379,16 +380,16 @@ class SimulationSettings(Result):
         integrator: Name of MuJoCo's integrator.
         timestep: Time step (s).
         duration: Simulated time (s).
-        kp: Servo stiffness, shape (nu,) (N m/rad).
-        kd: Servo damping, shape (nu,) (N m s/rad).
+        kp: Servo stiffness, shape (nu,) (N m/rad or N/m).
+        kd: Servo damping, shape (nu,) (N m s/rad or N s/m).
     """
 
     feedforward: bool
     integrator: str
     timestep: float = field(metadata={"unit": "s"})
     duration: float = field(metadata={"unit": "s"})
-    kp: Array = field(metadata={"unit": "N m/rad"})
-    kd: Array = field(metadata={"unit": "N m s/rad"})
+    kp: Array = field(metadata={"unit": STIFFNESS_UNIT})
+    kd: Array = field(metadata={"unit": DAMPING_UNIT})
 
 
 _SAMPLE_TIME = 0.02

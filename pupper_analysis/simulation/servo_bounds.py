@@ -15,7 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.errors import NoStiffnessError
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import (
+    DAMPING_UNIT,
+    STIFFNESS_UNIT,
+    JointUnits,
+    combine_joint_units,
+    select_joint_units,
+)
 from pupper_analysis.robot.alike import group_joints, name_joints
+from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.simulation.controlled_stand import (
@@ -48,20 +56,27 @@ class ServoClass(Result):
     Attributes:
         name: Common part of the joints' names, with * for the rest.
         joints: Joints.
-        kp: Present stiffness (N m/rad).
+        kp: Present stiffness (N m/rad or N/m).
         least_kp: Least stiffness without feed-forward, if the stiffness of all joints is scaled
-            together (N m/rad); None if unknown.
-        kd: Present damping (N m s/rad).
+            together (N m/rad or N/m); None if unknown.
+        kd: Present damping (N m s/rad or N s/m).
         largest_kd: Largest damping of an explicit controller, if the damping of all joints is
-            scaled together (N m s/rad); None if unknown or without a bound.
+            scaled together (N m s/rad or N s/m); None if unknown or without a bound.
+        are_slides: Whether the joints are slides.
     """
 
     name: str
     joints: tuple[str, ...]
-    kp: float = field(metadata={"unit": "N m/rad"})
-    least_kp: float | None = field(metadata={"unit": "N m/rad"})
-    kd: float = field(metadata={"unit": "N m s/rad"})
-    largest_kd: float | None = field(metadata={"unit": "N m s/rad"})
+    kp: float = field(metadata={"unit": STIFFNESS_UNIT})
+    least_kp: float | None = field(metadata={"unit": STIFFNESS_UNIT})
+    kd: float = field(metadata={"unit": DAMPING_UNIT})
+    largest_kd: float | None = field(metadata={"unit": DAMPING_UNIT})
+    are_slides: bool = False
+
+    @property
+    def units(self) -> JointUnits:
+        """Units of the quantities of the joints."""
+        return select_joint_units(slides=self.are_slides)
 
 
 @dataclass(frozen=True)
@@ -89,6 +104,11 @@ class ServoBounds(Result):
     largest_kd_factor: float | None = field(metadata={"unit": "1"})
     timestep: float = field(metadata={"unit": "s"})
     integrator: str
+
+    @property
+    def units(self) -> JointUnits:
+        """Units of the gains of all joints together (`combine_joint_units`)."""
+        return combine_joint_units(bounds.units for bounds in self.classes)
 
     @property
     def uniform(self) -> bool:
@@ -149,6 +169,7 @@ def bound_servo_gains(
                 least_kp=None if least is None else least * first_kp,
                 kd=first_kd,
                 largest_kd=most * first_kd if most is not None and bounded else None,
+                are_slides=is_slide(robot, robot.joint_names[members[0]]),
             )
         )
     return ServoBounds(

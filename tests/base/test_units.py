@@ -17,7 +17,11 @@ from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import (
     DIMENSIONLESS_UNIT,
+    HINGE_UNITS,
+    SLIDE_UNITS,
     VARYING_UNIT,
+    combine_joint_units,
+    find_common_units,
     find_untyped_degrees,
     units_of,
 )
@@ -128,3 +132,12 @@ def test_a_slope_without_unit_is_refused_with_the_value_in_degrees() -> None:
     """8 rad is 458 deg; 8 deg is a slope."""
     with pytest.raises(pa.ConfigurationError, match="for degrees write 8deg"):
         pa.Slope(8)
+
+
+def test_units_of_several_joints_are_one_or_both() -> None:
+    """By hand; a hinge has N m/rad, a slide N/m."""
+    assert combine_joint_units([]) == combine_joint_units([HINGE_UNITS] * 2) == HINGE_UNITS
+    assert combine_joint_units([SLIDE_UNITS]) == SLIDE_UNITS
+    mixed = combine_joint_units([SLIDE_UNITS, HINGE_UNITS])
+    assert mixed == find_common_units(["N m", "N"]) == find_common_units(["m", "rad"])
+    assert (mixed.stiffness, mixed.damping) == ("N m/rad or N/m", "N m s/rad or N s/m")

@@ -42,6 +42,18 @@ def edited_by(path: Path, edit: Callable[[str], str]) -> Path:
     return path
 
 
+def quadruped_with_slides(folder: Path) -> Path:
+    """Write the MJCF of a quadruped whose knees are vertical slides with a range of 0.2 m.
+
+    Position servos: kp 1500 N m/rad or N/m, kv 5, and at most 60 N m or N.
+    """
+    mjcf = quadruped(folder, floor=True, actuators="position", keyframe="").mjcf
+    knee = r'(name="\w+_knee") axis="0 1 0" range="-2.6 -0.4"'
+    slide = r'\1 type="slide" axis="0 0 1" range="-0.1 0.1"'
+    edited_by(mjcf, lambda text: re.sub(knee, slide, text))
+    return rewrite_file(mjcf, ('kp="150"', 'kp="1500" forcerange="-60 60"'))
+
+
 BOX = '<geom {name} type="box" size="0.08 0.04 0.01" pos="0.02 0 -0.03"/>'
 """Box as an additional geom of a body, a format string with the attribute ``name``."""
 

@@ -244,7 +244,8 @@ def pushes(shift: float) -> Stub:
     )
 
 
-KNOWN = {"joint_names": ("hip", "knee"), "unknown_limits": (), "peak_torques": None}
+KNOWN = {"joint_names": ("hip", "knee"), "unknown_limits": (), "peak_torques": None,
+         "torque_units": ("N m", "N m")}  # fmt: skip
 """Fields of a push result with known torque limits."""
 
 
@@ -340,6 +341,7 @@ def make_payload_result(*unknown: str) -> Any:
         unknown_limits=unknown,
         torque_by_joint={"hip": 1.0, "knee": -2.0},
         joint_torques=(1.0, 2.0),
+        get_torque_unit=lambda _: "N m",
         continuous=(),
         trial=trial,
         verdict=judge_stance(run(0.0, passed=True), None, SERVOS, question=Question.CARRIES),

@@ -16,6 +16,15 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import (
+    ARMATURE_UNIT,
+    DAMPING_UNIT,
+    EFFORT_UNIT,
+    POSITION_UNIT,
+    VELOCITY_UNIT,
+    JointUnits,
+    select_joint_units,
+)
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.configuration import Configuration
@@ -48,28 +57,32 @@ class JointSummary(Result):
             base at zero angles; otherwise ``oblique``. For a sliding joint ``along x``, ``along
             y`` or ``along z``; otherwise ``oblique slide``.
         axis: Joint axis at zero angles, shape (3,), in the base frame.
-        lower: Lower position limit (rad). Here and below, a sliding joint has m for rad, N for N m
-            and kg for kg m^2.
-        upper: Upper position limit (rad).
-        effort: Effort limit (N m): the smallest limit that the files state.
-        velocity: Velocity limit (rad/s).
-        armature: Armature of the MJCF (kg m^2).
-        damping: Viscous damping (N m s/rad).
-        friction: Dry friction (N m).
+        lower: Lower position limit (rad or m).
+        upper: Upper position limit (rad or m).
+        effort: Effort limit (N m or N): the smallest limit that the files state.
+        velocity: Velocity limit (rad/s or m/s).
+        armature: Armature of the MJCF (kg m^2 or kg).
+        damping: Viscous damping (N m s/rad or N s/m).
+        friction: Dry friction (N m or N).
         effort_origin: Statement in a file from which ``effort`` was read; None without a limit.
     """
 
     name: str
     motion: str
     axis: Array = field(metadata={"unit": "1"})
-    lower: float = field(metadata={"unit": "rad"})
-    upper: float = field(metadata={"unit": "rad"})
-    effort: float = field(metadata={"unit": "N m"})
-    velocity: float = field(metadata={"unit": "rad/s"})
-    armature: float = field(metadata={"unit": "kg m^2"})
-    damping: float = field(metadata={"unit": "N m s/rad"})
-    friction: float = field(metadata={"unit": "N m"})
+    lower: float = field(metadata={"unit": POSITION_UNIT})
+    upper: float = field(metadata={"unit": POSITION_UNIT})
+    effort: float = field(metadata={"unit": EFFORT_UNIT})
+    velocity: float = field(metadata={"unit": VELOCITY_UNIT})
+    armature: float = field(metadata={"unit": ARMATURE_UNIT})
+    damping: float = field(metadata={"unit": DAMPING_UNIT})
+    friction: float = field(metadata={"unit": EFFORT_UNIT})
     effort_origin: EffortStatement | None
+
+    @property
+    def units(self) -> JointUnits:
+        """Units of the quantities of the joint."""
+        return select_joint_units(slides=self.is_sliding)
 
     @property
     def is_oblique(self) -> bool:
@@ -178,7 +191,7 @@ class Analysis(Result):
     stand: Stand
     statics: GravityCompensation
     min_max_torque: GravityCompensation
-    hanging_torques: Array = field(metadata={"unit": "N m"})
+    hanging_torques: Array = field(metadata={"unit": EFFORT_UNIT})
     foot_jacobians: dict[str, FootJacobian]
     verification: StandVerification
     sagging: StandVerification

@@ -24,6 +24,10 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.diagnostics.diagnostic import Diagnostic
 from pupper_analysis.base.diagnostics.templates import Quantity
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.units import (
+    JointUnits,
+    find_common_units,
+)
 from pupper_analysis.present.figures import drawing
 
 if TYPE_CHECKING:
@@ -68,6 +72,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     for analysis, axes in panels:
         rows = list(_group_joints(analysis).items())
         limits = np.array([joint.effort for joint in analysis.joints], float)
+        units = analysis.statics.torque_units
         predicted = np.abs(np.asarray(analysis.statics.joint_torques, float))
         simulated = np.abs(np.asarray(analysis.verification.joint_torques, float))
         limited = np.isfinite(limits) & (limits > 0)
@@ -80,14 +85,16 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
                 axes.plot(percent[joint] * simulated[joint], place, "|", color="k", ms=8)
             peak = max(joints, key=lambda joint: predicted[joint])
             share = f" = {percent[peak] * predicted[peak]:.1f} %" if limited[peak] else ", no limit"
-            axes.annotate(f"{predicted[peak]:.3f} N m{share}", (1, row), ha="right", va="center",
-                          xycoords=axes.get_yaxis_transform(), size=drawing.FONT_SIZE - 1,
-                          xytext=(0, 0), textcoords="offset points")  # fmt: skip
+            axes.annotate(f"{predicted[peak]:.3f} {units[peak]}{share}", (1, row),
+                          ha="right", va="center", xycoords=axes.get_yaxis_transform(),
+                          size=drawing.FONT_SIZE - 1, xytext=(0, 0),
+                          textcoords="offset points")  # fmt: skip
         axes.set_yticks(range(len(rows)), [name for name, _ in rows], parse_math=False)
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_xlabel("torque (% of the limit)", size=drawing.FONT_SIZE)
         axes.grid(axis="x", color=drawing.GRID_COLOUR)
-        drawing.title_panel(axes, f"{analysis.name}: limit {_format_range(limits[limited])} N m")
+        limit = f"{_format_range(limits[limited])} {find_common_units(units).effort}"
+        drawing.title_panel(axes, f"{analysis.name}: limit {limit}")
         _write_feet(axes, sorted(analysis.foot_jacobians))
         # Room for the values at the right end of the axis.
         axes.set_xlim(0, 1.75 * max(1e-3, np.nanmax(np.append(percent * predicted, 0.0))))
@@ -166,7 +173,8 @@ def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     # At least one decade, so that the scale has two ends.
     scale = LogNorm(MIN_SHOWN_DEVIATION, max(10 * MIN_SHOWN_DEVIATION, float(shown.max())))
     for analysis, axes in panels:
-        _draw_heat_map(axes, analysis.sweep, scale)
+        units = find_common_units(analysis.statics.torque_units)
+        _draw_heat_map(axes, analysis.sweep, scale, units)
         own = tuple(float(np.median(gain)) for gain in
                     (analysis.verification.kp, analysis.verification.kd))  # fmt: skip
         _mark_own_gains(axes, analysis.sweep, *own)
@@ -316,7 +324,7 @@ def _make_sweep_title(sweeps: Sequence[GainSweep]) -> str:
     )
 
 
-def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm) -> None:
+def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUnits) -> None:
     """Draw a cell for each pair of gains, with the height deviation [mm]."""
     deviation = 1e3 * np.asarray(sweep.height_deviation, float)
     colours = ScalarMappable(scale, _COLOUR_MAP)
@@ -338,8 +346,8 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm) -> None:
     axes.set(xlim=(-0.5, len(sweep.kd) - 0.5), ylim=(-0.5, len(sweep.kp) - 0.5))
     axes.set_xticks(range(len(sweep.kd)), [f"{kd:g}" for kd in sweep.kd])
     axes.set_yticks(range(len(sweep.kp)), [f"{kp:g}" for kp in sweep.kp])
-    axes.set_xlabel("kd (N m s/rad)", size=drawing.FONT_SIZE)
-    axes.set_ylabel("kp (N m/rad)", size=drawing.FONT_SIZE)
+    axes.set_xlabel(f"kd ({units.damping})", size=drawing.FONT_SIZE)
+    axes.set_ylabel(f"kp ({units.stiffness})", size=drawing.FONT_SIZE)
 
 
 _BRIGHT_FROM = 0.6

@@ -14,6 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import (
+    EFFORT_UNIT,
+    HINGE_UNITS,
+    JointUnits,
+    find_common_units,
+)
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import (
     Cell,
@@ -87,7 +93,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
             {doc.Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
         ),
         *simulation_blocks(analysis),
-        deviation_table(analysis.sweep),
+        deviation_table(analysis.sweep, find_common_units(analysis.statics.torque_units)),
         _make_jacobian_table(analysis),
         _make_check_table(analysis),
     ]
@@ -402,7 +408,7 @@ def _format_interval(values: doc.Array) -> str:
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"
 
 
-def deviation_table(sweep: GainSweep) -> doc.Table:
+def deviation_table(sweep: GainSweep, units: JointUnits) -> doc.Table:
     """Create the table of base height deviations [mm] by kp [N m/rad] and kd [N m s/rad].
 
     Gains with which the undisturbed robot does not stay at rest are marked.
@@ -434,7 +440,7 @@ def deviation_table(sweep: GainSweep) -> doc.Table:
     return doc.Table(
         text("height-deviation-by-servo-gains"),
         (
-            doc.Column(text("kp-kd"), "N m/rad \\ N m s/rad", left=True),
+            doc.Column(text("kp-kd"), f"{units.stiffness} \\ {units.damping}", left=True),
             *(doc.Column(doc.Name(f"kd {kd:g}"), "mm") for kd in sweep.kd),
         ),
         tuple(
@@ -458,13 +464,14 @@ class ComparisonRow(Result):
         thigh_ratio: Thigh length relative to the base model; None for legs with a single joint, or
             a robot from files.
         height: Base height of the task (m).
-        peak_torque: Largest torque magnitude (N m).
+        peak_torque: Largest torque magnitude (N m or N).
         peak_utilisation: Largest motor utilisation.
         servo_sag: Height loss by servo deflection without feed-forward (m).
         stands_without: True if the simulation without feed-forward holds.
         verified: True if the analysis is verified.
         converted: Model that was converted from the other model, ``urdf`` or ``mjcf``; empty if
             neither was.
+        peak_torque_unit: Unit of ``peak_torque``: N m of a hinge, N of a slide.
     """
 
     name: str
@@ -473,12 +480,13 @@ class ComparisonRow(Result):
     mass_ratio: float | None = field(metadata={"unit": "1"})
     thigh_ratio: float | None = field(metadata={"unit": "1"})
     height: float = field(metadata={"unit": "m"})
-    peak_torque: float = field(metadata={"unit": "N m"})
+    peak_torque: float = field(metadata={"unit": EFFORT_UNIT})
     peak_utilisation: float = field(metadata={"unit": "1"})
     servo_sag: float = field(metadata={"unit": "m"})
     stands_without: bool
     verified: bool
     converted: str = ""
+    peak_torque_unit: str = HINGE_UNITS.effort
 
 
 def compare_with_base(
@@ -507,6 +515,9 @@ def compare_with_base(
         stands_without=analysis.sagging.passed,
         verified=analysis.verified,
         converted=analysis.verdict.converted,
+        peak_torque_unit=analysis.statics.torque_units[
+            int(np.argmax(np.abs(analysis.statics.joint_torques)))
+        ],
     )
 
 
@@ -527,12 +538,13 @@ def _compute_ratio(length: float | None, reference: float | None) -> float | Non
 
 def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
     """Create the table of mass, height, torques, servo sag and verdict, a row per robot."""
+    unit = find_common_units(row.peak_torque_unit for row in rows).effort
     columns = (
         ("mass", "kg", "total_mass", ".3f", 1.0),
         ("mass-ratio", "1", "mass_ratio", ".3f", 1.0),
         ("thigh-ratio-hip-to-knee", "1", "thigh_ratio", ".3f", 1.0),
         ("stand-height", "mm", "height", ".1f", 1e3),
-        ("peak-torque", "N m", "peak_torque", ".3f", 1.0),
+        ("peak-torque", unit, "peak_torque", ".3f", 1.0),
         ("peak-utilisation", "%", "peak_utilisation", ".1f", 100.0),
         ("servo-sag", "mm", "servo_sag", ".3f", 1e3),
     )

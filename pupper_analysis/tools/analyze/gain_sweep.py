@@ -23,6 +23,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.units import DAMPING_UNIT, STIFFNESS_UNIT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos, resolve_servo_gains
 from pupper_analysis.robot.stability import HOLD_DURATION
@@ -60,8 +61,8 @@ class GainSweep(Tabular):
     """Height deviation of a stand under a vertical force, for a grid of servo gains.
 
     Attributes:
-        kp: Stiffnesses, shape (n,) (N m/rad).
-        kd: Dampings, shape (m,) (N m s/rad).
+        kp: Stiffnesses, shape (n,) (N m/rad or N/m).
+        kd: Dampings, shape (m,) (N m s/rad or N s/m).
         height_deviation: Standard deviation of the base height in the last second, shape (n, m)
             (m); infinite if the robot fell or the simulation diverged.
         fell: True if the robot fell or the simulation diverged, shape (n, m).
@@ -73,8 +74,8 @@ class GainSweep(Tabular):
         integrator: MuJoCo's integrator.
     """
 
-    kp: Array = field(metadata={"unit": "N m/rad"})
-    kd: Array = field(metadata={"unit": "N m s/rad"})
+    kp: Array = field(metadata={"unit": STIFFNESS_UNIT})
+    kd: Array = field(metadata={"unit": DAMPING_UNIT})
     height_deviation: Array = field(metadata={"unit": "m"})
     fell: NDArray[np.bool_]
     lasts: NDArray[np.bool_]

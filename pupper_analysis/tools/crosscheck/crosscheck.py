@@ -34,7 +34,10 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.units import EARTH_GRAVITY
+from pupper_analysis.base.units import (
+    EARTH_GRAVITY,
+    JointUnits,
+)
 from pupper_analysis.models.conversion import (
     UrdfImport,
     acting_gravity,
@@ -73,6 +76,7 @@ from pupper_analysis.robot.compare.mjcf_only import (
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_site
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
@@ -251,12 +255,12 @@ QUANTITIES = {
     "body coms": (BODIES, "m"),
     "body inertias": (BODIES, "kg m^2"),
     "joint axes": (JOINTS, ""),
-    "lower joint limits": (JOINTS, "rad"),
-    "upper joint limits": (JOINTS, "rad"),
-    "effort limits": (JOINTS, "N m"),
-    "armature": (JOINTS, "kg m^2"),
-    "joint damping": (JOINTS, "N m s/rad"),
-    "joint friction": (JOINTS, "N m"),
+    "lower joint limits": (JOINTS, "position"),
+    "upper joint limits": (JOINTS, "position"),
+    "effort limits": (JOINTS, "effort"),
+    "armature": (JOINTS, "armature"),
+    "joint damping": (JOINTS, "damping"),
+    "joint friction": (JOINTS, "effort"),
     "com": ("com", "m"),
     "com Jacobian": ("com", "m, m/rad"),
     "mass matrix": (DOFS, "kg, kg m, kg m^2"),
@@ -268,7 +272,8 @@ QUANTITIES = {
     "gyro": ("IMU", "rad/s"),
     "accelerometer": ("IMU", "m/s^2"),
 }
-"""{compared quantity: (kind of object that each row describes, unit)}. Quantities that do not
+"""{compared quantity: (kind of object that each row describes, unit)}. The unit of quantities of
+joints is that of `JointUnits` with this name. Quantities that do not
 depend on the configuration are expressed in the world frame at zero angles, with a floating base at
 the origin."""
 
@@ -763,9 +768,10 @@ def cross_check(
         without_effects(robot.mj_model, coupled),
     )
     first = URDF_MUJOCO if is_large(robot) else URDF_PINOCCHIO
+    units = get_common_units(robot, robot.joint_names)
     checks = tuple(
         _compare_quantity(
-            name, evaluations, evaluations[first], list_row_labels(robot, name), tolerance
+            name, evaluations, evaluations[first], list_row_labels(robot, name), tolerance, units
         )
         for name in evaluations[first]
     )
@@ -909,6 +915,7 @@ def _compare_quantity(
     first: Evaluation,
     labels: Sequence[str],
     tolerance: float,
+    units: JointUnits,
 ) -> QuantityCheck:
     """Compare a quantity between the evaluations of each pair in `EDGE_NAMES`.
 
@@ -918,6 +925,7 @@ def _compare_quantity(
         first: Evaluation from which the lower bound of the scale is computed.
         labels: Labels of the quantity's rows.
         tolerance: Largest accepted relative deviation.
+        units: Units of the quantities of all joints together.
     """
     edges: dict[str, float] = {}
     least = _find_min_scale(name, first)
@@ -937,7 +945,7 @@ def _compare_quantity(
     relative, deviation, scale, between, where = worst
     return QuantityCheck(
         name=name,
-        unit=QUANTITIES[name][1],
+        unit=getattr(units, QUANTITIES[name][1], QUANTITIES[name][1]),
         scale=scale,
         deviation=deviation,
         relative=relative,

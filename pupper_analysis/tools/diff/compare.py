@@ -22,6 +22,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose, format_pair
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import EFFORT_UNIT, select_joint_units
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
@@ -106,8 +107,9 @@ class ModelDiff(Result):
         changes: Changes, the most urgent first: structure and conventions, large effects or mass
             differences, limits, others; each sorted by effect.
         mass: Total mass of the old and the new version.
-        torques: {joint: (old, new)}, largest torque (N m; force in N for slides) against gravity,
+        torques: {joint: (old, new)}, largest torque or force (N m or N) against gravity,
             base level and held, at random positions, for joints in both versions.
+        torque_units: {joint: unit of its torques: N m for a hinge, N for a slide}.
         deviations: {quantity: relative deviation between both versions}.
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether all residuals are within the tolerance.
@@ -121,7 +123,8 @@ class ModelDiff(Result):
     same: bool
     changes: tuple[ModelChange, ...]
     mass: tuple[float, float] = field(metadata={"unit": "kg"})
-    torques: dict[str, tuple[float, float]] = field(metadata={"unit": "N m"})
+    torques: dict[str, tuple[float, float]] = field(metadata={"unit": EFFORT_UNIT})
+    torque_units: dict[str, str]
     deviations: dict[str, float] = field(metadata={"unit": "1"})
     residual: dict[str, float] = field(metadata={"unit": "1"})
     complete: bool
@@ -324,6 +327,10 @@ class _Comparison:
             changes=tuple(map(self._make_change, self.differences)),
             mass=(_sum_mass(first), _sum_mass(second)),
             torques={name: (holding[0][name], holding[1][name]) for name in first.joints},
+            torque_units={
+                name: select_joint_units(slides=joint.slides).effort
+                for name, joint in first.joints.items()
+            },
             deviations={
                 name: judge.relative_deviation(name, before[name], after[name]) for name in before
             },

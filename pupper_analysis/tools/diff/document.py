@@ -11,6 +11,9 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import format_number, format_pair
 from pupper_analysis.base.results import shorten
+from pupper_analysis.base.units import (
+    find_common_units,
+)
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
@@ -152,6 +155,7 @@ def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
         moved = any(old != new for old, new in diff.torques.values())
         yield doc.Lines((less if moved else text("the-torques-that-hold"),))
         return
+    unit = find_common_units(diff.torque_units[name] for name in changed).effort
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
@@ -164,8 +168,8 @@ def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
         text("greatest-torque-that-holds"),
         (
             doc.Column(text("joint"), left=True),
-            doc.Column(text("old"), "N m"),
-            doc.Column(text("new"), "N m"),
+            doc.Column(text("old"), unit),
+            doc.Column(text("new"), unit),
             doc.Column(text("change"), "%"),
         ),
         tuple(rows),

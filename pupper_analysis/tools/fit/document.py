@@ -146,7 +146,9 @@ def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
         text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
         *([text("kp-over-mass", **_format_estimate(ratio))] if (ratio := fit.kp_over_mass) else []),
     )
-    return describe_fit(fit, text("fit-of-motions"), [error], details, [_joint_error_plot(fit)])
+    return describe_fit(
+        fit, text("fit-of-motions"), [error], details, [*_make_joint_error_plots(fit)]
+    )
 
 
 def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
@@ -168,15 +170,25 @@ def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
         yield text("repeatability-unknown")
 
 
-def _joint_error_plot(fit: MotionFit) -> doc.BarPlot:
-    """Create a bar plot of each joint's position error and encoder noise."""
-    bars = [
-        doc.Bar(doc.Name(name), math.degrees(error), math.degrees(fit.encoder_noise[name]))
-        for name, error in fit.by_joint.items()
-        if math.isfinite(error)
-    ]
-    axis = doc.Axis(text("root-mean-square"), "deg", ".3f")
-    return doc.BarPlot(text("off-at-joints"), axis, bars, (axis.name, text("encoder-noise"), None))
+def _format_position(position: float, unit: str) -> str:
+    """Format a signed position [rad, m] in degrees or mm, with the unit."""
+    factor, shown = READ_IN[unit]
+    return f"{factor * position:+.3f} {shown}"
+
+
+def _make_joint_error_plots(fit: MotionFit) -> Iterator[doc.BarPlot]:
+    """Create the bar plots of position errors and encoder noise: of hinges, then of slides."""
+    for slides in (False, True):
+        factor, unit = READ_IN["m" if slides else "rad"]
+        bars = [
+            doc.Bar(doc.Name(name), factor * error, factor * fit.encoder_noise[name])
+            for name, error in fit.by_joint.items()
+            if math.isfinite(error) and (name in fit.slides) == slides
+        ]
+        if bars or not slides:
+            axis = doc.Axis(text("root-mean-square"), unit, ".3f")
+            legend = (axis.name, text("encoder-noise"), None)
+            yield doc.BarPlot(text("off-at-joints"), axis, bars, legend)
 
 
 @build_document.register(StandFit)
@@ -194,7 +206,7 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
                 "worst-residual",
                 joint=doc.Name(residual.joint),
                 stand=doc.Name(residual.stand),
-                off=f"{math.degrees(residual.residual):+.3f}",
+                off=_format_position(residual.residual, residual.unit),
                 times=f"{abs(residual.deviations):.1f}",
             )
             for residual in fit.joint_residuals[:1]
@@ -289,24 +301,29 @@ def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
 
 def _stand_table(plan: StandPlan) -> doc.Table:
     """Create the table of planned stands."""
-    joints = list(plan.stands[0].command)
+    scales = {
+        joint: READ_IN["m" if joint in plan.slides else "rad"] for joint in plan.stands[0].command
+    }
     columns = (
         doc.Column(text("planned-stand"), left=True),
         doc.Column(text("feet-in-the-air"), left=True),
         doc.Column(text("turned-by"), "deg"),
         doc.Column(text("known-mass-on"), "kg"),
         doc.Column(text("utilisation"), "%"),
-        *(doc.Column(doc.Name(joint), "deg", detail=True) for joint in joints),
+        *(doc.Column(doc.Name(joint), scale[1], detail=True) for joint, scale in scales.items()),
     )
-    factor, _ = READ_IN["rad"]
+    degrees, _ = READ_IN["rad"]
     rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
         (
             doc.Name(stand.name),
             doc.Name(" ".join(stand.swing)),
-            doc.number_cell(stand.heading, ".0f", scale=factor),
+            doc.number_cell(stand.heading, ".0f", scale=degrees),
             doc.number_cell(stand.added, ".4g"),
             doc.number_cell(stand.utilisation, ".0f", scale=100.0),
-            *(doc.number_cell(stand.command[joint], ".2f", scale=factor) for joint in joints),
+            *(
+                doc.number_cell(stand.command[joint], ".2f", scale=factor)
+                for joint, (factor, _) in scales.items()
+            ),
         )
         for stand in plan.stands
     )

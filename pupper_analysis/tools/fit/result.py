@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import POSITION_UNIT
 from pupper_analysis.tools.fit.estimate import HALF_WIDTH_95, Posterior
 from pupper_analysis.tools.fit.parameters import SURROUNDINGS_KINDS, Parameter
 
@@ -235,6 +236,7 @@ class MotionFit(Fit):
         by_joint: RMS position error of each joint, in samples that were not fitted if there are
             any, otherwise in samples that were fitted.
         encoder_noise: Standard deviation of each joint's encoder noise.
+        slides: Names of the joints that are slides. Errors over all joints count 1 m as 1 rad.
     """
 
     seconds: float = field(metadata={"unit": "s"})
@@ -243,8 +245,9 @@ class MotionFit(Fit):
     fitted: float = field(metadata={"unit": "rad"})
     fitted_before: float = field(metadata={"unit": "rad"})
     repeatability: float = field(metadata={"unit": "rad"})
-    by_joint: Mapping[str, float] = field(metadata={"unit": "rad"})
-    encoder_noise: Mapping[str, float] = field(metadata={"unit": "rad"})
+    by_joint: Mapping[str, float] = field(metadata={"unit": POSITION_UNIT})
+    encoder_noise: Mapping[str, float] = field(metadata={"unit": POSITION_UNIT})
+    slides: tuple[str, ...] = ()
 
     @property
     def noise_inflation(self) -> float:

@@ -71,13 +71,13 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
             yield text(
                 "gains-above-torque",
                 joints=doc.Name(one.name),
-                kp=f"{one.largest_kp_of_torque:.3g}",
+                kp=f"{one.largest_kp_of_torque:.3g} {one.units.stiffness}",
             )
         if one.largest_kd_of_encoder is not None and one.kd > one.largest_kd_of_encoder:
             yield text(
                 "gains-above-noise",
                 joints=doc.Name(one.name),
-                kd=f"{one.largest_kd_of_encoder:.3g}",
+                kd=f"{one.largest_kd_of_encoder:.3g} {one.units.damping}",
             )
 
 
@@ -95,8 +95,8 @@ def _describe_range(study: GainStudy) -> doc.Words:
         least = max(kp * (study.least_kp.factor or 0.0), study.least_kp_alone or 0.0)
         return text(
             "gains-range" if largest is not None else "gains-range-open",
-            kp=f"{kp:.3g}",
-            kd=f"{kd:.3g}",
+            kp=f"{kp:.3g} {study.units.stiffness}",
+            kd=f"{kd:.3g} {study.units.damping}",
             least=f"{least:.3g}",
             most="" if largest is None else f"{largest * kd:.3g}",
         )
@@ -148,7 +148,7 @@ def _make_class_table(study: GainStudy) -> doc.Table:
         )
         for one in study.classes
     ]
-    stiffness, damping = "N m/rad", "N m s/rad"
+    stiffness, damping = study.units.stiffness, study.units.damping
     return doc.Table(
         text("gains-by-joint"),
         (
@@ -199,7 +199,9 @@ def _make_bound_table(study: GainStudy) -> doc.Table:
     ]
     notes = [text("gains-note-simulated")]
     if study.least_kp_alone is not None:
-        notes.append(text("gains-note-alone", kp=f"{study.least_kp_alone:.3g}"))
+        notes.append(
+            text("gains-note-alone", kp=f"{study.least_kp_alone:.3g} {study.units.stiffness}")
+        )
     return doc.Table(
         text("gains-bounds"),
         (
@@ -247,7 +249,7 @@ def gain_plot(study: GainStudy) -> doc.LinePlot:
                 marked_index=0,
             )
         )
-    units = ("N m/rad", "N m s/rad") if study.uniform else ("1", "1")
+    units = (study.units.stiffness, study.units.damping) if study.uniform else ("1", "1")
     return doc.LinePlot(
         text("gains-plot"),
         doc.Axis(doc.Name("kp"), units[0], ".3g"),

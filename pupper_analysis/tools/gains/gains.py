@@ -21,13 +21,23 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, NoStiffnessError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import (
+    DAMPING_UNIT,
+    STIFFNESS_UNIT,
+    JointUnits,
+    combine_joint_units,
+    select_joint_units,
+)
 from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
 )
 from pupper_analysis.robot.alike import group_joints, name_joints
 from pupper_analysis.robot.as_published import ServosUsed
-from pupper_analysis.robot.joints import force_unit
+from pupper_analysis.robot.joints import (
+    force_unit,
+    is_slide,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.stability import HOLD_DURATION
@@ -114,34 +124,41 @@ class JointClass(Result):
     Attributes:
         name: Common part of the joints' names, with * for the rest.
         joints: Joints.
-        kp: Present stiffness (N m/rad).
-        kd: Present damping (N m s/rad).
+        kp: Present stiffness (N m/rad or N/m).
+        kd: Present damping (N m s/rad or N s/m).
         least_kp: Smallest stable stiffness, if the stiffness of all joints is scaled together
-            (N m/rad); None without a bound.
+            (N m/rad or N/m); None without a bound.
         largest_kd: Largest stable damping, if the damping of all joints is scaled together
-            (N m s/rad); None without a bound.
+            (N m s/rad or N s/m); None without a bound.
         largest_kd_alone: Largest stable damping, if only the damping of this class changes
-            (N m s/rad); None without a bound, or if ``kd`` is 0.
+            (N m s/rad or N s/m); None without a bound, or if ``kd`` is 0.
         largest_kp_of_torque: Stiffness with which the requested position error reaches the torque
-            limit (N m/rad); None without an error or a positive limit.
+            limit (N m/rad or N/m); None without an error or a positive limit, and of slides.
         largest_kd_of_encoder: Damping with which one encoder count per control period is
-            ``MAX_NOISE_RATIO`` of the torque limit (N m s/rad); None without encoder or a positive
-            limit.
-        recommended_kp: Recommended stiffness (N m/rad); None without a recommendation.
-        recommended_kd: Recommended damping (N m s/rad); None without a recommendation.
+            ``MAX_NOISE_RATIO`` of the torque limit (N m s/rad or N s/m); None without encoder or a
+            positive limit, and of slides.
+        recommended_kp: Recommended stiffness (N m/rad or N/m); None without a recommendation.
+        recommended_kd: Recommended damping (N m s/rad or N s/m); None without a recommendation.
+        are_slides: Whether the joints are slides.
     """
 
     name: str
     joints: tuple[str, ...]
-    kp: float = field(metadata={"unit": "N m/rad"})
-    kd: float = field(metadata={"unit": "N m s/rad"})
-    least_kp: float | None = field(metadata={"unit": "N m/rad"})
-    largest_kd: float | None = field(metadata={"unit": "N m s/rad"})
-    largest_kd_alone: float | None = field(metadata={"unit": "N m s/rad"})
-    largest_kp_of_torque: float | None = field(metadata={"unit": "N m/rad"})
-    largest_kd_of_encoder: float | None = field(metadata={"unit": "N m s/rad"})
-    recommended_kp: float | None = field(metadata={"unit": "N m/rad"})
-    recommended_kd: float | None = field(metadata={"unit": "N m s/rad"})
+    kp: float = field(metadata={"unit": STIFFNESS_UNIT})
+    kd: float = field(metadata={"unit": DAMPING_UNIT})
+    least_kp: float | None = field(metadata={"unit": STIFFNESS_UNIT})
+    largest_kd: float | None = field(metadata={"unit": DAMPING_UNIT})
+    largest_kd_alone: float | None = field(metadata={"unit": DAMPING_UNIT})
+    largest_kp_of_torque: float | None = field(metadata={"unit": STIFFNESS_UNIT})
+    largest_kd_of_encoder: float | None = field(metadata={"unit": DAMPING_UNIT})
+    recommended_kp: float | None = field(metadata={"unit": STIFFNESS_UNIT})
+    recommended_kd: float | None = field(metadata={"unit": DAMPING_UNIT})
+    are_slides: bool = False
+
+    @property
+    def units(self) -> JointUnits:
+        """Units of the quantities of the joints."""
+        return select_joint_units(slides=self.are_slides)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +173,8 @@ class GainStudy(Result):
         timestep: Time step of the model (s).
         period: Control period (s).
         delay: Delay between measurement and effect of a command (s).
-        error: Position error for which the motors must have torque (rad); None: not requested.
+        error: Position error for which the motors of hinges must have torque (rad); None: not
+            requested.
         encoder_bits: Number of bits of the encoders: 2^bits counts per turn; None: not
             requested.
         classes: Joint classes with their bounds.
@@ -164,7 +182,7 @@ class GainStudy(Result):
         largest_kp: Upper bound of the stiffness.
         largest_kd: Upper bound of the damping.
         least_kp_alone: Smallest stiffness, equal at all joints, with which the robot stands without
-            feed-forward (N m/rad); None if there is none, or the base is fixed.
+            feed-forward (N m/rad or N/m); None if there is none, or the base is fixed.
         sag_failure: Reason for which the robot does not stand with the present stiffness without
             feed-forward; None if it stands, or the base is fixed.
         worst: Mode with the largest growth rate at the present gains.
@@ -189,7 +207,7 @@ class GainStudy(Result):
     least_kp: GainBound
     largest_kp: GainBound
     largest_kd: GainBound
-    least_kp_alone: float | None = field(metadata={"unit": "N m/rad"})
+    least_kp_alone: float | None = field(metadata={"unit": STIFFNESS_UNIT})
     sag_failure: Diagnostic | None
     worst: WorstMode
     damping_ratio: float = field(metadata={"unit": "1"})
@@ -214,6 +232,11 @@ class GainStudy(Result):
     def uniform(self) -> bool:
         """Whether all driven joints have the same stiffness and the same damping."""
         return len({(one.kp, one.kd) for one in self.classes}) == 1
+
+    @property
+    def units(self) -> JointUnits:
+        """Units of the gains of all joints together (`combine_joint_units`)."""
+        return combine_joint_units(one.units for one in self.classes)
 
     @property
     def exceeded(self) -> tuple[JointClass, ...]:
@@ -258,9 +281,9 @@ def study_gains(
         kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
         rate: Control rate [Hz]; default: one command per time step of the model.
         delay: Time between measurement and effect of a command [s].
-        error: Position error [rad, m] for which the motors must have torque.
-        encoder_bits: Resolution of the joint encoders [bits per turn]. Velocities are computed from
-            differences of the readings.
+        error: Position error [rad] for which the motors of hinges must have torque.
+        encoder_bits: Resolution of the encoders of hinges [bits per turn]. Velocities are computed
+            from differences of the readings.
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.
@@ -574,9 +597,9 @@ class _Gains:
             largest_kd: Upper bound of the damping of all joints.
             stable_pair: Stable factors on the stiffness and damping of all joints.
             recommended: Recommended factors on stiffness and damping.
-            error: Position error for which the motors must have torque [rad, m]; None if not
-                requested.
-            encoder_bits: Encoder resolution [bits per turn]; None if not requested.
+            error: Position error of hinges for which the motors must have torque [rad]; None if
+                not requested.
+            encoder_bits: Encoder resolution of hinges [bits per turn]; None if not requested.
         """
         kp, kd = float(self.kp[members[0]]), float(self.kd[members[0]])
         limit = float(robot.effort_limits[list(members)].min())
@@ -589,6 +612,9 @@ class _Gains:
             return stiffness, damping
 
         alone = self._find_end(scale_class_damping, 1.0, 2.0) if kd else None
+        are_slides = is_slide(robot, robot.joint_names[members[0]])
+        if are_slides:  # an angle, and counts per turn, are no positions of slides
+            error = encoder_bits = None
         count = 2 * math.pi / 2**encoder_bits if encoder_bits is not None else 0.0
         return JointClass(
             name=name_joints([robot.joint_names[joint] for joint in members]),
@@ -604,6 +630,7 @@ class _Gains:
             ),
             recommended_kp=_scale(kp, recommended[0]),
             recommended_kd=_scale(kd, recommended[1]),
+            are_slides=are_slides,
         )
 
 

@@ -23,6 +23,7 @@ from pupper_analysis.models.motors.thermal import (
     ThermalNetwork,
     compute_continuous_torque,
 )
+from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -187,7 +188,8 @@ def study_heat(
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance.
         NotSettlingError: If the depths of the feet in the soft ground do not converge.
-        ConfigurationError: If an argument is not valid, or no joint of the robot has a motor.
+        ConfigurationError: If an argument is not valid, no joint of the robot has a motor, or a
+            slide has a motor.
         ModelError: If the torque per current or the resistance of a motor are unknown.
     """
     _check_request(ambient, limit, battery_energy)
@@ -200,6 +202,7 @@ def study_heat(
     assigned = [name for name in names if name in motors]
     if not assigned:
         raise ConfigurationError("motors", diagnose("no-motor-assigned"))
+    check_motor_joints(robot, assigned, "motors")
     loads = dict(zip(robot.joint_names, torques.tolist(), strict=True))
     heats = tuple(
         _compute_heat(name, motors[name], float(loads[name]), ambient, limit) for name in assigned

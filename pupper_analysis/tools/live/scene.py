@@ -28,6 +28,7 @@ from pupper_analysis.present.scene import (
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
+from pupper_analysis.robot.joints import force_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import Stand
@@ -444,6 +445,7 @@ class Scene:
 
     def _draw_torques(self, joints: Sequence[JointAxis]) -> None:
         """Colour the joints by utilisation; label the joint with the largest utilisation."""
+        assert self._robot is not None
         held_joints = [joint for joint in joints if joint.torque is not None]
         for joint in held_joints:
             disc = self._joints[joint.name]
@@ -455,7 +457,10 @@ class Scene:
             )
             label = self._get_node("hardest", "add_label", "", anchor="bottom-center")
             label.text = format_joint_label(
-                hardest.name, hardest.torque or 0.0, hardest.utilisation
+                hardest.name,
+                hardest.torque or 0.0,
+                hardest.utilisation,
+                force_unit(self._robot, hardest.name),
             )
             label.position = hardest.world_anchor + np.array([0.0, 0.0, 0.2 * self._size])
 
@@ -491,10 +496,10 @@ def make_force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
     )
 
 
-def format_joint_label(name: str, torque: float, share: float | None) -> str:
-    """Return the label of a joint: name, torque [N m], utilisation (``share`` = 1 is 100 %)."""
+def format_joint_label(name: str, torque: float, share: float | None, unit: str) -> str:
+    """Return the label of a joint: name, torque with unit, utilisation (1 is shown as 100 %)."""
     suffix = "" if share is None else f", {100 * share:.0f} %"
-    return f"{escape_control(name)}: {torque:+.3f} N m{suffix}"
+    return f"{escape_control(name)}: {torque:+.3f} {unit}{suffix}"
 
 
 def quaternion_along(axis: Array) -> Array:

@@ -19,6 +19,7 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import limit_cell
+from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.documents import unexpected_document
@@ -219,13 +220,15 @@ def walking_document(
             for name, actual, target in zip(_COMMAND_AXES, reached, commanded, strict=True)
         ),
     )
+    unit = get_common_units(stage.robot, stage.robot.joint_names).effort
     motors = doc.Table(
         text("walking-motors"),
         (
             doc.Column(text("walking-motor"), left=True),
-            doc.Column(text("walking-mean"), "N m"),
-            doc.Column(text("walking-most"), "N m"),
-            doc.Column(text("walking-ends"), "N m"),
+            *(
+                doc.Column(text(f"walking-{name}"), unit)
+                for name in ("mean", "most", "ends")
+            ),
         ),
         tuple(
             (doc.Name(name), doc.number_cell(rms[index], ".2f"),

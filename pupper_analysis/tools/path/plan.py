@@ -22,7 +22,10 @@ from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleErr
 from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Tabular
-from pupper_analysis.base.units import find_joint_units
+from pupper_analysis.base.units import (
+    EFFORT_UNIT,
+    find_joint_units,
+)
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
@@ -199,7 +202,7 @@ class StancePath(Tabular):
     qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
     qvel: Array = field(metadata={"unit": "m/s and rad/s"})
     qacc: Array = field(metadata={"unit": "m/s^2 and rad/s^2"})
-    torques: Array = field(metadata={"unit": "N m"})
+    torques: Array = field(metadata={"unit": EFFORT_UNIT})
     stance_feet: NDArray[np.bool_]
     forces: Array = field(metadata={"unit": "N"})
     moments: Array = field(metadata={"unit": "N m"})

@@ -21,7 +21,11 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.units import POSITION_UNIT
+from pupper_analysis.base.units import (
+    DAMPING_UNIT,
+    POSITION_UNIT,
+    STIFFNESS_UNIT,
+)
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -392,8 +396,8 @@ class PathTracking(Result):
     failures: tuple[Diagnostic, ...]
     integrator: str
     timestep: float = field(metadata={"unit": "s"})
-    kp: Array = field(metadata={"unit": "N m/rad"})
-    kd: Array = field(metadata={"unit": "N m s/rad"})
+    kp: Array = field(metadata={"unit": STIFFNESS_UNIT})
+    kd: Array = field(metadata={"unit": DAMPING_UNIT})
     joint_error: float = field(metadata={"unit": POSITION_UNIT})
     joint_error_unit: str
     height_error: float = field(metadata={"unit": "m"})

@@ -140,7 +140,7 @@ def _unknown_text(limit: PayloadLimit) -> doc.Text:
         link=limit.link,
         mass=mass_text(limit.upper_bound),
         bounded=math.isfinite(limit.upper_bound),
-        torque=f"{abs(float(torques[hardest])):.3g}",
+        torque=f"{abs(float(torques[hardest])):.3g} {limit.get_torque_unit(hardest)}",
         hardest=doc.Name(hardest),
     )
 

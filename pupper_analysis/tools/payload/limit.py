@@ -212,6 +212,7 @@ class PayloadLimit(Result):
             ``StandTask.offset`` [m].
         joint_names: (nu,) joints, in actuator order.
         joint_torques: (nu,) motor torques or forces in ``stand`` (N m or N).
+        torque_units: (nu,) unit of each torque: N m for a hinge, N for a slide.
         contact_forces: {foot: (3,)} contact forces in ``stand``, in world axes [N].
         verdict: Verdict of the stance with ``VERIFIED_FRACTION`` of ``upper_bound``; without
             payload if ``upper_bound`` is 0 or infinite.
@@ -237,6 +238,7 @@ class PayloadLimit(Result):
     offset: Array = field(metadata={"unit": "m"})
     joint_names: tuple[str, ...]
     joint_torques: Array = field(metadata={"unit": EFFORT_UNIT})
+    torque_units: tuple[str, ...]
     contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
     verdict: Verdict
     trial: PayloadTrial | None
@@ -244,8 +246,12 @@ class PayloadLimit(Result):
 
     @property
     def torque_by_joint(self) -> dict[str, float]:
-        """``{joint: static motor torque [N m] in the stand with the largest payload}``."""
+        """``{joint: static motor torque [N m or N] in the stand with the largest payload}``."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
+
+    def get_torque_unit(self, joint: str) -> str:
+        """Return the unit of the motor torque of a joint: N m for a hinge, N for a slide."""
+        return self.torque_units[self.joint_names.index(joint)]
 
     @property
     def bounds(self) -> dict[str, Bound]:
@@ -402,6 +408,7 @@ def payload_limit(
         offset=loaded_stand.stand.qpos[:2] - loaded_stand.stand.centre(robot)[:2],
         joint_names=robot.joint_names,
         joint_torques=loaded_stand.statics.joint_torques,
+        torque_units=loaded_stand.statics.torque_units,
         contact_forces=loaded_stand.statics.contact_forces,
         verdict=verdict,
         trial=simulate_nudged(VERIFIED_FRACTION * mass_limit) if has_finite_limit else None,

@@ -86,7 +86,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
             "push-unknown",
             impulse=f"{recovery.weakest_impulse:.2f}",
             direction=f"{math.degrees(recovery.weakest_direction):.0f}",
-            torque=f"{float(peaks[hardest]):.3g}",
+            torque=f"{float(peaks[hardest]):.3g} {pushed.torque_units[hardest]}",
             hardest=doc.Name(names[hardest]),
         )
         return

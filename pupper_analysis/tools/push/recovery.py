@@ -21,11 +21,15 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.configuration import UP, Configuration
-from pupper_analysis.robot.joints import free_joints
+from pupper_analysis.robot.joints import (
+    free_joints,
+    list_force_units,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation.rollout import check_stand
@@ -56,7 +60,9 @@ class PushedStance(Result):
         unknown_limits: Joints that carry a foot or are coupled, and whose torque limit no file
             states.
         peak_torques: (nu,) largest |torque| of each motor during the weakest push of ``recovery``
-            [N m]; None if ``unknown_limits`` is empty, or the robot does not stand without a push.
+            [N m or N]; None if ``unknown_limits`` is empty, or the robot does not stand without a
+            push.
+        torque_units: (nu,) unit of the torque of each motor: N m for a hinge, N for a slide.
         verdict: Verdict of the stance without a push, with feed-forward. A robot that stays on the
             feet although the verdict fails is pushed as well.
     """
@@ -68,7 +74,8 @@ class PushedStance(Result):
     impulse: float = field(metadata={"unit": "N s"})
     code: EffortCode
     unknown_limits: tuple[str, ...]
-    peak_torques: Array | None = field(metadata={"unit": "N m"})
+    peak_torques: Array | None = field(metadata={"unit": EFFORT_UNIT})
+    torque_units: tuple[str, ...]
     verdict: Verdict
 
     @property
@@ -154,6 +161,7 @@ def study_pushes(
             code=code,
             unknown_limits=unknown_limits,
             peak_torques=peaks,
+            torque_units=robot.compute_once(list_force_units),
             verdict=verdict,
         )
     return results

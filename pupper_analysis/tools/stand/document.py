@@ -13,6 +13,9 @@ from typing import overload
 import numpy as np
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
+from pupper_analysis.base.units import (
+    find_common_units,
+)
 from pupper_analysis.prepare.causes import STIFFNESS_FACTOR
 from pupper_analysis.prepare.passes import PassRun
 from pupper_analysis.present import document as doc
@@ -259,11 +262,14 @@ def _describe_servos(stance: Stance) -> Iterable[doc.Words]:
     one, implicit = servos.classes[0], servos.integrator.startswith("implicit")
     least, most, scales = servos.least_kp_factor, servos.largest_kd_factor, servos.uniform
     kp, kd = (one.kp, one.kd) if scales else (1.0, 1.0)
+    units = servos.units
     bounded = most is not None and math.isfinite(most)
     yield text(
         "servo-gains" if scales else "servo-factors",
         kp=f"{one.kp:.3g}",
+        kp_unit=units.stiffness,
         kd=f"{one.kd:.3g}",
+        kd_unit=units.damping,
         least="" if least is None else f"{_round_bound(least * kp):g}",
         most=f"{_round_bound(most * kd):g}" if most is not None and bounded else "",
         step=f"{1e3 * servos.timestep:.3g}",
@@ -296,6 +302,7 @@ def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
     yield text(
         "servos-below-least-kp" if servos.uniform else "servos-below-least-factor",
         kp=f"{kp:.3g}",
+        unit=servos.units.stiffness,
         least=f"{least * kp:.3g}",
         tried="" if factor is None else f"{factor * kp:.3g}",
     )
@@ -313,7 +320,7 @@ def _make_servo_table(servos: ServoBounds) -> doc.Table:
         )
         for bounds in servos.classes
     ]
-    stiffness, damping = "N m/rad", "N m s/rad"
+    stiffness, damping = servos.units.stiffness, servos.units.damping
     return doc.Table(
         text("servo-gains-by-joint"),
         (
@@ -342,6 +349,11 @@ def _is_base_bolted(stance: Stance) -> bool:
     return any(weld.place is None for weld in welds) and not stand.stance_feet
 
 
+def _get_stiffness_unit(stance: Stance) -> str:
+    """Return the unit of a stiffness that is equal at all joints."""
+    return find_common_units(stance.statics.torque_units).stiffness
+
+
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
     """Yield the texts of the findings of a stance.
 
@@ -351,7 +363,7 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",
-            kp=f"{stance.minimum_stiffness:.2f}",
+            kp=f"{stance.minimum_stiffness:.2f} {_get_stiffness_unit(stance)}",
         )
     settled = stance.settled
     if stance.unsettled is not None and not _is_failure_without_feedforward_stated(stance):

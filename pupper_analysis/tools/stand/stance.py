@@ -21,7 +21,11 @@ from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import STAND_TABLE
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
-from pupper_analysis.base.units import EFFORT_UNIT, POSITION_UNIT
+from pupper_analysis.base.units import (
+    EFFORT_UNIT,
+    POSITION_UNIT,
+    STIFFNESS_UNIT,
+)
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -69,7 +73,7 @@ class Stance(Tabular):
             robot to the world. Hands are omitted if the force is unlimited, or if no forces balance
             the stance within the effort limits.
         minimum_stiffness: Smallest uniform kp with which the robot stands without feed-forward
-            (N m/rad); None if not requested, or if no tested kp suffices.
+            (N m/rad or N/m); None if not requested, or if no tested kp suffices.
         servos: Present gains of the servos, and bounds of these gains; None if the stand has no
             linear model.
     """
@@ -88,7 +92,7 @@ class Stance(Tabular):
     settled: SteadyState | None
     unsettled: Diagnostic | None
     presses: tuple[LargestPress, ...]
-    minimum_stiffness: float | None = field(metadata={"unit": "N m/rad"})
+    minimum_stiffness: float | None = field(metadata={"unit": STIFFNESS_UNIT})
     servos: ServoBounds | None
 
     def _columns(self) -> dict[str, ArrayLike]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from pupper_analysis.tools.gains.gains import (
     name_joints,
     study_gains,
 )
+from tests.support.legged import quadruped_with_slides
+from tests.support.printing import printed
 from tests.support.variants import load, stand_of
 
 
@@ -184,3 +187,23 @@ def test_invalid_requests_are_refused(options: dict[str, float], field: str) -> 
     with pytest.raises(pa.ConfigurationError) as caught:
         study_gains(load("original"), stand_of("original"), **options)  # type: ignore[arg-type]
     assert caught.value.field == field
+
+
+@pytest.mark.slow
+def test_gains_of_slides_have_units_of_their_own(tmp_path: Path) -> None:
+    """The knees are slides: an angle and counts per turn bound no gain there."""
+    robot = pa.load_robot(quadruped_with_slides(tmp_path))
+    study = study_gains(robot, pa.StandTask(), error=0.2, encoder_bits=14)
+    units = {bounds.name: bounds.units.stiffness for bounds in study.classes}
+    assert units == {"*_roll": "N m/rad", "*_pitch": "N m/rad", "*_knee": "N/m"}
+    for bounds in study.classes:
+        torque, encoder = bounds.largest_kp_of_torque, bounds.largest_kd_of_encoder
+        assert (torque is None, encoder is None) == (bounds.are_slides, bounds.are_slides)
+        assert torque is None or torque == pytest.approx(60 / 0.2)
+    document = printed(gains_document(study))
+    assert "kp 1.5e+03 N m/rad or N/m (at least" in document
+    assert "kd 5 N m s/rad or N s/m" in document
+    servos = study.servos
+    assert (servos.stiffness_unit, servos.damping_unit) == (
+        "N m/rad or N/m", "N m s/rad or N s/m",
+    )  # fmt: skip

@@ -13,12 +13,14 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.cli.stance_options import parse_continuous_torques
 from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
 from tests.support.commands import answer
+from tests.support.legged import quadruped_with_slides
 from tests.support.variants import load, stand_of
 
 WEAK = """name = "weak"
@@ -179,3 +181,16 @@ def test_motor_without_limit_that_runs_away_precedes_others() -> None:
         times=np.zeros(1), temperatures=np.zeros((1, 3)),
     )  # fmt: skip
     assert study.first is hot
+
+
+@pytest.mark.slow
+def test_rotary_motor_at_a_slide_is_refused(tmp_path: Path) -> None:
+    """The knees are slides; no file states the lead of a screw."""
+    robot = pa.load_robot(quadruped_with_slides(tmp_path))
+    motor = find_motor("mit-mini-cheetah")
+    with pytest.raises(pa.ConfigurationError, match=r"FL_knee.*RR_knee are slides"):
+        study_heat(robot, pa.StandTask(), dict.fromkeys(robot.joint_names, motor))
+    with pytest.raises(pa.ConfigurationError, match=r"FL_knee.* are slides"):
+        parse_continuous_torques(("dephy-actpack",), robot)
+    hips = parse_continuous_torques(("*_pitch=dephy-actpack",), robot)
+    assert sorted(hips) == ["FL_pitch", "FR_pitch", "RL_pitch", "RR_pitch"]

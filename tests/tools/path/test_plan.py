@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from functools import cache
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from pupper_analysis.robot.configuration import UP
 from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 from pupper_analysis.tools.path.tracking import track_path
-from tests.support.legged import quadruped
+from tests.support.legged import quadruped_with_slides
 from tests.support.variants import load
 
 Task = pa.StandTask
@@ -258,10 +257,7 @@ def test_csv_contains_time_positions_and_torques_of_a_path(tmp_path: Path) -> No
 
 def test_units_of_slides_are_metres_and_newtons(tmp_path: Path) -> None:
     """The knees are slides, the hips (roll, pitch) are hinges."""
-    slide = r'\1 type="slide" axis="0 0 1" range="-0.1 0.1"'
-    text = quadruped(tmp_path, floor=True, actuators="position", keyframe="").mjcf.read_text()
-    text = re.sub(r'(name="\w+_knee") axis="0 1 0" range="-2.6 -0.4"', slide, text)
-    robot = pa.load_robot(text)
+    robot = pa.load_robot(quadruped_with_slides(tmp_path))
     task = pa.StandTask(height=robot.stand_height)
     path = stance_path(robot, [task, task], 1.0, rate=20.0)
     path.to_csv(tmp_path / "path.csv")

@@ -18,7 +18,7 @@ from pupper_analysis.stance import minimum_stiffness
 from pupper_analysis.tools.stand.stance import explain_loading, study_stance
 from tests.support import arm
 from tests.support.commands import check_refusal, run_command
-from tests.support.legged import quadruped
+from tests.support.legged import quadruped, quadruped_with_slides
 from tests.support.printing import printed
 
 
@@ -63,15 +63,11 @@ def test_positions_of_slides_are_in_millimetres_and_in_the_file_in_metres(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """Reference: the knees, which are slides, in the configuration of the JSON result."""
-    slide = r'\1 type="slide" axis="0 0 1" range="-0.1 0.1"'
-    text = quadruped(tmp_path, floor=True, actuators="position", keyframe="").mjcf.read_text()
-    (tmp_path / "slides.xml").write_text(
-        re.sub(r'(name="\w+_knee") axis="0 1 0" range="-2.6 -0.4"', slide, text)
-    )
+    robot = quadruped_with_slides(tmp_path)
     table, result = tmp_path / "joints.csv", tmp_path / "result.json"
     options = ("--csv", str(table), "--json", str(result), "-v")
     for _ in range(2):  # the second run recognises the table, and replaces it
-        _, out, err = run_command(capfd, "stand", str(tmp_path / "slides.xml"), *options)
+        _, out, err = run_command(capfd, "stand", str(robot), *options)
         assert not err
     assert table.read_text().startswith("joint,position (rad or m),torque (N m or N),")
     knee = json.loads(result.read_text())["stand"]["qpos"][9]

@@ -18,7 +18,9 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
+from pupper_analysis.base.units import JointUnits, select_joint_units
 from pupper_analysis.models.loading import CheckFinding
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import MjcfModel
 from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, read_actuator_law
@@ -35,6 +37,7 @@ class ActuatorDrive(ActuatorLaw):
         control: Index of the first control.
         joint: Index of the joint.
         joint_name: Name of the joint.
+        units: Units of the joint.
     """
 
     name: str
@@ -42,6 +45,7 @@ class ActuatorDrive(ActuatorLaw):
     control: int
     joint: int
     joint_name: str
+    units: JointUnits
 
     @property
     def is_servo(self) -> bool:
@@ -62,6 +66,7 @@ def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
                 control=int(model.actuator_ctrladr[actuator]),
                 joint=joint,
                 joint_name=joint_name(model, joint),
+                units=select_joint_units(slides=model.jnt_type[joint] == JointKind.SLIDE),
             )
 
 
@@ -89,11 +94,11 @@ def servo_drives_away(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find actuators whose force grows with joint position or speed: dF/dq > 0 or dF/dqdot > 0."""
     for _, drive in _list_robot_drives(robot):
         if drive.stiffness < 0:
-            stiffness = Quantity(drive.stiffness, "N m/rad")
+            stiffness = Quantity(drive.stiffness, drive.units.stiffness)
             message = diagnose("servo-drives-away", stiffness=stiffness)
             yield CheckFinding("actuator", drive.name, message)
         if drive.damping < 0:
-            damping = Quantity(drive.damping, "N m s/rad")
+            damping = Quantity(drive.damping, drive.units.damping)
             yield CheckFinding("actuator", drive.name, diagnose("damping-drives", damping=damping))
 
 
@@ -106,7 +111,7 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
             holding.setdefault(drive.joint_name, []).append(drive)
     for joint, several in holding.items():
         if len(several) > 1:
-            gains = [Quantity(drive.stiffness, "N m/rad") for drive in several]
+            gains = [Quantity(drive.stiffness, drive.units.stiffness) for drive in several]
             message = diagnose("servos-compete", joint=joint, servos=len(several), gains=gains)
             yield CheckFinding("actuator", several[1].name, message)
 

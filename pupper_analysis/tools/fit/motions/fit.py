@@ -20,6 +20,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError
 from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.joints import is_slide, joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.tools.fit.estimate import LinearisedResiduals, Posterior, estimate_parameters
@@ -203,6 +204,7 @@ def _report_motions(
     posterior = _inflate_covariance(posterior, max(1.0, float(np.nanmedian(by_joint / noise))))
     return MotionFit(
         name=robot.name,
+        slides=tuple(joint for joint in robot.joint_names if is_slide(robot, joint)),
         source=", ".join(log.source for log in logs),
         estimates=tuple(describe_parameters(posterior)),
         kp_over_mass=estimate_kp_over_mass(posterior),
@@ -249,9 +251,10 @@ def _report_misfit(
 
     Args:
         robot: Robot.
-        by_joint: RMS position error of each joint, shape (nu,) [rad]; NaN if not measured.
-        noise: Standard deviation of each joint's encoder noise, shape (nu,) [rad].
-        rms_error: RMS position error over all joints [rad].
+        by_joint: RMS position error of each joint, shape (nu,) [rad, m]; NaN if not
+            measured.
+        noise: Standard deviation of each joint's encoder noise, shape (nu,) [rad, m].
+        rms_error: RMS position error over all joints [rad and m mixed].
     """
     noise_ratios = by_joint / noise
     if (
@@ -264,7 +267,7 @@ def _report_misfit(
             left=Quantity(rms_error, "rad"),
             noise=Quantity(float(np.nanmedian(noise)), "rad"),
             worst=robot.joint_names[worst],
-            most=Quantity(by_joint[worst], "rad"),
+            most=Quantity(by_joint[worst], joint_unit(robot, robot.joint_names[worst])),
         )
 
 

@@ -19,6 +19,8 @@ from pupper_analysis.base.arguments import check_arguments, check_finite
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, FitError, MeasurementError
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import HINGE_UNITS, POSITION_UNIT
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos, resolve_servo_gains
 from pupper_analysis.tools.fit.estimate import (
@@ -62,12 +64,14 @@ class JointResidual(Result):
         residual: Measured position minus the position that agrees best with all other readings.
         deviations: The same difference, in standard deviations of the uncertainty (noise and
             parameters).
+        unit: Unit of ``residual``: rad, or m of a slide.
     """
 
     stand: str
     joint: str
-    residual: float = field(metadata={"unit": "rad"})
+    residual: float = field(metadata={"unit": POSITION_UNIT})
     deviations: float = field(metadata={"unit": "1"})
+    unit: str = HINGE_UNITS.position
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,17 +104,22 @@ class StandFit(Fit):
 
 
 def _list_joint_residuals(
-    stands: MeasuredStands, equations: StandEquations, known: Posterior
+    robot: Robot, stands: MeasuredStands, equations: StandEquations, known: Posterior
 ) -> tuple[JointResidual, ...]:
-    """Return the error of each measured joint position [rad], most significant first.
+    """Return the error of each measured joint position [rad, m], most significant first.
 
     The error is the measured position minus the position that agrees best with all other
     measurements; significance is the ratio to the standard deviation.
     """
     deviation, std = equations.find_contradictions(known)
+    units = {joint: joint_unit(robot, joint) for joint in stands.joints}
     residuals = [
         JointResidual(
-            stand, joint, float(deviation[row, column]), float((deviation / std)[row, column])
+            stand,
+            joint,
+            float(deviation[row, column]),
+            float((deviation / std)[row, column]),
+            units[joint],
         )
         for row, stand in enumerate(stands.names)
         for column, joint in enumerate(stands.joints)
@@ -740,7 +749,7 @@ class _StandProblem:
             kp_over_mass=estimate_kp_over_mass(posterior),
             weight=weight,
             residuals=dict(zip(stands.names, equations.compute_rms_residuals(mean), strict=True)),
-            joint_residuals=_list_joint_residuals(stands, equations, posterior),
+            joint_residuals=_list_joint_residuals(self.robot, stands, equations, posterior),
             noise=dict(vars(noise)),
             failures=(
                 *scale_failures,
@@ -777,8 +786,10 @@ class _StandProblem:
             posterior, smaller_evidence = fit_with_noise(StandNoise(**smaller_levels))
         except (FitError, MeasurementError):  # no fit with this noise
             return
-        worst, *other_residuals = _list_joint_residuals(self.stands, equations, posterior)
-        off, deviations = Quantity(worst.residual, "rad"), abs(worst.deviations)
+        worst, *other_residuals = _list_joint_residuals(
+            self.robot, self.stands, equations, posterior
+        )
+        off, deviations = Quantity(worst.residual, worst.unit), abs(worst.deviations)
         width_ratio = math.hypot(
             1.0, _OUTLIER_STD * deviations / max(abs(worst.residual), _ZERO_RTOL**2)
         )

@@ -23,7 +23,9 @@ from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import PLAN_KIND
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import POSITION_UNIT
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import compute_command_lead
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
@@ -73,7 +75,7 @@ class PlannedStand(Result):
 
     name: str
     swing: tuple[str, ...]
-    command: Mapping[str, float] = field(metadata={"unit": "rad"})
+    command: Mapping[str, float] = field(metadata={"unit": POSITION_UNIT})
     utilisation: float | None = field(metadata={"unit": "1"})
     heading: float = field(default=0.0, metadata={"unit": "rad"})
     added: float = field(default=0.0, metadata={"unit": "kg"})
@@ -89,6 +91,7 @@ class StandPlan(Result):
         expected: Parameters with the stated values and the expected intervals.
         candidates: Number of candidates from which the stands were chosen.
         place: Link and position of the known mass; None if there is none.
+        slides: Names of the joints that are slides.
     """
 
     name: str
@@ -96,6 +99,7 @@ class StandPlan(Result):
     expected: tuple[Estimate, ...]
     candidates: int
     place: Tool | None = None
+    slides: tuple[str, ...] = ()
 
 
 @check_arguments
@@ -182,6 +186,7 @@ def plan_stands(
     deviation = np.sqrt(np.diag(np.linalg.inv(information)))
     return StandPlan(
         name=robot.name,
+        slides=tuple(joint for joint in robot.joint_names if is_slide(robot, joint)),
         stands=tuple(
             replace(candidate.planned, name=f"s{number:02d}")
             for number, candidate in enumerate(
