@@ -6,6 +6,7 @@ names it: an unknown number is never replaced by a favourable one.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
@@ -19,6 +20,11 @@ torque; 10 % permit rounded numbers. Chosen, not tuned."""
 MIN_STALL_RATIO = 0.3
 """Smallest such ratio: below, friction and gear would lose more than 70 % of the torque, which
 suggests other units. The worst published servo in the data has 0.8. Chosen, not tuned."""
+
+MAX_CONVENTION_RATIO = 2.0
+"""Largest ratio of two stated numbers that define the same constant of a motor: output torque
+constant to Kt N, and speed without load to V / (Kt N). Line and phase currents, and rms and peak
+values, differ by up to sqrt(3). The smallest accepted ratio is `MIN_STALL_RATIO`."""
 
 
 def _number(kind: str) -> float | None:
@@ -49,6 +55,8 @@ class Motor:
         supply_voltage: Voltage of the supply [V].
         current_limit: Largest current [A].
         peak_torque: Largest torque at the output [N m], as limited by the drive.
+        continuous_torque: Largest permanent torque at the output [N m] that the data sheet states
+            (nominal or rated torque).
         stall_torque: Torque at the output, at rest with the supply voltage [N m].
         stall_current: Current at rest with the supply voltage [A].
         no_load_speed: Speed of the output without load [rad/s].
@@ -59,6 +67,8 @@ class Motor:
         housing_capacity: Heat capacity of the housing [J/K].
         ambient_temperature: Temperature of the ambient air for the thermal resistances [degC].
         limit_temperature: Largest temperature of the winding [degC].
+        kp: Stiffness of the position servo [N m/rad].
+        kd: Damping of the position servo [N m s/rad].
         mass: Mass with gear [kg].
         price: Price [USD].
     """
@@ -80,6 +90,7 @@ class Motor:
     supply_voltage: float | None = _number("voltage")
     current_limit: float | None = _number("current")
     peak_torque: float | None = _number("torque")
+    continuous_torque: float | None = _number("torque")
     stall_torque: float | None = _number("torque")
     stall_current: float | None = _number("current")
     no_load_speed: float | None = _number("speed")
@@ -89,6 +100,8 @@ class Motor:
     housing_capacity: float | None = _number("heat capacity")
     ambient_temperature: float | None = _number("temperature")
     limit_temperature: float | None = _number("temperature")
+    kp: float | None = _number("stiffness")
+    kd: float | None = _number("viscous friction")
     mass: float | None = _number("mass")
     price: float | None = _number("price")
 
@@ -120,11 +133,42 @@ class Motor:
                     self.name,
                     diagnose("motor-stall-current", stated=current, expected=expected),
                 )
+        self._check_conventions()
+        permanent, peak = self.continuous_torque, self.peak_torque
+        if permanent is not None and peak is not None and permanent > peak:
+            raise ModelError(
+                self.name,
+                diagnose(
+                    "motor-continuous-above-peak",
+                    continuous=Quantity(permanent, "N m"),
+                    peak=Quantity(peak, "N m"),
+                ),
+            )
         ambient, limit = self.ambient_temperature, self.limit_temperature
         if ambient is not None and limit is not None and limit <= ambient:
             raise ModelError(
                 self.name, diagnose("motor-limit-below-ambient", limit=limit, ambient=ambient)
             )
+
+    def _check_conventions(self) -> None:
+        """Raise a ModelError if two numbers that define the same constant are of other units.
+
+        These are the output torque constant and Kt N, and the speed without load and V / (Kt N).
+        """
+        if self.torque_constant is None or self.gear_ratio is None:
+            return
+        constant = self.torque_constant * self.gear_ratio
+        pairs = [("output_torque_constant", self.output_torque_constant, constant, "N m/A")]
+        if self.supply_voltage is not None:
+            free = self.supply_voltage / constant
+            pairs.append(("no_load_speed", self.no_load_speed, free, "rad/s"))
+        for number, stated, expected, unit in pairs:
+            if stated is None or MIN_STALL_RATIO <= stated / expected <= MAX_CONVENTION_RATIO:
+                continue
+            problem = diagnose(
+                "motor-contradiction", number=number, stated=stated, expected=expected, unit=unit
+            )
+            raise ModelError(self.name, problem)
 
     def get(self, number: str) -> float:
         """Return a number of the motor.
@@ -190,6 +234,36 @@ class Motor:
             torque: Torque at the output [N m].
         """
         return abs(torque) / self.output_torque_per_ampere
+
+    @property
+    def reflected_inertia(self) -> float:
+        """Inertia of the rotor at the output [kg m^2]: rotor inertia x gear ratio^2.
+
+        Raises:
+            ModelError: If rotor inertia or gear ratio are unknown.
+        """
+        return self.get("rotor_inertia") * self.get("gear_ratio") ** 2
+
+    @property
+    def largest_torque(self) -> tuple[float, str] | None:
+        """Largest torque at the output at rest [N m], and the number of the motor that limits it.
+
+        The smallest of the known limits: peak torque, stall torque, current limit x torque per
+        current, and supply voltage / resistance x torque per current. None if all are unknown.
+        """
+        limits: list[tuple[float, str]] = []
+        if self.peak_torque is not None:
+            limits.append((self.peak_torque, "peak_torque"))
+        if self.stall_torque is not None:
+            limits.append((self.stall_torque, "stall_torque"))
+        with suppress(ModelError):
+            per_ampere = self.output_torque_per_ampere
+            if self.current_limit is not None:
+                limits.append((self.current_limit * per_ampere, "current_limit"))
+            if self.supply_voltage is not None:
+                current = self.supply_voltage / self.winding_ohms
+                limits.append((current * per_ampere, "supply_voltage"))
+        return min(limits, default=None)
 
     def compute_available_torque(self, speed: float) -> float:
         """Return the largest torque at the output at a speed [N m], at least 0.

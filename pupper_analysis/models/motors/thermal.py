@@ -73,15 +73,10 @@ class ThermalNetwork:
             ModelError: If a thermal number is unknown (the message lists all), or the electrical
                 resistance.
         """
-        unknown = [*motor.list_unknown(*THERMAL_NUMBERS)]
-        if ambient is None:
-            unknown += motor.list_unknown("ambient_temperature")
-        housing = motor.list_unknown("housing_resistance", "housing_capacity")
-        if len(housing) == 1:
-            unknown += housing
+        unknown = list_unknown_thermal_numbers(motor, ambient)
         if unknown:
-            raise ModelError(motor.name, diagnose("motor-numbers-unknown", numbers=unknown))
-        names = ("winding",) if housing else ("winding", "housing")
+            raise ModelError(motor.name, diagnose("motor-numbers-unknown", numbers=[*unknown]))
+        names = ("winding",) if motor.housing_resistance is None else ("winding", "housing")
         return cls(
             resistances=np.array([motor.get(f"{name}_resistance") for name in names]),
             capacities=np.array([motor.get(f"{name}_capacity") for name in names]),
@@ -171,13 +166,29 @@ class ThermalNetwork:
         return high
 
 
+def list_unknown_thermal_numbers(motor: Motor, ambient: float | None = None) -> tuple[str, ...]:
+    """Return the unknown numbers of a motor without which no temperature can be computed.
+
+    Args:
+        motor: Motor.
+        ambient: Temperature of the ambient air [degC]; without, that of the motor is needed.
+    """
+    unknown = motor.list_unknown(*THERMAL_NUMBERS)
+    if ambient is None:
+        unknown += motor.list_unknown("ambient_temperature")
+    housing = motor.list_unknown("housing_resistance", "housing_capacity")
+    return unknown + (housing if len(housing) == 1 else ())
+
+
 def compute_continuous_torque(
     motor: Motor, ambient: float | None = None, limit: float | None = None
 ) -> float:
-    """Return the torque at the output at which the winding finally reaches its limit [N m].
+    """Return the largest torque at the output that a motor exerts permanently at rest [N m].
 
-    i^2 R (1 + alpha (T_limit - T_0)) = (T_limit - T_a) / R_th. The result is at most the peak
-    torque, if known.
+    With this torque the winding finally reaches its limit: i^2 R (1 + alpha (T_limit - T_0)) =
+    (T_limit - T_a) / R_th. If thermal numbers are unknown, the torque is the continuous torque that
+    the data sheet states, which holds for the temperatures of the data sheet only. The result is at
+    most the largest torque of the motor at rest, if known.
 
     Args:
         motor: Motor.
@@ -185,11 +196,22 @@ def compute_continuous_torque(
         limit: Largest temperature of the winding [degC]; that of the motor by default.
 
     Raises:
-        ModelError: If a number is unknown.
+        ModelError: If a thermal number is unknown, and the data sheet states no continuous torque
+            or a temperature is given.
     """
-    highest = motor.get("limit_temperature") if limit is None else limit
-    network = ThermalNetwork.of_motor(motor, 1.0, ambient)
-    heat = (highest - network.ambient) / float(network.resistances.sum())
-    current = math.sqrt(max(heat, 0.0) / network.compute_loss(highest))
-    torque = current * motor.output_torque_per_ampere
-    return torque if motor.peak_torque is None else min(torque, motor.peak_torque)
+    unknown = list_unknown_thermal_numbers(motor, ambient)
+    if limit is None:
+        unknown += motor.list_unknown("limit_temperature")
+    if not unknown:
+        highest = motor.get("limit_temperature") if limit is None else limit
+        network = ThermalNetwork.of_motor(motor, 1.0, ambient)
+        heat = (highest - network.ambient) / float(network.resistances.sum())
+        current = math.sqrt(max(heat, 0.0) / network.compute_loss(highest))
+        torque = current * motor.output_torque_per_ampere
+    elif motor.continuous_torque is not None and ambient is None and limit is None:
+        torque = motor.continuous_torque
+    else:
+        stated = motor.list_unknown("continuous_torque")
+        raise ModelError(motor.name, diagnose("motor-numbers-unknown", numbers=[*unknown, *stated]))
+    largest = motor.largest_torque
+    return torque if largest is None else min(torque, largest[0])

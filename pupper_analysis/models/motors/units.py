@@ -63,6 +63,7 @@ KINDS = {
         {"N m s/rad": 1.0, "mN m s/rad": 1e-3, "N m/rpm": 1 / _RAD_PER_S_PER_RPM},
         zero=True,
     ),
+    "stiffness": Kind("N m/rad", {"N m/rad": 1.0, "mN m/rad": 1e-3}),
     "voltage": Kind("V", {"V": 1.0}),
     "current": Kind("A", {"A": 1.0, "mA": 1e-3}),
     "speed": Kind("rad/s", {"rad/s": 1.0, "rpm": _RAD_PER_S_PER_RPM, "deg/s": math.pi / 180}),

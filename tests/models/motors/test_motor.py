@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,10 @@ def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:
         ('stall_current = "5 A"', r"contradicts supply voltage / resistance = 48 A"),
         ('ambient_temperature = "90 degC"\nlimit_temperature = "85 degC"', "not above the ambient"),
         ("torque_constnt = 1", "torque_constant"),
+        ('output_torque_constant = "600 N m/A"', r"600 N m/A contradicts 0\.6 N m/A"),
+        ('no_load_speed = "400 rad/s"', r"no_load_speed of 400 rad/s contradicts 40 rad/s"),
+        ('peak_torque = "1 N m"\ncontinuous_torque = "2 N m"', "2 N m is above the peak torque"),
+        ('kp = "5 N m"', "N m is not a unit"),
         ("mass = 3", "no unit"),
     ],
 )
@@ -135,6 +140,18 @@ def test_torque_falls_with_speed_between_the_limits() -> None:
     assert motor.compute_current(-2.7) == pytest.approx(5.0)
 
 
+def test_largest_torque_is_the_smallest_known_limit() -> None:
+    """Reference: peak torque; current limit x Kt N eta; V / R x Kt N eta."""
+    bare = Motor("test", "bench", torque_constant=0.1, gear_ratio=6.0, gear_efficiency=0.5)
+    assert bare.largest_torque is None
+    limited = replace(bare, current_limit=30.0)
+    assert limited.largest_torque == (pytest.approx(9.0), "current_limit")
+    driven = replace(limited, supply_voltage=24.0, resistance=1.2)
+    assert driven.largest_torque == (pytest.approx(6.0), "supply_voltage")
+    assert replace(driven, peak_torque=4.0).largest_torque == (4.0, "peak_torque")
+    assert replace(driven, rotor_inertia=1e-4).reflected_inertia == pytest.approx(36e-4)
+
+
 def test_ten_motors_have_a_source_and_numbers_without_contradiction() -> None:
     motors = [find_motor(name) for name in list_motors()]
     assert len(motors) >= 10
@@ -142,6 +159,7 @@ def test_ten_motors_have_a_source_and_numbers_without_contradiction() -> None:
         assert motor.source.startswith("http")
         assert set(motor.sources) <= set(NUMBERS)
         assert all(getattr(motor, number) is not None for number in motor.sources)
+        assert "pastebin" not in motor.source
     servo = find_motor("dynamixel-xm540-w270")
     assert servo.output_torque_per_ampere == pytest.approx(2.409, abs=1e-3)  # as the manual states
 

@@ -33,6 +33,19 @@ MOTOR = Motor(
 )
 
 
+TWO_NODES = replace(
+    MOTOR,
+    torque_constant=0.123,
+    gear_ratio=1.0,
+    resistance=0.365,
+    winding_resistance=1.85,
+    housing_resistance=1.3,
+    winding_capacity=66.5,
+    housing_capacity=815.0,
+    limit_temperature=125.0,
+)
+
+
 def test_one_node_heats_exponentially() -> None:
     """Reference: T = T_a + P_a / s (1 - exp(-s t / C)) with s = 1 / R_th - i^2 R alpha."""
     network = ThermalNetwork.of_motor(MOTOR, 8.0)
@@ -74,8 +87,7 @@ def test_two_nodes_heat_as_two_exponentials() -> None:
 
 def test_two_nodes_agree_with_an_integrator() -> None:
     """Reference: scipy's integrator of the differential equations of the module."""
-    motor = find_motor("maxon-re65-353297")
-    network = ThermalNetwork.of_motor(motor, 12.0, ambient=30.0)
+    network = ThermalNetwork.of_motor(TWO_NODES, 12.0, ambient=30.0)
 
     def rates(_: float, state: np.ndarray) -> list[float]:
         flow = (state[0] - state[1]) / 1.85
@@ -98,7 +110,7 @@ def test_a_current_that_heats_faster_than_it_cools_has_no_final_temperature() ->
 
 def test_continuous_torque_ends_at_the_limit() -> None:
     """Reference: the final temperature at that torque."""
-    for motor in (MOTOR, find_motor("dephy-actpack"), find_motor("maxon-re65-353297")):
+    for motor in (MOTOR, find_motor("dephy-actpack"), TWO_NODES):
         torque = compute_continuous_torque(motor)
         network = ThermalNetwork.of_motor(motor, motor.compute_current(torque))
         assert network.steady_temperature == pytest.approx(motor.get("limit_temperature"))

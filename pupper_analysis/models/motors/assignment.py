@@ -1,0 +1,54 @@
+"""Motors of joints: torques that a motor cannot exert."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.models.motors.motor import Motor
+
+
+def describe_weak_motor(
+    joint: str, motor: str, torque: float, largest: float, number: str
+) -> Diagnostic:
+    """Return the message that a motor cannot exert a torque at rest.
+
+    Args:
+        joint: Joint.
+        motor: Name of the motor.
+        torque: Required torque at the output [N m].
+        largest: Largest torque of the motor at rest [N m].
+        number: Number of the motor that limits this torque (`Motor.largest_torque`).
+    """
+    return diagnose(
+        "motor-too-weak",
+        joint=joint,
+        motor=motor,
+        torque=Quantity(abs(torque), "N m"),
+        largest=Quantity(largest, "N m"),
+        peak=number == "peak_torque",
+        stall=number == "stall_torque",
+        current=number == "current_limit",
+        voltage=number == "supply_voltage",
+    )
+
+
+def describe_weak_motors(
+    motors: Mapping[str, Motor], torques: Mapping[str, float]
+) -> tuple[Diagnostic, ...]:
+    """Return a message for each motor that cannot exert its torque at rest, the weakest first.
+
+    The weakest motor has the largest ratio of torque to largest torque. A motor whose largest
+    torque is unknown has no message.
+
+    Args:
+        motors: {joint: motor}.
+        torques: {joint: torque at the output of the motor [N m]}; includes the joints of `motors`.
+    """
+    found: list[tuple[float, Diagnostic]] = []
+    for joint, motor in motors.items():
+        largest, torque = motor.largest_torque, abs(torques[joint])
+        if largest is not None and torque > largest[0]:
+            message = describe_weak_motor(joint, motor.name, torque, *largest)
+            found.append((torque / largest[0], message))
+    return tuple(message for _, message in sorted(found, key=lambda item: -item[0]))
