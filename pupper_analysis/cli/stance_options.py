@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from pupper_analysis.base.results import Result
+    from pupper_analysis.models.motors.motor import Motor
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.stance.stand import Stand
@@ -384,38 +385,68 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
     return efforts
 
 
-def parse_continuous_torques(texts: tuple[str, ...], robot: Robot) -> dict[str, float]:
-    """Return {joint: continuous torque [N m]} of the texts of ``--continuous``.
+def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") -> dict[str, Motor]:
+    """Return {joint: motor} of the texts ``[JOINTS=]MOTOR``, of which later texts have priority.
 
-    A text ``[JOINTS=]MOTOR`` states the torque at which the winding of the motor finally reaches
-    its limit temperature.
+    Args:
+        texts: Texts of ``--motor``. A pattern that matches no joint is an error.
+        robot: Robot.
+        option: Name of the option, for errors.
+
+    Raises:
+        UnknownNameError: If a pattern matches no joint, or the text names no motor.
+        ConfigurationError: If a pattern matches a slide.
+        ModelError: If the motor's file is not valid.
+    """
+    from pupper_analysis.models.motors.reading import find_motor
+
+    assigned: dict[str, Motor] = {}
+    for text in texts:
+        pattern, _, name = text.rpartition("=")
+        motor = find_motor(name)
+        matches = match_joints(option, pattern or "*", robot)
+        joints = [name for name, match in zip(robot.joint_names, matches, strict=True) if match]
+        check_motor_joints(robot, joints, option)
+        assigned |= dict.fromkeys(joints, motor)
+    return assigned
+
+
+def parse_continuous_torques(
+    texts: tuple[str, ...], robot: Robot
+) -> tuple[dict[str, float], dict[str, Motor]]:
+    """Return {joint: continuous torque [N m]} and {joint: motor} of the texts of ``--continuous``.
+
+    A text ``[JOINTS=]MOTOR`` states the largest permanent torque of the motor, from its thermal
+    numbers or from its data sheet (`compute_continuous_torque`).
 
     Args:
         texts: Texts ``[JOINTS=]NM`` or ``[JOINTS=]MOTOR``, of which later texts have priority.
         robot: Robot.
 
+    Returns:
+        Torques of all named joints; motors of the joints whose last text names a motor.
+
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: If a text has another form, or assigns a motor to a slide.
+        ConfigurationError: If a text has another form, or names a motor for a slide.
         ModelError: If the motor's file is not valid, or lacks a number.
     """
-    torques: dict[str, float] = {}
-    for text in texts:
-        pattern, _, name = text.rpartition("=")
-        if not _names_motor(name):
-            torques |= parse_efforts((text,), robot, "continuous")
-            continue
-        from pupper_analysis.models.motors.reading import find_motor
-        from pupper_analysis.models.motors.thermal import compute_continuous_torque
+    from pupper_analysis.models.motors.thermal import compute_continuous_torque
 
-        matches = match_joints("continuous", pattern or "*", robot)
-        joints = [
-            joint for joint, matched in zip(robot.joint_names, matches, strict=True) if matched
-        ]
-        check_motor_joints(robot, joints, "continuous")
-        torque = compute_continuous_torque(find_motor(name))
-        torques |= dict.fromkeys(joints, torque)
-    return torques
+    torques: dict[str, float] = {}
+    motors: dict[str, Motor] = {}
+    for text in texts:
+        if _names_motor(text.rpartition("=")[2]):
+            assigned = parse_motors((text,), robot, "continuous")
+            motors |= assigned
+            torques |= {
+                joint: compute_continuous_torque(motor) for joint, motor in assigned.items()
+            }
+        else:
+            typed = parse_efforts((text,), robot, "continuous")
+            torques |= typed
+            motors = {joint: motor for joint, motor in motors.items() if joint not in typed}
+    return torques, motors
 
 
 def _names_motor(text: str) -> bool:

@@ -237,6 +237,7 @@ def judged_document(
     limit: Words | None = None,
     limits: Iterable[Words] = (),
     causes: Iterable[Words] = (),
+    leading: Iterable[Words] = (),
     number_first: bool = False,
     notes: Iterable[Words] = (),
     next_step: NextStep | None = None,
@@ -262,6 +263,7 @@ def judged_document(
             height; None if there is none.
         limits: Several such texts, in place of ``limit``.
         causes: Causes of a bad verdict, which follow its first reason.
+        leading: Reasons that precede all others and the number; ignored if the verdict is good.
         number_first: True if the number also precedes the reasons of a bad verdict, because it is
             the answer to the question: the largest payload is 0.
         notes: Assumptions, findings and omissions.
@@ -272,8 +274,9 @@ def judged_document(
     limits = tuple(limits) if limit is None else (limit,)
     reasons = () if judged.passed else (*first[:1], *causes, *first[1:], *failures)
     if number_first and reasons:
-        reasons, findings = (number, *reasons), (*limits, *others)
+        reasons, findings = (*leading, number, *reasons), (*limits, *others)
     else:
+        reasons = (*leading, *reasons) if reasons else ()
         findings = (number, *limits, *(first if judged.passed else ()), *others)
     return Document(
         kind,

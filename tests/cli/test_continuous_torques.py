@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.cli.stance_options import parse_continuous_torques
 from pupper_analysis.models.motors.reading import find_motor
-from pupper_analysis.models.motors.thermal import ThermalNetwork
+from pupper_analysis.models.motors.thermal import ThermalNetwork, compute_continuous_torque
 from tests.support.commands import run_command
 from tests.support.variants import load
 
@@ -18,9 +19,10 @@ from tests.support.variants import load
 def test_a_motor_states_the_torque_at_its_limit_temperature() -> None:
     """Reference: the final temperature of the winding at that torque."""
     robot = load("v3")
-    torques = parse_continuous_torques(("dephy-actpack", "*_1=0.5"), robot)
+    torques, motors = parse_continuous_torques(("dephy-actpack", "*_1=0.5"), robot)
     assert set(torques) == set(robot.joint_names)
     assert torques["leg_front_r_1"] == 0.5
+    assert set(motors) == {name for name in robot.joint_names if not name.endswith("_1")}
     motor = find_motor("dephy-actpack")
     current = motor.compute_current(torques["leg_front_r_3"])
     assert ThermalNetwork.of_motor(motor, current).steady_temperature == pytest.approx(115.0)
@@ -28,12 +30,41 @@ def test_a_motor_states_the_torque_at_its_limit_temperature() -> None:
 
 def test_unknown_numbers_and_words_are_refused() -> None:
     robot = load("v3")
-    with pytest.raises(ModelError, match="unknown, but needed: winding_resistance"):
-        parse_continuous_torques(("steadywin-gim4305-10",), robot)
+    with pytest.raises(ModelError, match=r"needed: winding_resistance.*continuous_torque"):
+        parse_continuous_torques(("dynamixel-xm540-w270",), robot)
     with pytest.raises(ConfigurationError, match="not a number"):
         parse_continuous_torques(("dephy",), robot)
     with pytest.raises(ModelError, match="no such file"):
         parse_continuous_torques(("missing.toml",), robot)
+
+
+def test_a_data_sheet_states_the_torque_if_thermal_numbers_are_unknown() -> None:
+    """Reference: the nominal torque of the data sheet; an ambient temperature excludes it."""
+    robot = load("v3")
+    torques, _ = parse_continuous_torques(("lk-tech-mg4005-10",), robot)
+    assert set(torques.values()) == {1.0}
+    with pytest.raises(ModelError, match="winding_resistance"):
+        compute_continuous_torque(find_motor("lk-tech-mg4005-10"), ambient=40.0)
+
+
+@pytest.mark.slow
+def test_payload_and_hold_name_a_motor_that_cannot_exert_the_torque(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: the typed current limit times the torque per current, 0.4 N m."""
+    path = tmp_path / "weak.toml"
+    path.write_text(
+        'name = "weak"\nsource = "bench"\noutput_torque_constant = "0.4 N m/A"\n'
+        'current_limit = "1 A"\ncontinuous_torque = "0.4 N m"\n'
+    )
+    status, out, err = run_command(capfd, "payload", "v3", "--continuous", str(path))
+    assert status == 1, err
+    line = out.splitlines()[0]
+    assert re.search(r"_3 must exert 0\.47\d* N m; weak exerts at most 0\.4 N m \(current", line)
+    words = ("--continuous", str(path), "--joints", "leg_front_r_2=80deg", "--payload", "2")
+    status, out, err = run_command(capfd, "hold", "v3", *words)
+    assert status == 1, err
+    assert "must exert" in out.splitlines()[0]
 
 
 @pytest.mark.slow

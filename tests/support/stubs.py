@@ -343,6 +343,7 @@ def make_payload_result(*unknown: str) -> Any:
         joint_torques=(1.0, 2.0),
         get_torque_unit=lambda _: "N m",
         continuous=(),
+        weak_motors=(),
         trial=trial,
         verdict=judge_stance(run(0.0, passed=True), None, SERVOS, question=Question.CARRIES),
     )

@@ -12,7 +12,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import robot_argument
-from pupper_analysis.cli.stance_options import RobotAndTask, match_joints, robot_and_stance
+from pupper_analysis.cli.stance_options import RobotAndTask, parse_motors, robot_and_stance
 
 if TYPE_CHECKING:
     from pupper_analysis.models.motors.motor import Motor
@@ -73,7 +73,8 @@ def command(
       pupper-analysis heat v3 --motor dephy-actpack \\
         --motor '*_3=mit-mini-cheetah' --limit 80 --payload 1 --figure heat.png
 
-    Exit status: 0 no motor reaches its limit, 1 a motor does or a number is unknown, 2 bad input.
+    Exit status: 0 no motor reaches its limit, 1 a motor does, is too weak or a number is
+    unknown, 2 bad input.
     """  # noqa: D301 - click reads the \b
     if list_motors:
         refuse_unused("--list-motors", {"--list-motors": {"list_motors"}})
@@ -83,7 +84,7 @@ def command(
 
     task = request.task()
     robot = request.robot(words)
-    assigned = _read_file_motors(robot) | _assign_motors(motors, robot)
+    assigned = _read_file_motors(robot) | parse_motors(motors, robot)
     if not assigned:
         raise ConfigurationError("--motor", diagnose("motor-not-given"))
     with shared.show_progress("computing the heat of the motors"):
@@ -115,23 +116,6 @@ def _read_file_motors(robot: Robot) -> dict[str, Motor]:
         return {}
     found = list_dcmotors(read_mjcf(description.mjcf_source).model, str(description.mjcf_source))
     return {joint: motor for joint, motor in found.items() if joint in robot.joint_names}
-
-
-def _assign_motors(texts: tuple[str, ...], robot: Robot) -> dict[str, Motor]:
-    """Return {joint: motor} of the texts ``[JOINTS=]MOTOR``, of which later texts have priority."""
-    from pupper_analysis.models.motors.reading import find_motor
-
-    assigned: dict[str, Motor] = {}
-    for text in texts:
-        pattern, _, name = text.rpartition("=")
-        motor = find_motor(name)
-        matches = match_joints("motor", pattern or "*", robot)
-        assigned |= {
-            joint: motor
-            for joint, matched in zip(robot.joint_names, matches, strict=True)
-            if matched
-        }
-    return assigned
 
 
 def _print_motors() -> None:

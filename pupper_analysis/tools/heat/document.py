@@ -12,6 +12,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.models.motors.assignment import describe_weak_motor
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
 from pupper_analysis.present.documents.registry import build_document
@@ -26,18 +27,21 @@ _MAX_CURVES = 4
 @build_document.register(HeatStudy)
 def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     """Create the report of the heat of a stance; see ``build_document``."""
-    key = "heat-cool" if study.passed else "heat-hot" if study.overheats else "UNKNOWN"
     first = _describe_first(study.first)
     unknown = tuple(_describe_unknown(study))
-    losses = _describe_losses(study)
+    losses = tuple(_describe_losses(study))
+    if study.weak or study.overheats:
+        failures: tuple[doc.Words, ...] = (first, *unknown)
+    else:
+        failures = unknown
     return doc.Document(
         text("heat"),
         doc.Name(study.name),
         (_make_table(study), *_list_plots(study)),
         passed=study.passed,
-        verdict=text(key),
-        failures=() if study.passed else ((first, *unknown) if study.overheats else unknown),
-        findings=(first, losses) if study.passed else (losses,),
+        verdict=text(_select_verdict(study)),
+        failures=failures,
+        findings=(first, *losses) if study.passed else losses,
         details=(task_text(study.stand.task), text("heat-model")),
         brief=True,
         notes=robot_notes(robot),
@@ -45,9 +49,21 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     )
 
 
-def _select_next_step(study: HeatStudy) -> NextStep:
-    """Return the next command: `best` if a motor becomes hot, otherwise `payload` or `stand`."""
+def _select_verdict(study: HeatStudy) -> str:
+    """Return the key of the verdict: too weak, hot, cool or unknown."""
+    if study.weak:
+        return "heat-weak"
     if study.overheats:
+        return "heat-hot"
+    return "heat-cool" if study.passed else "UNKNOWN"
+
+
+def _select_next_step(study: HeatStudy) -> NextStep:
+    """Return the next command.
+
+    `best` if a motor is too weak or becomes hot, `payload` if none is, `stand` if that is unknown.
+    """
+    if study.overheats or study.weak:
         return NextStep("best", ("utilisation",))
     return NextStep("payload" if study.passed else "stand")
 
@@ -59,13 +75,27 @@ def _format_minutes(seconds: float) -> str:
 
 
 def _describe_first(motor: MotorHeat) -> doc.Words:
-    """State the time to the limit, the final temperature, or the runaway of a motor."""
+    """State the largest torque, the time to the limit, or the final temperature of a motor."""
     time, final = motor.time_to_limit, motor.steady_temperature
     values = {
         "joint": doc.Name(motor.joint),
         "torque": f"{abs(motor.torque):.2f}",
-        "loss": f"{motor.loss:.3g}",
+        "loss": "" if motor.loss is None else f"{motor.loss:.3g}",
     }
+    if motor.too_weak and motor.largest_torque is not None:
+        return doc.diagnostic_text(
+            describe_weak_motor(
+                motor.joint,
+                motor.motor,
+                motor.torque,
+                motor.largest_torque,
+                motor.limiting_number,
+            )
+        )
+    permanent = motor.continuous_torque
+    if final is None and permanent is not None:  # a number of the data sheet
+        key = "heat-above-rating" if motor.overheats else "heat-within-rating"
+        return text(key, motor=doc.Name(motor.motor), rating=f"{permanent:.3g}", **values)
     limit = "" if motor.limit_temperature is None else f"{motor.limit_temperature:.3g}"
     if time is not None and math.isfinite(time):
         return text("heat-reaches", minutes=_format_minutes(time), limit=limit, **values)
@@ -92,10 +122,16 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
         )
 
 
-def _describe_losses(study: HeatStudy) -> doc.Words:
-    """State the copper loss of all motors, and current and time of the battery if known."""
+def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
+    """Yield the copper loss of all motors, and current and time of the battery if known.
+
+    If motors are too weak for the stance, their number instead.
+    """
+    if study.loss is None:
+        yield text("heat-weak-count", count=len(study.weak), total=len(study.motors))
+        return
     current, time = study.battery_current, study.battery_time
-    return text(
+    yield text(
         "heat-losses",
         loss=f"{study.loss:.3g}",
         current="" if current is None else f"{current:.3g}",
@@ -112,6 +148,7 @@ def _make_table(study: HeatStudy) -> doc.Table:
             doc.Name(motor.motor),
             doc.number_cell(motor.torque, "+.3f"),
             doc.number_cell(motor.continuous_torque, ".3g"),
+            doc.number_cell(motor.largest_torque, ".3g"),
             doc.number_cell(motor.current, ".3g"),
             doc.number_cell(motor.cold_loss, ".3g"),
             doc.number_cell(_finite(motor.steady_loss), ".3g"),
@@ -128,6 +165,7 @@ def _make_table(study: HeatStudy) -> doc.Table:
             doc.Column(text("heat-motor"), left=True),
             doc.Column(text("heat-torque"), "N m"),
             doc.Column(text("heat-continuous"), "N m"),
+            doc.Column(text("heat-largest"), "N m"),
             doc.Column(text("heat-current"), "A"),
             doc.Column(text("heat-cold-loss"), "W"),
             doc.Column(text("heat-final-loss"), "W"),

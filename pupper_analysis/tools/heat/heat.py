@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,9 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.thermal import (
-    THERMAL_NUMBERS,
     ThermalNetwork,
     compute_continuous_torque,
+    list_unknown_thermal_numbers,
 )
 from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.robot.robot import Robot
@@ -53,9 +53,10 @@ class MotorHeat(Result):
         joint: Joint.
         motor: Name of the motor.
         torque: Torque of the stance (N m).
-        current: Current (A).
+        current: Current of this torque (A).
         cold_loss: Copper loss in the winding at ambient temperature, or at the temperature of the
-            stated resistance if temperatures are unknown (W).
+            stated resistance if temperatures are unknown (W); None if the motor cannot exert the
+            torque.
         steady_loss: Copper loss at the final temperature (W); None if unknown, infinite if the
             temperature grows without bound.
         steady_temperature: Final temperature of the winding (degC); None if unknown, infinite if it
@@ -63,37 +64,56 @@ class MotorHeat(Result):
         limit_temperature: Largest permitted temperature of the winding (degC); None if unknown.
         time_to_limit: Time until the winding reaches this temperature (s); None if unknown,
             infinite if never.
-        continuous_torque: Torque at which the winding finally reaches its limit, at most the peak
-            torque (N m); None if unknown.
-        unknown: Unknown numbers of the motor that the temperatures need.
+        continuous_torque: Largest permanent torque (N m), at most ``largest_torque``: from the
+            thermal numbers, otherwise from the data sheet; None if unknown.
+        largest_torque: Largest torque of the motor at rest (N m); None if unknown.
+        limiting_number: Number of the motor that limits the largest torque; empty if unknown.
+        unknown: Unknown numbers of the motor that the answer needs.
     """
 
     joint: str
     motor: str
     torque: float = field(metadata={"unit": "N m"})
     current: float = field(metadata={"unit": "A"})
-    cold_loss: float = field(metadata={"unit": "W"})
+    cold_loss: float | None = field(metadata={"unit": "W"})
     steady_loss: float | None = field(metadata={"unit": "W"})
     steady_temperature: float | None = field(metadata={"unit": "degC"})
     limit_temperature: float | None = field(metadata={"unit": "degC"})
     time_to_limit: float | None = field(metadata={"unit": "s"})
     continuous_torque: float | None = field(metadata={"unit": "N m"})
+    largest_torque: float | None = field(metadata={"unit": "N m"})
+    limiting_number: str
     unknown: tuple[str, ...]
 
     @property
-    def loss(self) -> float:
-        """Copper loss [W] at the final temperature if known and finite, otherwise cold."""
+    def loss(self) -> float | None:
+        """Copper loss [W] at the final temperature if known and finite, otherwise cold.
+
+        None if the motor cannot exert the torque.
+        """
         if self.steady_loss is None or math.isinf(self.steady_loss):
             return self.cold_loss
         return self.steady_loss
 
     @property
+    def too_weak(self) -> bool:
+        """Whether the torque is larger than the largest torque of the motor at rest."""
+        return self.largest_torque is not None and abs(self.torque) > self.largest_torque
+
+    @property
     def overheats(self) -> bool:
-        """Whether the winding reaches its limit, or grows hotter without bound."""
+        """Whether the winding reaches its limit, or grows hotter without bound.
+
+        Without known temperatures, whether the torque exceeds the continuous torque of the data
+        sheet. False for a motor that cannot exert the torque.
+        """
+        if self.too_weak:
+            return False
+        if self.steady_temperature is None:
+            permanent = self.continuous_torque
+            return permanent is not None and abs(self.torque) > permanent
         reached = self.time_to_limit is not None and math.isfinite(self.time_to_limit)
-        return reached or (
-            self.steady_temperature is not None and math.isinf(self.steady_temperature)
-        )
+        return reached or math.isinf(self.steady_temperature)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +125,12 @@ class HeatStudy(Result):
         stand: Stand, on MuJoCo's soft ground.
         motors: Motors with their heat, in actuator order.
         omitted: Joints without an assigned motor.
-        loss: Copper loss of all assigned motors (W), at the final temperatures as far as known.
+        loss: Copper loss of all assigned motors (W), at the final temperatures as far as known;
+            None if a motor cannot exert its torque.
         supply_voltage: Voltage of the battery (V); None if unknown, or if motors differ.
-        battery_current: Current of the battery (A); None if the voltage is unknown.
+        battery_current: Current of the battery (A); None if the voltage or the loss is unknown.
         battery_energy: Energy of the battery (J); None if not given.
-        battery_time: Time until the battery is empty (s); None without its energy.
+        battery_time: Time until the battery is empty (s); None without its energy or the loss.
         times: (n,) times of the temperatures (s).
         temperatures: (n, motors) temperatures of the windings (degC); NaN if unknown.
     """
@@ -118,7 +139,7 @@ class HeatStudy(Result):
     stand: Stand
     motors: tuple[MotorHeat, ...]
     omitted: tuple[str, ...]
-    loss: float = field(metadata={"unit": "W"})
+    loss: float | None = field(metadata={"unit": "W"})
     supply_voltage: float | None = field(metadata={"unit": "V"})
     battery_current: float | None = field(metadata={"unit": "A"})
     battery_energy: float | None = field(metadata={"unit": "J"})
@@ -130,20 +151,28 @@ class HeatStudy(Result):
     def first(self) -> MotorHeat:
         """Motor that reaches its limit first; if none does, the motor closest to its limit.
 
-        A motor that grows hotter without bound, with an unknown limit, precedes motors that stay
-        below theirs. Motors with an unknown temperature or limit follow, ordered by copper loss.
+        A motor that cannot exert its torque precedes all others. A motor that grows hotter without
+        bound, with an unknown limit, precedes motors that stay below theirs. Motors with an unknown
+        temperature or limit follow, ordered by copper loss.
         """
 
-        def rank(motor: MotorHeat) -> tuple[float, float, float]:
+        def rank(motor: MotorHeat) -> tuple[float, float, float, float]:
             """Return a key that is smallest for the motor that is stated first."""
+            if motor.too_weak:
+                return -abs(motor.torque) / (motor.largest_torque or 1.0), 0.0, 0.0, 0.0
             time = math.inf if motor.time_to_limit is None else motor.time_to_limit
             final, limit = motor.steady_temperature, motor.limit_temperature
             margin = math.inf if final is None or limit is None else limit - final
             if final is not None and math.isinf(final):  # also if the limit is unknown
                 margin = -math.inf
-            return time, margin, -motor.cold_loss
+            return 0.0, time, margin, -(motor.cold_loss or 0.0)
 
         return min(self.motors, key=rank)
+
+    @property
+    def weak(self) -> tuple[MotorHeat, ...]:
+        """Motors that cannot exert the torque of the stance, in actuator order."""
+        return tuple(motor for motor in self.motors if motor.too_weak)
 
     @property
     def overheats(self) -> bool:
@@ -152,16 +181,14 @@ class HeatStudy(Result):
 
     @property
     def known(self) -> bool:
-        """Whether each joint has a motor, and each loaded motor a known temperature and limit."""
-        judged = all(
-            motor.time_to_limit is not None or motor.torque == 0.0 for motor in self.motors
-        )
+        """Whether each joint has a motor, and each loaded motor the numbers of an answer."""
+        judged = all(not motor.unknown or motor.torque == 0.0 for motor in self.motors)
         return judged and not self.omitted
 
     @property
     def passed(self) -> bool:
-        """Whether all motors are known to stay below their limits."""
-        return self.known and not self.overheats
+        """Whether all motors are known to exert their torque and to stay below their limits."""
+        return self.known and not self.overheats and not self.weak
 
 
 @check_arguments
@@ -207,7 +234,8 @@ def study_heat(
     heats = tuple(
         _compute_heat(name, motors[name], float(loads[name]), ambient, limit) for name in assigned
     )
-    loss = sum(heat.loss for heat in heats)
+    losses = [heat.loss for heat in heats if heat.loss is not None]
+    loss = sum(losses) if len(losses) == len(heats) else None
     voltages = {motors[name].supply_voltage for name in assigned}
     voltage = voltages.pop() if len(voltages) == 1 else None
     times = _choose_times(heats, [motors[name] for name in assigned], ambient)
@@ -219,10 +247,10 @@ def study_heat(
         omitted=tuple(name for name in names if name not in motors),
         loss=loss,
         supply_voltage=voltage,
-        battery_current=None if voltage is None else loss / voltage,
+        battery_current=None if voltage is None or loss is None else loss / voltage,
         battery_energy=battery_energy,
         battery_time=None
-        if battery_energy is None
+        if battery_energy is None or loss is None
         else (battery_energy / loss if loss else math.inf),
         times=times,
         temperatures=np.stack(curves, axis=1),
@@ -251,23 +279,28 @@ def _compute_heat(
 ) -> MotorHeat:
     """Compute the heat of a motor with a torque [N m]; temperatures [degC] replace the motor's."""
     current = motor.compute_current(torque)
-    unknown = [*motor.list_unknown(*THERMAL_NUMBERS)]
-    if ambient is None:
-        unknown += motor.list_unknown("ambient_temperature")
-    try:
-        network = ThermalNetwork.of_motor(motor, current, ambient)
-    except ModelError:
-        network = None
-        housing = motor.list_unknown("housing_resistance", "housing_capacity")
-        unknown += housing if len(housing) == 1 else ()
+    largest, limiting = motor.largest_torque or (None, "")
+    unknown = [*list_unknown_thermal_numbers(motor, ambient)]
+    network = None if unknown else ThermalNetwork.of_motor(motor, current, ambient)
     highest = motor.limit_temperature if limit is None else limit
     if highest is None:
         unknown.append("limit_temperature")
-    steady = None if network is None else network.steady_temperature
-    continuous = None
-    if network is not None and highest is not None:
+    try:
         continuous = compute_continuous_torque(motor, ambient, limit)
-    return MotorHeat(
+    except ModelError:
+        continuous = None
+    steady = None if network is None else network.steady_temperature
+    too_weak = largest is not None and abs(torque) > largest
+    time = None
+    if network is not None and highest is not None and not too_weak:
+        time = network.find_time(highest)
+    if continuous is not None:  # the data sheet states a torque that the motor exerts permanently
+        unknown = []
+        if time is None and abs(torque) <= continuous:
+            time = math.inf
+    if largest is None:
+        unknown.append("peak_torque")
+    heat = MotorHeat(
         joint=joint,
         motor=motor.name,
         torque=torque,
@@ -280,9 +313,22 @@ def _compute_heat(
         else (network.compute_loss(steady) if math.isfinite(steady) else math.inf),
         steady_temperature=steady,
         limit_temperature=highest,
-        time_to_limit=None if network is None or highest is None else network.find_time(highest),
+        time_to_limit=time,
         continuous_torque=continuous,
+        largest_torque=largest,
+        limiting_number=limiting,
         unknown=tuple(unknown),
+    )
+    if not heat.too_weak:
+        return heat
+    # A current that does not flow heats nothing.
+    return replace(
+        heat,
+        cold_loss=None,
+        steady_loss=None,
+        steady_temperature=None,
+        time_to_limit=None,
+        unknown=(),
     )
 
 

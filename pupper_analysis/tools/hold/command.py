@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -85,13 +86,15 @@ def command(
 
     Exit status: 0 the posture holds, 1 the posture does not hold, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.models.motors.assignment import describe_weak_motors
     from pupper_analysis.robot.build import with_efforts
     from pupper_analysis.tools.hold.hold import hold_posture
 
     joints = dict(shared.parse_position("joints", text) for text in positions)
     options = RobotAndTask.of_fixed_base(**robot_options)
     robot = options.robot(words, visuals=report_path is not None)
-    robot = with_efforts(robot, parse_continuous_torques(continuous, robot))
+    continuous_efforts, motors = parse_continuous_torques(continuous, robot)
+    robot = with_efforts(robot, continuous_efforts)
     kp, kd = options.gains(robot)
     with shared.show_progress("holding the posture, and simulating it"):
         result = hold_posture(
@@ -103,6 +106,8 @@ def command(
             kp=kp,
             kd=kd,
         )
+        torques = zip(robot.joint_names, result.statics.joint_torques.tolist(), strict=True)
+        result = replace(result, weak_motors=describe_weak_motors(motors, dict(torques)))
     options.show(result, robot)
     if figure is not None:
         from pupper_analysis.tools.hold.figures import hold_figure

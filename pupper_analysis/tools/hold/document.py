@@ -64,6 +64,7 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             force_plot(hold.force),
         ),
         (_describe_worst_posture(hold), *_list_limits(hold), *_list_warnings(hold)),
+        leading=map(doc.diagnostic_text, hold.weak_motors[:1]),
         details=(*_list_findings(hold),),
         word=_select_verdict_word(hold),
         notes=robot_notes(robot),

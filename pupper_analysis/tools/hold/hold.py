@@ -401,6 +401,8 @@ class Hold(Tabular):
             or NaN.
         force: External forces on the tool that the motors withstand.
         reach: Motor utilisation over the reach of the tool.
+        weak_motors: Motors named by the caller that cannot exert the torques of ``statics`` even
+            for moments.
     """
 
     name: str
@@ -425,6 +427,7 @@ class Hold(Tabular):
     payload_trial: StandVerification | None
     force: ToolForce
     reach: ReachLoad
+    weak_motors: tuple[Diagnostic, ...] = ()
 
     @property
     def passed(self) -> bool:

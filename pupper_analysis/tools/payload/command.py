@@ -52,17 +52,19 @@ def command(
     Exit status: 0 a payload is carried, 1 no payload, unknown limits, or a failed
     simulation, 2 stance out of reach or not in balance, or bad input.
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.models.motors.assignment import describe_weak_motors
     from pupper_analysis.robot.build import with_efforts
     from pupper_analysis.tools.payload.limit import payload_limit
 
     task = request.task()
     robot = request.robot(words, visuals=report_path is not None, payload_sought=True)
-    continuous_efforts = parse_continuous_torques(continuous, robot)
+    continuous_efforts, motors = parse_continuous_torques(continuous, robot)
     robot = with_efforts(robot, continuous_efforts)
     kp, kd = request.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
         result = payload_limit(robot, task, request.place, kp=kp, kd=kd)
-        result = replace(result, continuous=tuple(continuous_efforts))
+        weak = describe_weak_motors(motors, result.torque_by_joint)
+        result = replace(result, continuous=tuple(continuous_efforts), weak_motors=weak)
     request.show(result, robot)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -45,6 +45,7 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
         (view_block(robot, limit.stand, None), payload_table(limit)),
         (payload_text(limit),),
         limit=_describe_limit(limit),
+        leading=map(doc.diagnostic_text, limit.weak_motors[:1]),
         number_first=True,
         details=(
             task_text(limit.stand.task),

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import (
     NotSettlingError,
     StanceUnreachableError,
@@ -220,6 +221,7 @@ class PayloadLimit(Result):
             ``upper_bound`` is 0 or infinite.
         continuous: Joints whose effort limit is a continuous torque; the limits of the other joints
             are peak torques.
+        weak_motors: Named motors that cannot exert the torques of ``stand`` even for moments.
     """
 
     name: str
@@ -243,6 +245,7 @@ class PayloadLimit(Result):
     verdict: Verdict
     trial: PayloadTrial | None
     continuous: tuple[str, ...] = ()
+    weak_motors: tuple[Diagnostic, ...] = ()
 
     @property
     def torque_by_joint(self) -> dict[str, float]:
@@ -401,6 +404,7 @@ def payload_limit(
         binding=binding,
         **bounds,
         continuous=(),
+        weak_motors=(),
         point=place.offset,
         link=place.link,
         unknown_limits=unknown_limits,

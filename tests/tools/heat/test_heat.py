@@ -18,6 +18,7 @@ from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.pupper.variant_files import write_variant
+from pupper_analysis.tools.heat.document import heat_document
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
 from tests.support.commands import answer
 from tests.support.legged import quadruped_with_slides
@@ -93,17 +94,69 @@ def test_the_first_hot_motor_is_named_with_its_minutes(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_unknown_numbers_are_named_and_do_not_pass() -> None:
-    done = answer("heat", "v3", "--motor", "steadywin-gim4305-10")
+    done = answer("heat", "v3", "--motor", "dynamixel-xm540-w270")
     assert done.returncode == 1
     first, second, *_ = done.stdout.splitlines()
-    assert first.startswith(
-        "UNKNOWN v3: temperatures unknown: the data of SteadyWin GIM4305-10 lack"
-    )
+    assert first.startswith("UNKNOWN v3: the data of Dynamixel XM540-W270 lack")
     assert "winding_resistance, winding_capacity" in first
-    assert "A at 24 V" in second
+    assert "A at 12 V" in second
     few = answer("heat", "v3", "--motor", "*_1=dephy-actpack")
     assert few.returncode == 1
     assert "no motor assigned to leg_front_r_2" in few.stdout
+
+
+def make_study(motor: Motor, **options: float) -> HeatStudy:
+    return study_heat(load("v3"), stand_of("v3"), motors_of(motor), **options)
+
+
+@pytest.mark.slow
+def test_motor_that_cannot_exert_the_torque_is_too_weak() -> None:
+    """Reference: supply voltage / resistance x torque per current: 6 V / 6 ohm x 0.4 N m/A."""
+    motor = Motor(
+        *("weak", "bench"),
+        output_torque_constant=0.4,
+        resistance=6.0,
+        resistance_temperature=25.0,
+        resistance_rise=0.00393,
+        winding_resistance=1e4,  # a current of 1 A would reach the limit within a second
+        winding_capacity=0.01,
+        ambient_temperature=25.0,
+        limit_temperature=80.0,
+        supply_voltage=6.0,
+    )
+    study = make_study(motor)
+    assert {one.joint[-2:] for one in study.weak} == {"_3"}
+    assert not study.passed
+    assert study.first.largest_torque == pytest.approx(0.4)
+    assert study.first.limiting_number == "supply_voltage"
+    assert abs(study.first.torque) == max(abs(one.torque) for one in study.motors)
+    assert (study.first.time_to_limit, study.first.steady_temperature) == (None, None)
+    assert (study.loss, study.battery_current) == (None, None)
+    document = heat_document(study)
+    assert getattr(document.verdict, "en", "") == "TOO WEAK"
+    line = document.failures[0].en
+    assert line.startswith(f"{study.first.joint} must exert 0.47")
+    assert line.endswith("weak exerts at most 0.4 N m (supply voltage / resistance)")
+    assert not make_study(replace(motor, supply_voltage=12.0)).weak
+    unlimited = make_study(replace(motor, supply_voltage=None))
+    assert not unlimited.known
+    assert "peak_torque" in unlimited.first.unknown
+
+
+@pytest.mark.slow
+def test_data_sheet_decides_if_thermal_numbers_are_unknown() -> None:
+    """Reference: the continuous torque of the data sheet, compared with the statics."""
+    motor = find_motor("lk-tech-mg4005-10")
+    study = make_study(motor)
+    assert study.passed
+    assert study.first.time_to_limit == math.inf
+    assert "0.47 N m of a continuous torque of 1 N m" in heat_document(study).findings[0].en
+    small = make_study(replace(motor, continuous_torque=0.4))
+    assert not small.passed
+    assert small.overheats
+    assert small.first.time_to_limit is None
+    assert "permanently; the data sheet" in heat_document(small).failures[0].en
+    assert not make_study(motor, ambient=40.0).known  # the data sheet has another temperature
 
 
 @pytest.mark.parametrize(
@@ -164,6 +217,7 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
 def test_motor_without_limit_that_runs_away_precedes_others() -> None:
     """Reference: equations of the thermal node; 1/R_th < i^2 R alpha gives no final temperature."""
     bare = {"continuous_torque": None, "unknown": (), "current": 1.0, "steady_loss": 1.0}
+    bare |= {"largest_torque": None, "limiting_number": ""}
     cool = MotorHeat(
         joint="cool", motor="a", torque=1.0, cold_loss=1.0, steady_temperature=40.0,
         limit_temperature=80.0, time_to_limit=math.inf, **bare,
