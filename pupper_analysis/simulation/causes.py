@@ -18,7 +18,11 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import Mode, Stability
 from pupper_analysis.simulation.monitor import ContactSampler
-from pupper_analysis.simulation.stability import MAX_JOINT_DISPLACEMENT, Nudge
+from pupper_analysis.simulation.stability import (
+    MAX_JOINT_DISPLACEMENT,
+    MAX_RESTING_SPEED,
+    Nudge,
+)
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -73,6 +77,19 @@ def find_instability(
         distance = Quantity(nudge.farthest, nudge.farthest_unit)
         messages.append(diagnose("joint-left-and-came-back", way=distance))
     return messages
+
+
+def proves_unrest(nudge: Nudge) -> bool:
+    """Return True if `find_instability` reports the response to a nudge, or another failure.
+
+    The growing modes are not needed. A slow remaining motion proves nothing, since a foot with
+    almost no load may bounce.
+    """
+    if not (nudge.moved < MAX_JOINT_DISPLACEMENT and nudge.stays):
+        return True
+    is_noise = nudge.left <= _SOLVER_NOISE_RATIO * nudge.speed
+    is_slow = max(nudge.motion, nudge.left) < MAX_RESTING_SPEED
+    return not (nudge.decayed or is_noise or is_slow)
 
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:

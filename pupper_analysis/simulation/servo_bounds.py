@@ -195,6 +195,7 @@ def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float
             kp=factor * drive.kp,
             kd=max(1.0, factor) * drive.kd,
             feedforward=False,
+            until_failure=True,
         )
         if run.stays:
             return factor

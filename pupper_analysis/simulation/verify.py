@@ -33,6 +33,7 @@ from pupper_analysis.simulation.causes import (
     find_chatter,
     find_creep,
     find_instability,
+    proves_unrest,
 )
 from pupper_analysis.simulation.monitor import (
     MEASURING_TIME,
@@ -237,6 +238,7 @@ def verify_stand(
     duration: float = HOLD_DURATION,
     nudged: float | None = None,
     settled: SteadyState | None = None,
+    until_failure: bool = False,
 ) -> StandVerification:
     """Simulate a stand on a free base, and compare the simulation with Pinocchio's prediction.
 
@@ -265,6 +267,9 @@ def verify_stand(
         settled: Predicted equilibrium without feed-forward. If ``feedforward`` is False and the
             equilibrium has no failures, the settled state of a robot with a fixed base and no
             stance feet is compared with this equilibrium.
+        until_failure: Leave out the simulations that test growing modes if the response to the
+            nudge proves that the robot does not stay. ``passed`` and ``stays`` are the same;
+            ``stability`` and ``failures`` then contain modes that are not tested.
 
     Returns:
         The comparison; ``failures`` contains the reasons if the stand is not verified.
@@ -286,7 +291,13 @@ def verify_stand(
     start, ctrl = held.start, held.ctrl
     reference = monitor.StandReference.from_configuration(robot, stand.qpos, stand.task.rotation())
     run = settle_and_nudge(
-        drive, start, ctrl, duration - nudge_duration, nudge_duration, reference.has_collapsed
+        drive,
+        start,
+        ctrl,
+        duration - nudge_duration,
+        nudge_duration,
+        reference.has_collapsed,
+        until_failure=until_failure,
     )
     predicted = robot.per_foot(prediction.contact_forces)
     normals = stand.lift_directions(robot)
@@ -451,6 +462,8 @@ def settle_and_nudge(
     seconds: float,
     nudge_duration: float,
     has_failed: Callable[[Array], bool],
+    *,
+    until_failure: bool = False,
 ) -> SettlingRun:
     """Simulate a state under a constant command for a time, then nudge all coordinates.
 
@@ -463,6 +476,8 @@ def settle_and_nudge(
         seconds: Simulated time before the nudge [s].
         nudge_duration: Simulated time after the nudge [s].
         has_failed: Predicate of a state that is no longer the expected stand.
+        until_failure: Leave out the simulations that test growing modes if the response to the
+            nudge `proves_unrest`.
     """
     model = drive.model
     timestep = float(model.opt.timestep)
@@ -474,15 +489,20 @@ def settle_and_nudge(
         settling_states[-round(MEASURING_TIME / timestep) :],
     )
     is_lost = diverged or has_failed(settling_states[-1])
-    stability, states, nudge = (
-        evaluate_final_stability(drive, start, settling_states[-1], ctrl, has_fallen=is_lost),
-        settling_states,
-        None,
-    )
+    states, nudge = settling_states, None
     if nudge_duration and not diverged:
         nudged_states = simulate_nudge(model, settling_states[-1], ctrl, nudge_duration)
         nudge = measure_response(model, settling_states[-1], nudged_states, last_second)
         states = np.concatenate([settling_states, nudged_states])
+    is_decided = until_failure and nudge is not None and proves_unrest(nudge)
+    stability = evaluate_final_stability(
+        drive,
+        start,
+        settling_states[-1],
+        ctrl,
+        has_fallen=is_lost,
+        tests_growth=not is_decided,
+    )
     return SettlingRun(states, len(settling_states), last_second, diverged, stability, nudge)
 
 

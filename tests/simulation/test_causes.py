@@ -9,8 +9,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.causes import find_chatter
+from pupper_analysis.robot.stability import Stability
+from pupper_analysis.simulation.causes import find_chatter, find_instability, proves_unrest
 from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
+from pupper_analysis.simulation.stability import MAX_RESTING_SPEED, Nudge
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
 
@@ -71,3 +73,33 @@ def test_share_of_the_pulses_increases_with_the_motion_of_the_ground() -> None:
     assert shares[:2] == [0.0, 0.0]
     assert 0.1 < shares[2] < 0.9
     assert shares[3] > 1.5 * shares[2]
+
+
+@pytest.mark.parametrize("left", [1e-4, 4e-3, 6e-3, 0.3, np.nan])
+@pytest.mark.parametrize("moved", [1e-3, 0.02, np.nan])
+@pytest.mark.parametrize("decayed", [False, True])
+def test_response_that_proves_unrest_is_a_failure_with_all_excuses(
+    left: float, moved: float, decayed: bool
+) -> None:
+    """Reference: the reports without growing modes, and with a foot that bounces if it is slow."""
+    nudge = Nudge(
+        speed=0.02,
+        time=5.0,
+        duration=7.0,
+        motion=left,
+        left=left,
+        moved=moved,
+        farthest=moved,
+        decayed=decayed,
+    )
+    stability = Stability(
+        timestep=0.002,
+        radius=1.0,
+        unstable=(),
+        least_damped=None,
+        speed=0.0,
+        uses_noslip_solver=False,
+    )
+    bounces = left < MAX_RESTING_SPEED
+    reported = find_instability(stability, nudge, bounces=bounces)
+    assert proves_unrest(nudge) == bool(reported)

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATOR_TYPES, model_with_servos
+from pupper_analysis.simulation import growth, verify
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.simulation.verify import describe_deviations
 from tests.support.engines import change_model
@@ -555,3 +557,31 @@ def test_height_deviation_of_a_sweep_is_proportional_to_the_force() -> None:
     )
     np.testing.assert_allclose(full / half, 2.0, rtol=0.1)
     assert none < 0.05 * half
+
+
+@pytest.mark.slow
+def test_growing_modes_are_not_simulated_until_failure_if_the_nudge_decides(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A stand that buckles with 1.2 N m/rad; reference: the complete verification."""
+    robot, stand = load("v3"), stand_of("v3")
+    simulated: list[float] = []
+    simulate, measure = growth.simulate_growth, verify.measure_response
+
+    def count_simulations(*arguments: Any) -> growth.GrowthTrial:
+        simulated.append(1.0)
+        return simulate(*arguments)
+
+    monkeypatch.setattr(growth, "simulate_growth", count_simulations)
+    complete = pa.verify_stand(robot, stand, kp=1.2)
+    brief = pa.verify_stand(robot, stand, kp=1.2, until_failure=True)
+    assert len(simulated) == 2  # the response to the nudge decides nothing
+    assert [failure.code for failure in brief.failures] == ["mode-buckles"]
+    monkeypatch.setattr(
+        verify,
+        "measure_response",
+        lambda *arguments: replace(measure(*arguments), decayed=False, left=0.1),
+    )
+    brief = pa.verify_stand(robot, stand, kp=1.2, until_failure=True)
+    assert len(simulated) == 2
+    assert (brief.passed, brief.stays) == (complete.passed, complete.stays) == (False, False)

@@ -353,7 +353,7 @@ def payload_limit(
         return judge_simulation(
             loaded,
             stand,
-            verify_stand(loaded, held, kp=kp, kd=kd),
+            verify_stand(loaded, held, kp=kp, kd=kd, until_failure=True),
             statics=stand_statics(loaded, held),
             trial=trial,
             kp=kp,
