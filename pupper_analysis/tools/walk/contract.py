@@ -97,11 +97,13 @@ class Term:
         name: A key of `TERM_SIZES`.
         scale: Factor: a number, or a number per element.
         clip: Lower and upper bound of the elements before scaling.
+        history: Number of frames of the term; 0 for the number of the contract.
     """
 
     name: str
     scale: Array | float = field(default=1.0, metadata={"unit": "1"})
     clip: tuple[float, float] = field(default=(-math.inf, math.inf), metadata={"unit": "varies"})
+    history: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +129,7 @@ class Contract:
         latency: Delay from an observation to the command at the servos [s].
         clip: Bound on the magnitude of each element of an observation.
         action_clip: Bound on the magnitude of each element of an action.
-        history: Number of frames in an observation.
+        history: Number of frames of each term that has no own `Term.history`.
         newest_first: True if the newest frame is the first.
         layout: ``by-frame`` or ``by-term``.
         phase_rate: Frequency of the gait phase [Hz], if a phase is observed.
@@ -180,6 +182,25 @@ class Contract:
     def frame_size(self) -> int:
         """Number of elements of the observation at a time step (frame)."""
         return sum(self.term_size(term) for term in self.terms)
+
+    def count_frames(self, term: Term) -> int:
+        """Return the number of frames of a term in an observation."""
+        return term.history or self.history
+
+    @property
+    def max_history(self) -> int:
+        """Largest number of frames of a term."""
+        return max(map(self.count_frames, self.terms))
+
+    @property
+    def has_one_history(self) -> bool:
+        """Whether all terms have the same number of frames."""
+        return len(set(map(self.count_frames, self.terms))) == 1
+
+    @property
+    def observation_size(self) -> int:
+        """Number of elements of an observation with all frames of all terms."""
+        return sum(self.term_size(term) * self.count_frames(term) for term in self.terms)
 
     def reorder_joints(self, order: Sequence[int]) -> Contract:
         """Return a contract (definition of observation and action) with permuted robot joints.
@@ -419,26 +440,48 @@ def make_contract(
         sources=places,
         origins=origins,
     )
-    num_contacts = [term.name for term in terms].count("contacts")
-    if num_contacts:
-        rest = inputs // contract.history - contract.frame_size
-        contract = replace(contract, feet=max(1, rest // num_contacts))
+    contract = _set_number_of_feet(contract, inputs)
     for term in terms:
         size = np.size(term.scale)
         if size not in (1, contract.term_size(term)):
             problem = diagnose("no-numbers", count=contract.term_size(term))
             raise merged.make_error(f"observation: {term.name}", problem)
-    if contract.frame_size * contract.history != inputs:
-        parts = ", ".join(f"{term.name} {contract.term_size(term)}" for term in terms)
+    _check_observation(merged, contract, inputs)
+    return contract
+
+
+def _set_number_of_feet(contract: Contract, inputs: int) -> Contract:
+    """Return a contract whose observed contacts have the elements that the other terms leave.
+
+    ``inputs`` is the size of the network's observation.
+    """
+    contacts = [term for term in contract.terms if term.name == "contacts"]
+    if not contacts:
+        return contract
+    rest = inputs - contract.observation_size
+    return replace(contract, feet=max(1, rest // sum(map(contract.count_frames, contacts))))
+
+
+def _check_observation(merged: _MergedValues, contract: Contract, inputs: int) -> None:
+    """Raise a ModelError if the layout does not permit the histories, or a size does not fit."""
+    if contract.layout == BY_FRAME and not contract.has_one_history:
+        found = sorted(set(map(contract.count_frames, contract.terms)))
+        raise merged.make_error("layout", diagnose("histories-differ", found=found))
+    if contract.observation_size != inputs:
+        is_uniform = contract.has_one_history
+        parts = ", ".join(
+            f"{term.name} {contract.term_size(term)}"
+            + ("" if is_uniform else f" x {contract.count_frames(term)}")
+            for term in contract.terms
+        )
         problem = diagnose(
             "observation-size",
             parts=parts,
-            history=contract.history,
-            total=contract.frame_size * contract.history,
+            history=contract.max_history if is_uniform else None,
+            total=contract.observation_size,
             inputs=inputs,
         )
-        raise ModelError(path, problem)
-    return contract
+        raise ModelError(merged.path, problem)
 
 
 def _check_ranges(
@@ -486,7 +529,7 @@ def _read_history(merged: _MergedValues) -> tuple[int, bool]:
 
 
 def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
-    """Return the terms of an observation: each is stated by name, or as name, scale and clip."""
+    """Return the terms of an observation, each a name, or a table with its scale, clip, history."""
     entries = merged.values.get("observation")
     if not isinstance(entries, list) or not entries:
         raise merged.make_error("observation", diagnose("contract-lacks", key="observation"))
@@ -508,7 +551,12 @@ def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
             raise merged.make_error(f"observation: {name}", diagnose("no-numbers", count=1))
         bounds = entry.get("clip", [-math.inf, math.inf]) if isinstance(entry, dict) else []
         clip = _read_clip(merged, name, bounds) if bounds else (-math.inf, math.inf)
-        terms.append(Term(name, numbers if numbers.ndim else float(numbers), clip))
+        history = entry.get("history", 1) if isinstance(entry, dict) else 1
+        if isinstance(history, bool) or not isinstance(history, int) or not 1 <= history <= 1000:
+            problem = diagnose("not-between", given=str(history), low=1, high=1000)
+            raise merged.make_error(f"observation: {name}", problem)
+        history = history if isinstance(entry, dict) and "history" in entry else 0
+        terms.append(Term(name, numbers if numbers.ndim else float(numbers), clip, history))
     return tuple(terms)
 
 
@@ -542,9 +590,6 @@ def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Sta
         deployment: Numbers of a deployment, for joints of the robot.
         inputs: Number of inputs of the network.
         outputs: Number of outputs of the network.
-
-    Raises:
-        ModelError: If terms of the observation have different numbers of frames.
     """
     values, places, origins = dict[str, Any](), dict[str, str](), dict[str, str]()
 
@@ -574,13 +619,14 @@ def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Sta
             put(key, 1.0 / fact.value if is_rate else fact.value, fact.place, fact.origin)
     if deployment.observations:
         place = deployment.observations[0].place.path
-        put("observation", [_convert_term(term) for term in deployment.observations], place)
-        histories = {max(1, term.history) for term in deployment.observations}
-        if len(histories) > 1:
-            problem = diagnose("histories-differ", found=sorted(histories))
-            raise ModelError(place, problem)
-        if any(term.history for term in deployment.observations):
-            put("history", histories.pop(), place)
+        entries = [_convert_term(term) for term in deployment.observations]
+        histories = [max(1, term.history) for term in deployment.observations]
+        if len(set(histories)) > 1:
+            entries = [entry | {"history": count}
+                       for entry, count in zip(entries, histories, strict=True)]  # fmt: skip
+        elif any(term.history for term in deployment.observations):
+            put("history", histories[0], place)
+        put("observation", entries, place)
     else:
         _put_known_layout(deployment, inputs, len(joints) or outputs, put)
     file = str(deployment.files[0]) if deployment.files else ""

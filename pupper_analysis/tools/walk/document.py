@@ -300,7 +300,10 @@ def make_key_table(contract: Contract) -> doc.Table:
     Optional keys that no file states, and that have no effect, are left out.
     """
     values: dict[str, Any] = {
-        "observation": ", ".join(term.name for term in contract.terms),
+        "observation": ", ".join(
+            f"{term.name} x {term.history}" if term.history else term.name
+            for term in contract.terms
+        ),
         "joints": ", ".join(contract.joints[:3]) + (" ..." if len(contract.joints) > 3 else ""),
         "default": contract.default,
         "action-offset": contract.offset,

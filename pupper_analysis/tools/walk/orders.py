@@ -247,12 +247,13 @@ def _list_interpretations(robot: Robot, contract: Contract) -> Iterator[tuple[Ch
     for scale in SCALE_FACTORS:
         changed = replace(contract, action_scale=scale * contract.action_scale)
         yield ("scale", f"x {scale:g}", ()), changed
-    if contract.history > 1:
+    if contract.max_history > 1:
         newest_first = not contract.newest_first
         other_layout = BY_TERM if contract.layout == BY_FRAME else BY_FRAME
         description = "newest first" if newest_first else "oldest first"
         yield ("history", description, ()), replace(contract, newest_first=newest_first)
-        yield ("history", other_layout, ()), replace(contract, layout=other_layout)
+        if contract.has_one_history:
+            yield ("history", other_layout, ()), replace(contract, layout=other_layout)
 
 
 def _permute_joints(

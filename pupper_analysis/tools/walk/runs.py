@@ -554,7 +554,7 @@ class Observer:
         self.second_last = np.zeros_like(self.last)
         names = {term.name for term in self._contract.terms}
         self._is_dynamic = bool(names & {"accelerometer", "contacts"})
-        shape = (len(commands), self._contract.history, self._contract.frame_size)
+        shape = (len(commands), self._contract.max_history, self._contract.frame_size)
         self._frames = np.zeros(shape)
 
     def observe(self, states: Array, active: Integers, tick: int) -> Array:
@@ -575,13 +575,14 @@ class Observer:
         else:  # the oldest first
             self._frames[active, :-1] = self._frames[active, 1:]
             self._frames[active, -1] = frame
-        frames = self._frames[active]
-        if contract.newest_first:
-            frames = frames[:, ::-1]
-        if contract.layout == BY_FRAME or contract.history == 1:
-            return frames.reshape(len(active), -1)
+        frames, step = self._frames[active], -1 if contract.newest_first else 1
+        if contract.layout == BY_FRAME or contract.max_history == 1:
+            return frames[:, ::step].reshape(len(active), -1)
         ends = np.cumsum([contract.term_size(term) for term in contract.terms])[:-1]
-        parts = np.split(frames, ends, axis=2)
+        parts = [
+            part[:, -contract.count_frames(term) :][:, ::step]
+            for term, part in zip(contract.terms, np.split(frames, ends, axis=2), strict=True)
+        ]
         return np.concatenate([part.reshape(len(active), -1) for part in parts], axis=1)
 
     def _make_frame(self, states: Array, active: Integers, tick: int) -> Array:

@@ -35,7 +35,7 @@ _MEANINGS = {
     "latency": "delay from an observation to the command [s]; without: 0",
     "clip": "bound of the magnitude of each observation; without: none",
     "action-clip": "bound of the magnitude of each action; without: none",
-    "history": "number of frames in an observation; without: 1",
+    "history": "number of frames of each term; without: 1; a term may state its own history",
     "phase-rate": "frequency of the gait phase [Hz], if a phase is observed",
 }
 """{key: meaning} of the keys of a template."""

@@ -328,14 +328,14 @@ def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array
 
 def _extract_frame(contract: Contract, observations: Array, *, newest: bool) -> Array:
     """Return the newest or oldest frame of observations, shape (n, frame size)."""
-    history, size = contract.history, contract.frame_size
+    size = contract.frame_size
     is_first = contract.newest_first is newest
-    if contract.layout == BY_FRAME or history == 1:
-        start = 0 if is_first else (history - 1) * size
+    if contract.layout == BY_FRAME or contract.max_history == 1:
+        start = 0 if is_first else (contract.max_history - 1) * size
         return observations[:, start : start + size]
     parts, start = [], 0
     for term in contract.terms:
-        width = contract.term_size(term)
+        width, history = contract.term_size(term), contract.count_frames(term)
         place = start + (0 if is_first else (history - 1) * width)
         parts.append(observations[:, place : place + width])
         start += history * width
@@ -466,7 +466,7 @@ def _search_elsewhere(
     size = expected.shape[1]
     if float(np.ptp(expected, axis=0).max(initial=0.0)) <= 2 * MATCH_ATOL:
         return found  # a constant may occur anywhere
-    if contract.history > 1:
+    if contract.max_history > 1:
         oldest = _extract_frame(contract, observations, newest=False)[:, first : first + size]
         if _agrees(oldest, expected):
             return found[0], "history", "newest frame in the place of the oldest"

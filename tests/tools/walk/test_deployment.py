@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
@@ -197,10 +198,10 @@ def test_files_of_trainers_and_controllers_are_read(
         assert contract.terms[0].scale == 0.25
 
 
-def test_histories_of_different_lengths_are_refused(tmp_path: Path) -> None:
+def test_histories_that_do_not_fit_the_network_are_refused(tmp_path: Path) -> None:
     policy, deploy = write_policy(tmp_path), tmp_path / "deploy.yaml"
     deploy.write_text(make_deploy().replace("history_length: 2", "history_length: 3", 1))
-    with pytest.raises(ModelError, match="different lengths"):
+    with pytest.raises(ModelError, match=r"angular-velocity 3 x 3, .* has 69 numbers"):
         Policy.load(policy, deployment=read_deployment(load("v3"), [deploy], policy))
 
 
@@ -272,6 +273,58 @@ def test_parts_of_terms_equal_the_terms() -> None:
     whole.last[0] = np.arange(12)
     active = np.array([0])
     assert (whole.observe(state, active, 3) == split.observe(state, active, 3)).all()
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_terms_with_different_histories_are_as_in_isaac_lab(
+    tmp_path: Path, newest_first: bool
+) -> None:
+    """Reference: a queue per term, filled with its first value, as Isaac Lab's CircularBuffer."""
+    lengths, policy, deploy = [3, 1, 2, 4, 1], tmp_path / "policy.onnx", tmp_path / "deploy.yaml"
+    inputs = sum(size * length for size, length in zip(SIZES, lengths, strict=True))
+    policy.write_bytes(made.dense_onnx([(np.zeros((inputs, 12)), np.zeros(12))], "Tanh"))
+    parts = make_deploy().split("history_length: 2")
+    stated = [f"{part}history_length: {n}" for part, n in zip(parts, lengths, strict=False)]
+    deploy.write_text("".join(stated) + parts[-1])
+    robot = load("v3")
+    found = Policy.load(policy, deployment=read_deployment(robot, [deploy], policy))
+    assert [found.contract.count_frames(term) for term in found.contract.terms] == lengths
+    found = found.with_contract(newest_first=newest_first)
+    stage = prepare_stage(robot, found)
+    terms = tuple(replace(term, history=0) for term in found.contract.terms)
+    frames = replace(stage, policy=found.with_contract(terms=terms, history=1))
+    commands = np.zeros((1, 3))
+    whole, single = Observer(stage, commands), Observer(frames, commands)
+    queues: list[deque[list[float]]] = [deque(maxlen=length) for length in lengths]
+    rng, size = np.random.default_rng(2), 1 + stage.model.nq + stage.model.nv
+    for tick in range(6):
+        state = rng.normal(size=(1, size))
+        state[0, 4:8] /= np.linalg.norm(state[0, 4:8])
+        commands[:], whole.last[:] = rng.normal(size=(1, 3)), rng.normal(size=(1, 12))
+        single.last[:] = whole.last
+        frame = single.observe(state, np.array([0]), tick)[0]
+        for queue, part in zip(queues, np.split(frame, np.cumsum(SIZES)[:-1]), strict=True):
+            queue.extend([part.tolist()] * (1 if queue else queue.maxlen or 1))
+        expected = [
+            value
+            for queue in queues
+            for row in (reversed(queue) if newest_first else queue)
+            for value in row
+        ]
+        assert whole.observe(state, np.array([0]), tick)[0].tolist() == expected
+
+
+def test_layout_by_frame_with_different_histories_is_refused(tmp_path: Path) -> None:
+    policy, toml = write_policy(tmp_path), tmp_path / "own.toml"
+    toml.write_text(TOML.replace('"joint-positions",', '{term = "joint-positions", history = 3},')
+                    + 'layout = "by-frame"\n')  # fmt: skip
+    with pytest.raises(ModelError, match="by-frame requires one length"):
+        Policy.load(policy, toml)
+    toml.write_text(
+        TOML.replace('"joint-positions",', '{term = "joint-positions", history = 1.5},')
+    )
+    with pytest.raises(ModelError, match=r"1\.5"):
+        Policy.load(policy, toml)
 
 
 def test_template_states_known_keys_and_asks_for_the_others(tmp_path: Path) -> None:
