@@ -192,10 +192,11 @@ class Network:
         values: dict[str, Any] = dict(self.constants)
         values[self.observation] = np.ascontiguousarray(observations)[:, None, :]
         values |= {name: state for (name, _, _), state in zip(self.memory, memory, strict=True)}
-        for node in self.nodes:
-            results = node.apply(*(values[name] for name in node.inputs))
-            results = results if isinstance(results, tuple) else (results,)
-            values |= dict(zip(node.outputs, results, strict=False))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for node in self.nodes:
+                results = node.apply(*(values[name] for name in node.inputs))
+                results = results if isinstance(results, tuple) else (results,)
+                values |= dict(zip(node.outputs, results, strict=False))
         actions = values[self.action][:, 0, :]
         return actions, tuple(values[name] for _, name, _ in self.memory)
 
@@ -246,7 +247,8 @@ def assemble_network(
                 path, diagnose("layer-input-missing", layer=node.name, name=missing[0])
             )
         try:
-            results = node.apply(*(values[name] for name in node.inputs))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                results = node.apply(*(values[name] for name in node.inputs))
         except (ValueError, IndexError, TypeError) as error:
             sizes = [tuple(np.shape(values[name])) for name in node.inputs]
             problem = diagnose("layer-sizes", layer=node.name, sizes=str(sizes))

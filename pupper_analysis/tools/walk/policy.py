@@ -12,7 +12,7 @@ import re
 import reprlib
 import struct
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -57,12 +57,15 @@ from pupper_analysis.tools.walk.network import (
     MAX_WEIGHTS,
     Network,
     Node,
-    Operation,
     assemble_network,
     dense,
-    elu,
     gru,
     lstm,
+)
+from pupper_analysis.tools.walk.operators import (
+    IDENTITY_OPERATORS,
+    OPERATION_MAKERS,
+    skip_missing_inputs,
 )
 
 
@@ -372,6 +375,11 @@ def build_onnx_network(path: Path, file: OnnxFile) -> Network:
         return replace(network, files=weight_files.files)
 
 
+_ACTION_NAMES = ("actions", "action", "mu", "mean", "mean_actions", "continuous_actions")
+"""Names of the action among several outputs of a network without states: of rl_games, skrl and
+others. The other outputs, such as the deviation and the value, are not used."""
+
+
 def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) -> Network:
     """Build the network of an ONNX graph.
 
@@ -384,6 +392,8 @@ def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) 
         _build_node(path, gather_fields(message), number, constants, weight_files)
         for number, message in enumerate(graph[1], 1)
     ]
+    if len(inputs) == 1 and len(outputs) > 1:  # rl_games: mean, deviation and value
+        outputs = [name for name in outputs if name in _ACTION_NAMES] or outputs
     if len(inputs) != len(outputs):
         problem = diagnose("states-unpaired", inputs=len(inputs), outputs=len(outputs))
         raise ModelError(path, problem)
@@ -396,6 +406,10 @@ def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) 
     used = {name for node in nodes for name in node.inputs}
     used_constants = {name: value for name, value in constants.items() if name in used}
     return assemble_network(path, nodes, used_constants, (inputs[0][0], outputs[0]), memory, size)
+
+
+_CONSTANT_ATTRIBUTES = ("value", "value_float", "value_int", "value_floats", "value_ints")
+"""Attributes of an ONNX node ``Constant`` that contain its value."""
 
 
 def _build_node(
@@ -431,159 +445,29 @@ def _build_node(
             attributes[key] = decode_integers(attribute[3])[0]
         elif 8 in attribute:
             attributes[key] = decode_integers(attribute[8])
+        elif 7 in attribute:
+            numbers = b"".join(bytes(part) for part in attribute[7] if not isinstance(part, int))
+            attributes[key] = np.frombuffer(numbers, dtype="<f4").astype(np.float64)
         elif 2 in attribute:
             attributes[key] = struct.unpack("<f", bytes(attribute[2][0]))[0]
         elif 4 in attribute:
             attributes[key] = get_text(attribute, 4)
-    if kind == "Constant" and "value" in attributes:
-        constants[outputs[0]] = attributes["value"]
+    value = next((attributes[key] for key in _CONSTANT_ATTRIBUTES if key in attributes), None)
+    if kind == "Constant" and value is not None:
+        constants[outputs[0]] = np.asarray(value, dtype=np.float64)
         return Node(name, lambda value: value, (outputs[0],), outputs)
-    make_operation = _OPERATION_MAKERS.get(kind)
+    make_operation = OPERATION_MAKERS.get(kind)
     operation = None if make_operation is None else make_operation(attributes, len(outputs))
     if operation is None:
-        problem = diagnose(
-            "layer-unknown", layer=f"{name}: {kind}", known=sorted(_OPERATION_MAKERS)
-        )
+        problem = diagnose("layer-unknown", layer=f"{name}: {kind}", known=sorted(OPERATION_MAKERS))
         raise ModelError(path, problem)
-    if kind in _IDENTITY_OPERATORS:
+    if kind in IDENTITY_OPERATORS:
         return Node(name, operation, inputs[:1], outputs[:1])
     if kind in ("GRU", "LSTM"):  # the fifth input is the lengths of sequences
         inputs = tuple(message for index, message in enumerate(inputs) if index != 4)
-    return Node(name, operation, inputs, outputs)
+        return Node(name, operation, inputs, outputs)
+    return Node(name, skip_missing_inputs(operation, inputs), tuple(filter(None, inputs)), outputs)
 
-
-Make = Callable[[dict[str, Any], int], Operation | None]
-"""Function that creates an operation from ONNX attributes and the number of outputs; returns None
-if not supported."""
-
-
-def _make_gemm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create the operation x W + b of an ONNX node ``Gemm`` from its attributes.
-
-    None if alpha or beta is not 1, or the input is transposed.
-    """
-    if (
-        attributes.get("transA")
-        or not attributes.get("alpha", 1.0) == attributes.get("beta", 1.0) == 1.0
-    ):
-        return None
-    is_transposed = bool(attributes.get("transB"))
-
-    def apply(value: Array, weights: Array, bias: Array | float = 0.0) -> Any:
-        return np.matmul(value, weights.T if is_transposed else weights) + bias
-
-    return apply
-
-
-def _is_last_axis(attributes: dict[str, Any]) -> bool:
-    """Return True if an operator acts along the last axis; other axes would mix runs."""
-    return attributes.get("axis", 0) in (-1, 1, 2)
-
-
-def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
-    """Return the operation Split into ``count`` parts; None if not along the last axis."""
-    if not _is_last_axis(attributes):
-        return None
-
-    def apply(value: Array, sizes: Array | None = None) -> tuple[Array, ...]:
-        parts = attributes.get("split") if sizes is None else sizes.astype(int).tolist()
-        indices = count if parts is None else np.cumsum(parts)[:-1].tolist()
-        return tuple(np.split(value, indices, axis=-1))
-
-    return apply
-
-
-def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Concat; None if not along the last axis."""
-    if not _is_last_axis(attributes):
-        return None
-
-    def apply(*values: Array) -> Any:
-        return np.concatenate(
-            [np.reshape(value, (*values[0].shape[:-1], -1)) for value in values], -1
-        )
-
-    return apply
-
-
-def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the ONNX operation Clip, with bounds from its inputs, otherwise its attributes."""
-
-    def apply(value: Array, low: Any = None, high: Any = None) -> Any:
-        low = attributes.get("min", -np.inf) if low is None else low
-        return np.clip(value, low, attributes.get("max", np.inf) if high is None else high)
-
-    return apply
-
-
-def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the ONNX operation GRU; None if not forward, or with an activations attribute."""
-    if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
-        return None
-    reset_after = bool(attributes.get("linear_before_reset", 0))
-
-    def apply(value: Array, w: Array, r: Array, b: Array, hidden: Array) -> Any:
-        biases = b[0].reshape(2, -1)
-        state = gru(value, hidden, w[0].T, r[0].T, biases, reset_after=reset_after)
-        return state, state
-
-    return apply
-
-
-def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation LSTM of an ONNX node, or None if its attributes are not supported.
-
-    Other directions than forward, and stated activation functions, are not supported.
-    """
-    if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
-        return None
-
-    def reorder_gates(weights: Array) -> Array:
-        input_gate, output_gate, forget_gate, candidate = np.split(weights, 4)  # i, o, f, c in ONNX
-        return np.concatenate([input_gate, forget_gate, candidate, output_gate])
-
-    def apply(value: Array, w: Array, r: Array, b: Array, hidden: Array, cell: Array) -> Any:
-        bias = reorder_gates(b[0, : len(w[0])]) + reorder_gates(b[0, len(w[0]) :])
-        state, cell = lstm(value, hidden, cell, reorder_gates(w[0]).T, reorder_gates(r[0]).T, bias)
-        return state, state, cell
-
-    return apply
-
-
-def _ignore_attributes(operation: Operation) -> Make:
-    """Return a function that returns ``operation`` for any attributes of an ONNX node."""
-    return lambda _given, _count: operation
-
-
-_IDENTITY_OPERATORS = ("Identity", "Cast", "Dropout", "Flatten", "Reshape", "Squeeze", "Unsqueeze")
-"""ONNX operators that are evaluated as identity: for a single observation they change neither the
-numbers nor their order. Only the first input is used."""
-
-_OPERATION_MAKERS: dict[str, Make] = {
-    "Add": _ignore_attributes(np.add),
-    "Sub": _ignore_attributes(np.subtract),
-    "Mul": _ignore_attributes(np.multiply),
-    "Div": _ignore_attributes(np.divide),
-    "MatMul": _ignore_attributes(np.matmul),
-    "Neg": _ignore_attributes(np.negative),
-    "Exp": _ignore_attributes(np.exp),
-    "Sqrt": _ignore_attributes(np.sqrt),
-    "Relu": _ignore_attributes(ACTIVATIONS["relu"]),
-    "Tanh": _ignore_attributes(np.tanh),
-    "Sigmoid": _ignore_attributes(ACTIVATIONS["sigmoid"]),
-    "Elu": lambda given, _: lambda value: elu(value, given.get("alpha", 1.0)),
-    "LeakyRelu": lambda given, _: (
-        lambda value: np.where(value > 0, value, given.get("alpha", 0.01) * value)
-    ),
-    "Gemm": _make_gemm,
-    "Split": _make_split,
-    "Concat": _make_concat,
-    "Clip": _make_clip,
-    "GRU": _make_gru,
-    "LSTM": _make_lstm,
-    **dict.fromkeys(_IDENTITY_OPERATORS, _ignore_attributes(ACTIVATIONS["linear"])),
-}
-"""{ONNX operator: function that makes its operation from attributes and the number of outputs}."""
 
 _NUM_WEIGHT_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
 """Number of weight arrays of each RTNeural layer type."""

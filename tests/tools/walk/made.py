@@ -18,6 +18,12 @@ def tensor(name: str, values: Any, dims: tuple[int, ...] | None = None) -> bytes
     return sizes + field(2, 1) + field(8, name) + field(9, array.tobytes())
 
 
+def integers(name: str, *numbers: int) -> bytes:
+    """Return a constant list of integers."""
+    data = np.array(numbers, dtype="<i8").tobytes()
+    return field(2, 7) + field(1, len(numbers)) + field(8, name) + field(9, data)
+
+
 def external_tensor(name: str, values: Any, location: str, **entries: int) -> bytes:
     """A tensor whose numbers are in another file: ``offset`` and ``length`` in bytes."""
     array = np.asarray(values, dtype="<f4")
@@ -34,8 +40,12 @@ def node(kind: str, inputs: tuple[str, ...], outputs: tuple[str, ...], **given: 
         one = field(1, name)
         if isinstance(number, float):
             one += varint(2 << 3 | 5) + struct.pack("<f", number) + field(20, 1)
+        elif isinstance(number, list):
+            one += b"".join(field(8, each % 2**64) for each in number) + field(20, 7)
+        elif isinstance(number, str):
+            one += field(4, number) + field(20, 3)
         else:
-            one += field(3, number) + field(20, 2)
+            one += field(3, number % 2**64) + field(20, 2)
         data += field(5, one)
     return data
 
@@ -46,12 +56,13 @@ def onnx(
     inputs: list[bytes],
     outputs: list[bytes],
     metadata: dict[str, str] | None = None,
+    opset: int = 13,
 ) -> bytes:
     graph = b"".join(field(1, one) for one in nodes) + field(2, "graph")
     graph += b"".join(field(5, one) for one in tensors)
     graph += b"".join(field(11, one) for one in inputs)
     graph += b"".join(field(12, one) for one in outputs)
-    data = field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, 13))
+    data = field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, opset))
     for key, text in (metadata or {}).items():
         data += field(14, field(1, key) + field(2, text))
     return data

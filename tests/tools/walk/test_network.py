@@ -163,6 +163,122 @@ def test_onnx_graphs_equal_onnxruntime(kind: str, tmp_path: Path) -> None:
         assert found == pytest.approx(action, abs=ALIKE)  # theirs is of single precision
 
 
+def single_operators() -> dict[str, bytes]:
+    """A graph for each operator that is no layer: six observations, of which it makes actions."""
+    plain = ("Abs", "Sin", "Cos", "Erf", "Reciprocal", "Softplus", "Softsign", "Selu", "Exp", "Neg",
+             "HardSigmoid", "HardSwish", "Mish", "Softmax", "Shape", "Gelu")  # fmt: skip
+    made_of: dict[str, tuple[list[bytes], list[bytes]]] = {
+        kind: ([made.node(kind, ("obs",), ("y",))], []) for kind in plain
+    }
+    to_row = made.node("Reshape", ("z", "row"), ("y",)), made.integers("row", 1, -1)
+    vector = made.tensor("v", np.linspace(0.5, 2.0, 6))
+    pair = [vector, made.tensor("w", np.linspace(-1.0, 1.0, 6))]
+    for kind in ("Max", "Min", "Add", "Sub", "Mul", "Div"):
+        made_of[kind] = [made.node(kind, ("obs", "v"), ("y",))], [vector]
+    made_of["Shape"] = (
+        [made.node("Shape", ("obs",), ("s",)), made.node("ReduceMean", ("obs",), ("m",), axes=[1]),
+         made.node("Expand", ("m", "s"), ("y",))], [])  # fmt: skip
+    made_of["Log and Pow"] = (
+        [made.node("Abs", ("obs",), ("a",)), made.node("Log", ("a",), ("l",)),
+         made.node("Pow", ("a", "v"), ("p",)), made.node("Concat", ("l", "p"), ("y",), axis=1)],
+        [vector])  # fmt: skip
+    for kind in ("ReduceMean", "ReduceMax", "ReduceL2"):
+        made_of[kind] = [made.node(kind, ("obs",), ("y",), axes=[-1])], []
+    made_of["ReduceSum"] = (
+        [made.node("ReduceSum", ("obs", "axis"), ("y",))], [made.integers("axis", 1)])  # fmt: skip
+    made_of["Slice"] = (
+        [made.node("Slice", ("obs", "from", "to", "axis", "step"), ("y",))],
+        [made.integers("from", -1), made.integers("to", -(2**63)), made.integers("axis", 1),
+         made.integers("step", -2)])  # fmt: skip
+    made_of["Slice of two axes"] = (
+        [made.node("Slice", ("obs", "from", "to"), ("y",))],
+        [made.integers("from", 0, 2), made.integers("to", 2**63 - 1, 5)])  # fmt: skip
+    made_of["Gather"] = (
+        [made.node("Gather", ("obs", "which"), ("y",), axis=1)],
+        [made.integers("which", 5, 0, -2)])  # fmt: skip
+    made_of["Gelu by tanh"] = [made.node("Gelu", ("obs",), ("y",), approximate="tanh")], []
+    made_of["Clip without a minimum"] = (
+        [made.node("Clip", ("obs", "", "top"), ("y",))], [made.tensor("top", 0.3)])  # fmt: skip
+    made_of["LayerNormalization"] = (
+        [made.node("LayerNormalization", ("obs", "v", "w"), ("y",), axis=-1)], pair)  # fmt: skip
+    made_of["BatchNormalization"] = (
+        [made.node("BatchNormalization", ("obs", "v", "w", "w", "v"), ("y",))], pair)  # fmt: skip
+    kernel = made.tensor("k", np.random.default_rng(9).normal(size=(4, 2, 2)))
+    made_of["Conv"] = (
+        [made.node("Reshape", ("obs", "shape"), ("x",)),
+         made.node("Conv", ("x", "k"), ("z",), strides=[1]), to_row[0]],
+        [made.integers("shape", -1, 2, 3), kernel, to_row[1]])  # fmt: skip
+    made_of["Conv of frames"] = (
+        [made.node("Reshape", ("obs", "shape"), ("f",)),
+         made.node("Transpose", ("f",), ("x",), perm=[0, 2, 1]),
+         made.node("Conv", ("x", "k"), ("c",)), made.node("Flatten", ("c",), ("z",)), to_row[0]],
+        [made.integers("shape", 1, 3, 2), kernel, to_row[1]])  # fmt: skip
+    made_of["Transpose of a batch"] = (
+        [made.node("Unsqueeze", ("obs", "zero"), ("x",)),
+         made.node("Transpose", ("x",), ("t",), perm=[1, 0, 2]),
+         made.node("Squeeze", ("t", "zero"), ("y",))],
+        [made.integers("zero", 0)])  # fmt: skip
+    made_of["sizes"] = (
+        [made.node("Shape", ("obs",), ("s",)),
+         made.node("Gather", ("s", "zero"), ("b",), axis=0),
+         made.node("Concat", ("b", "minus"), ("r",), axis=0),
+         made.node("Reshape", ("obs", "r"), ("y",))],
+        [made.integers("zero", 0), made.integers("minus", -1)])  # fmt: skip
+    return {
+        name: made.onnx(nodes, tensors, [made.value("obs", 1, 6)], [made.value("y")],
+                        opset={"Mish": 18, "Gelu": 20, "Gelu by tanh": 20}.get(name, 17))
+        for name, (nodes, tensors) in made_of.items()
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", single_operators())
+def test_operators_of_exported_policies_equal_onnxruntime(kind: str, tmp_path: Path) -> None:
+    """Of one run, and to the last bit the same among other runs."""
+    runtime = pytest.importorskip("onnxruntime")
+    data = single_operators()[kind]
+    network, session = read_graph(data, tmp_path), runtime.InferenceSession(data)
+    given = rows(4, 6, seed=8).astype(np.float32)
+    found = network.forward(given.astype(float))[0]
+    for number, row in enumerate(given):
+        expected = np.reshape(session.run(None, {"obs": row[None]})[0], -1)
+        assert found[number] == pytest.approx(expected, rel=1e-5, abs=ALIKE)
+        alone = network.forward(given[number : number + 1].astype(float))[0]
+        assert np.array_equal(alone[0], found[number])
+
+
+@pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        ([made.node("ReduceSum", ("obs",), ("y",), axes=[0])], "ReduceSum is not known"),
+        ([made.node("Gather", ("obs", "i"), ("y",), axis=0)], "sizes do not fit"),
+        ([made.node("Concat", ("obs", "obs"), ("y",), axis=0)], "sizes do not fit"),
+        ([made.node("Slice", ("obs", "i", "i"), ("y",))], "sizes do not fit"),
+        ([made.node("Softmax", ("obs",), ("y",), axis=0)], "Softmax is not known"),
+        ([made.node("Transpose", ("obs",), ("y",))], "Transpose is not known"),
+        ([made.node("Conv", ("obs", "i"), ("y",), pads=[1, 1])], "Conv is not known"),
+    ],
+)
+def test_operators_across_runs_are_refused(
+    nodes: list[bytes], message: str, tmp_path: Path
+) -> None:
+    """Along the axis of the batch, which is that of the runs."""
+    ends = [made.value("obs", 1, 6)], [made.value("y", 1, 6)]
+    with pytest.raises(ModelError, match=message):
+        read_graph(made.onnx(nodes, [made.integers("i", 0)], *ends), tmp_path)
+
+
+def test_action_among_several_outputs_is_selected_by_name(tmp_path: Path) -> None:
+    """As rl_games exports: mean, deviation and value. Without a known name it is refused."""
+    outputs = [made.value(name, 1, 6) for name in ("log_std", "mu", "value")]
+    nodes = [made.node(kind, ("obs",), (name,))
+             for kind, name in (("Neg", "log_std"), ("Tanh", "mu"), ("Abs", "value"))]  # fmt: skip
+    data = made.onnx(nodes, [], [made.value("obs", 1, 6)], outputs)
+    row = rows(1, 6)
+    assert read_graph(data, tmp_path).forward(row)[0] == pytest.approx(np.tanh(row))
+    with pytest.raises(ModelError, match="3 outputs"):
+        read_graph(data.replace(b"mu", b"mv"), tmp_path)
+
+
 def test_onnx_graph_equals_plain_loops(tmp_path: Path) -> None:
     """Also without onnxruntime. Weights are rounded to single precision, as in the file."""
     draw = np.random.default_rng(6)

@@ -1,0 +1,408 @@
+"""Operators of ONNX networks as functions of NumPy arrays.
+
+The operators are those that the exporters of rsl_rl, rl_games, skrl, Brax and Isaac Lab write.
+Values that depend on the observation have a leading axis of runs: an ONNX tensor of shape (1, n) is
+an array (runs, 1, n), and (1, c, n) is (runs, c, n).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.tools.walk.network import ACTIVATIONS, MAX_WEIGHTS, Operation, elu, gru, lstm
+
+Array = NDArray[np.float64]
+
+Make = Callable[[dict[str, Any], int], Operation | None]
+"""Function that creates an operation from ONNX attributes and the number of outputs; returns None
+if not supported."""
+
+
+def _make_gemm(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Create the operation x W + b of an ONNX node ``Gemm`` from its attributes.
+
+    None if alpha or beta is not 1, or the input is transposed.
+    """
+    if (
+        attributes.get("transA")
+        or not attributes.get("alpha", 1.0) == attributes.get("beta", 1.0) == 1.0
+    ):
+        return None
+    is_transposed = bool(attributes.get("transB"))
+
+    def apply(value: Array, weights: Array, bias: Array | float = 0.0) -> Any:
+        return np.matmul(value, weights.T if is_transposed else weights) + bias
+
+    return apply
+
+
+def _is_last_axis(attributes: dict[str, Any]) -> bool:
+    """Return True if an operator acts along the last axis; other axes would mix runs."""
+    return attributes.get("axis", 0) in (-1, 1, 2)
+
+
+def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
+    """Return the operation Split into ``count`` parts; None if not along the last axis."""
+    if not _is_last_axis(attributes):
+        return None
+
+    def apply(value: Array, sizes: Array | None = None) -> tuple[Array, ...]:
+        parts = attributes.get("split") if sizes is None else sizes.astype(int).tolist()
+        indices = count if parts is None else np.cumsum(parts)[:-1].tolist()
+        return tuple(np.split(value, indices, axis=-1))
+
+    return apply
+
+
+def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Return the operation Concat; None if not along the last axis, or of lists of sizes."""
+    if attributes.get("axis") == 0:
+        return _concatenate_sizes
+    if not _is_last_axis(attributes):
+        return None
+
+    def apply(*values: Array) -> Any:
+        return np.concatenate(
+            [np.reshape(value, (*values[0].shape[:-1], -1)) for value in values], -1
+        )
+
+    return apply
+
+
+def _concatenate_sizes(*values: Array) -> Array:
+    """Return lists of sizes as one list; ValueError if a value is no list."""
+    if any(np.ndim(value) > 1 for value in values):
+        raise ValueError([np.shape(value) for value in values])
+    return np.concatenate([np.ravel(value) for value in values])
+
+
+def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
+    """Return the ONNX operation Clip, with bounds from its inputs, otherwise its attributes."""
+
+    def apply(value: Array, low: Any = None, high: Any = None) -> Any:
+        low = attributes.get("min", -np.inf) if low is None else low
+        return np.clip(value, low, attributes.get("max", np.inf) if high is None else high)
+
+    return apply
+
+
+def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Return the ONNX operation GRU; None if not forward, or with an activations attribute."""
+    if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
+        return None
+    reset_after = bool(attributes.get("linear_before_reset", 0))
+
+    def apply(value: Array, w: Array, r: Array, b: Array, hidden: Array) -> Any:
+        biases = b[0].reshape(2, -1)
+        state = gru(value, hidden, w[0].T, r[0].T, biases, reset_after=reset_after)
+        return state, state
+
+    return apply
+
+
+def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Return the operation LSTM of an ONNX node, or None if its attributes are not supported.
+
+    Other directions than forward, and stated activation functions, are not supported.
+    """
+    if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
+        return None
+
+    def reorder_gates(weights: Array) -> Array:
+        input_gate, output_gate, forget_gate, candidate = np.split(weights, 4)  # i, o, f, c in ONNX
+        return np.concatenate([input_gate, forget_gate, candidate, output_gate])
+
+    def apply(value: Array, w: Array, r: Array, b: Array, hidden: Array, cell: Array) -> Any:
+        bias = reorder_gates(b[0, : len(w[0])]) + reorder_gates(b[0, len(w[0]) :])
+        state, cell = lstm(value, hidden, cell, reorder_gates(w[0]).T, reorder_gates(r[0]).T, bias)
+        return state, state, cell
+
+    return apply
+
+
+def softplus(value: Array) -> Array:
+    """Return log(1 + exp(x)) without overflow."""
+    return np.logaddexp(0.0, value)
+
+
+def _erf(value: Array) -> Array:
+    """Return the error function."""
+    from scipy.special import erf
+
+    result: Array = erf(value)
+    return result
+
+
+def _make_gelu(attributes: dict[str, Any], _: int) -> Operation:
+    """Return the operation Gelu (Hendrycks and Gimpel, 2016), exact or with its approximation."""
+    if attributes.get("approximate") == "tanh":
+        return lambda x: 0.5 * x * (1 + np.tanh(np.sqrt(2 / np.pi) * (x + 0.044715 * x**3)))
+    return lambda x: 0.5 * x * (1 + _erf(x / np.sqrt(2)))
+
+
+def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Return the operation Softmax; None if not along the last axis."""
+    if attributes.get("axis", -1) not in (-1, 1, 2):
+        return None
+
+    def apply(value: Array) -> Any:
+        powers: Array = np.exp(value - value.max(axis=-1, keepdims=True))
+        return powers / powers.sum(axis=-1, keepdims=True)
+
+    return apply
+
+
+def _make_layer_normalization(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Return the operation LayerNormalization (Ba et al., 2016); None if not of the last axis."""
+    if attributes.get("axis", -1) not in (-1, 1, 2):
+        return None
+    epsilon = attributes.get("epsilon", 1e-5)
+
+    def apply(value: Array, scale: Array, bias: Array | float = 0.0) -> Any:
+        centred = value - value.mean(axis=-1, keepdims=True)
+        deviation: Array = np.sqrt((centred**2).mean(axis=-1, keepdims=True) + epsilon)
+        return centred / deviation * scale + bias
+
+    return apply
+
+
+def _make_batch_normalization(attributes: dict[str, Any], _: int) -> Operation:
+    """Return the operation BatchNormalization of a vector, with constant mean and variance."""
+    epsilon = attributes.get("epsilon", 1e-5)
+
+    def apply(value: Array, scale: Array, bias: Array, mean: Array, variance: Array) -> Any:
+        if value.shape[1] != 1:
+            raise ValueError(value.shape)
+        return (value - mean) / np.sqrt(variance + epsilon) * scale + bias
+
+    return apply
+
+
+def _make_reduction(function: Callable[..., Any]) -> Make:
+    """Return a function that makes a reduction of the last axis, which remains with one element."""
+
+    def make(attributes: dict[str, Any], _: int) -> Operation | None:
+        stated = attributes.get("axes", [-1])
+        if len(stated) != 1 or stated[0] not in (-1, 1, 2):
+            return None
+
+        def apply(value: Array, axes: Array | None = None) -> Any:
+            axis = stated[0] if axes is None else int(axes.item())
+            return function(value, axis=_find_axis(value, axis), keepdims=True)
+
+        return apply
+
+    return make
+
+
+def _find_axis(value: Array, axis: int) -> int:
+    """Return the axis of an array for an axis of the ONNX tensor.
+
+    Raises:
+        ValueError: If the axis is that of the runs.
+    """
+    if value.ndim <= 1:  # a constant, such as a list of sizes
+        return axis
+    if axis in (-1, 2) or (axis == 1 and value.shape[1] == 1):
+        return -1
+    if axis != 1:
+        raise ValueError(axis)
+    return 1
+
+
+def _make_slice(attributes: dict[str, Any], _: int) -> Operation:
+    """Return the operation Slice, with its bounds as inputs or, before opset 10, attributes."""
+
+    def apply(value: Array, *bounds: Array | None) -> Any:
+        names = ("starts", "ends", "axes", "steps")
+        stated = {name: attributes[name] for name in names if name in attributes}
+        given = dict[str, list[int]]()
+        for name, bound in zip(names, bounds, strict=False):
+            if bound is not None:  # an end may be the largest integer
+                numbers = np.clip(np.ravel(bound), -MAX_WEIGHTS, MAX_WEIGHTS)
+                given[name] = numbers.astype(int).tolist()
+        parts = {"axes": list(range(len((stated | given)["starts"])))} | stated | given
+        steps = parts.get("steps", [1] * len(parts["starts"]))
+        result: Any = value
+        for start, end, axis, step in zip(
+            parts["starts"], parts["ends"], parts["axes"], steps, strict=True
+        ):
+            if axis == 0 and value.ndim > 1 and start == 0 and end >= 1 and step == 1:
+                continue  # the whole observation
+            where = [slice(None)] * value.ndim
+            where[_find_axis(value, axis)] = slice(start, end, step)
+            result = result[tuple(where)]
+        if not result.size:
+            raise ValueError(parts)
+        return result
+
+    return apply
+
+
+def _make_gather(attributes: dict[str, Any], _: int) -> Operation:
+    """Return the operation Gather, which selects elements of an axis by constant indices."""
+    axis = attributes.get("axis", 0)
+
+    def apply(value: Array, indices: Array) -> Any:
+        if np.ndim(indices) > 1:
+            raise ValueError(np.shape(indices))
+        selected = np.ravel(indices).astype(np.int64)
+        return np.take(value, selected, axis=_find_axis(value, axis))
+
+    return apply
+
+
+def _make_reshape(_: dict[str, Any], __: int) -> Operation:
+    """Return the operation Reshape: (1, c, n) becomes (runs, c, n), any other shape a row."""
+
+    def apply(value: Array, sizes: Array | None = None) -> Array:
+        shape = [] if sizes is None else np.ravel(sizes).astype(int).tolist()
+        if value.ndim < 3:
+            return value
+        if len(shape) == 3 and 0 not in shape[1:]:
+            return value.reshape(len(value), *shape[1:])
+        return value.reshape(len(value), 1, -1)
+
+    return apply
+
+
+def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Return the operation Transpose: of the last two axes, or of two axes of one element."""
+    order = attributes.get("perm", [1, 0])
+    if order == [0, 2, 1]:
+        return lambda value: np.swapaxes(value, 1, 2)
+
+    def apply(value: Array) -> Array:
+        if order != list(range(len(order))) and value.shape[1] != 1:
+            raise ValueError(value.shape)
+        return value
+
+    return apply if order in ([0, 1], [0, 1, 2], [1, 0, 2]) else None
+
+
+def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Return the operation Conv of one dimension; None with groups, dilation or padding."""
+    is_plain = attributes.get("group", 1) == 1 and not any(attributes.get("pads", ()))
+    is_plain &= attributes.get("auto_pad", "NOTSET") in ("NOTSET", "VALID")
+    stride, dilation = attributes.get("strides", [1]), attributes.get("dilations", [1])
+    if not is_plain or len(stride) != 1 or dilation != [1]:
+        return None
+
+    def apply(value: Array, weights: Array, bias: Array | float = 0.0) -> Array:
+        outputs, channels, width = weights.shape
+        if value.shape[1] != channels:
+            raise ValueError(value.shape)
+        windows = np.lib.stride_tricks.sliding_window_view(value, width, axis=2)[:, :, :: stride[0]]
+        rows = np.swapaxes(windows, 1, 2).reshape(len(value), -1, channels * width)
+        product = np.matmul(np.ascontiguousarray(rows), weights.reshape(outputs, -1).T) + bias
+        return np.ascontiguousarray(np.swapaxes(product, 1, 2))
+
+    return apply
+
+
+def _expand(value: Array, sizes: Array) -> Array:
+    """Return a value that is repeated to a shape (ONNX operator Expand)."""
+    shape: Sequence[int] = np.ravel(sizes).astype(int).tolist()
+    return np.broadcast_to(value, np.broadcast_shapes(np.shape(value), tuple(shape)))
+
+
+def _fold(function: Callable[..., Any]) -> Operation:
+    """Return an operation of any number of values from a function of two."""
+
+    def apply(first: Array, *others: Array) -> Any:
+        for other in others:
+            first = function(first, other)
+        return first
+
+    return apply
+
+
+def skip_missing_inputs(operation: Operation, names: Sequence[str]) -> Operation:
+    """Return an operation of the stated inputs; optional inputs without a name are None."""
+    if all(names):
+        return operation
+
+    def apply(*values: Array) -> Any:
+        given = iter(values)
+        return operation(*(next(given) if name else None for name in names))
+
+    return apply
+
+
+def _ignore_attributes(operation: Operation) -> Make:
+    """Return a function that returns ``operation`` for any attributes of an ONNX node."""
+    return lambda _given, _count: operation
+
+
+IDENTITY_OPERATORS = ("Identity", "Cast", "CastLike", "Dropout", "Squeeze", "Unsqueeze")
+"""ONNX operators that are evaluated as identity: for a single observation they change neither the
+numbers nor their order. Only the first input is used."""
+
+OPERATION_MAKERS: dict[str, Make] = {
+    "Add": _ignore_attributes(np.add),
+    "Sub": _ignore_attributes(np.subtract),
+    "Mul": _ignore_attributes(np.multiply),
+    "Div": _ignore_attributes(np.divide),
+    "MatMul": _ignore_attributes(np.matmul),
+    "Neg": _ignore_attributes(np.negative),
+    "Exp": _ignore_attributes(np.exp),
+    "Sqrt": _ignore_attributes(np.sqrt),
+    "Relu": _ignore_attributes(ACTIVATIONS["relu"]),
+    "Tanh": _ignore_attributes(np.tanh),
+    "Sigmoid": _ignore_attributes(ACTIVATIONS["sigmoid"]),
+    "Elu": lambda given, _: lambda value: elu(value, given.get("alpha", 1.0)),
+    "LeakyRelu": lambda given, _: (
+        lambda value: np.where(value > 0, value, given.get("alpha", 0.01) * value)
+    ),
+    "Gemm": _make_gemm,
+    "Split": _make_split,
+    "Concat": _make_concat,
+    "Clip": _make_clip,
+    "Abs": _ignore_attributes(np.abs),
+    "Log": _ignore_attributes(np.log),
+    "Pow": _ignore_attributes(np.power),
+    "Sin": _ignore_attributes(np.sin),
+    "Cos": _ignore_attributes(np.cos),
+    "Erf": _ignore_attributes(_erf),
+    "Reciprocal": _ignore_attributes(np.reciprocal),
+    "Max": _ignore_attributes(_fold(np.maximum)),
+    "Min": _ignore_attributes(_fold(np.minimum)),
+    "Softplus": _ignore_attributes(softplus),
+    "Softsign": _ignore_attributes(lambda value: value / (1 + np.abs(value))),
+    "Swish": _ignore_attributes(ACTIVATIONS["swish"]),
+    "HardSwish": _ignore_attributes(lambda value: value * np.clip(value / 6 + 0.5, 0, 1)),
+    "Mish": _ignore_attributes(lambda value: value * np.tanh(softplus(value))),
+    "Selu": lambda given, _: (
+        lambda value: (
+            given.get("gamma", 1.0507009873554805)
+            * elu(value, given.get("alpha", 1.6732632423543772))
+        )
+    ),
+    "HardSigmoid": lambda given, _: (
+        lambda value: np.clip(given.get("alpha", 0.2) * value + given.get("beta", 0.5), 0, 1)
+    ),
+    "Gelu": _make_gelu,
+    "Softmax": _make_softmax,
+    "LayerNormalization": _make_layer_normalization,
+    "BatchNormalization": _make_batch_normalization,
+    "ReduceMean": _make_reduction(np.mean),
+    "ReduceSum": _make_reduction(np.sum),
+    "ReduceMax": _make_reduction(np.max),
+    "ReduceL2": _make_reduction(np.linalg.norm),
+    "Slice": _make_slice,
+    "Gather": _make_gather,
+    "Shape": _ignore_attributes(lambda value: np.array(np.shape(value), dtype=np.float64)),
+    "Expand": _ignore_attributes(_expand),
+    "Flatten": _make_reshape,
+    "Reshape": _make_reshape,
+    "Transpose": _make_transpose,
+    "Conv": _make_convolution,
+    "GRU": _make_gru,
+    "LSTM": _make_lstm,
+    **dict.fromkeys(IDENTITY_OPERATORS, _ignore_attributes(ACTIVATIONS["linear"])),
+}
+"""{ONNX operator: function that makes its operation from attributes and the number of outputs}."""
