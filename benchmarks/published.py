@@ -5,19 +5,22 @@ The files are found as the tests find them: in the folder of ``PUPPER_ROBOTS``, 
 left out.
 
 `make benchmark` includes these commands. `python benchmarks/published.py --tables docs/data` runs
-only these commands, and writes the table with the commit. Times are processor times (user and
-system), which other processes on the machine increase by 10 to 40 %.
+only these commands, and writes the table with the commit of each row. With ``--robot`` or
+``--command``, the other rows of the table are kept. Times are processor times (user and system),
+which other processes on the machine increase by 10 to 40 %. Simulated steps are the calls of
+``mj_step`` and the steps of ``mujoco.rollout``; they do not depend on the machine.
 """
 
 from __future__ import annotations
 
+import csv
 import math
 import os
 import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,8 +50,22 @@ _COMMANDS_WITH_EFFORTS = ("best utilisation",)
 _FIXED_ROBOTS = ("Panda",)
 """Robots with a fixed base, which are measured with ``hold``."""
 
-_TABLE = ("robot", "joints", "command", "processor time", "peak memory", "commit")
+_TABLE = (
+    "robot",
+    "joints",
+    "command",
+    "processor time",
+    "peak memory",
+    "simulated steps",
+    "commit",
+)
 """Columns of the table of published robots."""
+
+_FILE = "benchmarks-published-robots.csv"
+"""Name of the table in the folder of ``--tables``."""
+
+_STANDS = "all", "stand: exponent of the joints"
+"""Robot and command of the row that states how the time of ``stand`` grows with the joints."""
 
 COMMANDS: Mapping[str, Sequence[str]] = {
     "stand": ("stand", "{robot}"),
@@ -133,7 +150,26 @@ def report():
 """Code that prints the peak memory [kB] at the end of a process. The memory in the resource usage
 of a child process includes the memory of its parent before the program was replaced."""
 
-_RUN_COMMAND = """
+_COUNT_STEPS = """
+import mujoco, mujoco.rollout
+steps, step, rollout = 0, mujoco.mj_step, mujoco.rollout.Rollout.rollout
+def count_step(model, data, nstep=1):
+    global steps
+    steps += nstep
+    step(model, data, nstep=nstep)
+def count_rollout(*arguments, **options):
+    global steps
+    states, *others = rollout(*arguments, **options)
+    steps += states.shape[0] * states.shape[1]
+    return states, *others
+mujoco.mj_step, mujoco.rollout.Rollout.rollout = count_step, count_rollout
+@atexit.register
+def report_steps():
+    print(f"\\n{steps}", flush=True)
+"""
+"""Code that prints the number of simulated steps at the end of a process, before the memory."""
+
+_RUN_COMMAND = f"""{_COUNT_STEPS}
 import runpy, sys
 sys.argv[0] = "pupper-analysis"
 runpy.run_module("pupper_analysis", run_name="__main__")
@@ -165,32 +201,43 @@ def measure_process(code: str, *arguments: str) -> Use:
         return Use(used.ru_utime + used.ru_stime, int(peak) / 1000, "\n".join(lines).strip())
 
 
-def measure_robots(repeats: int = 3, names: Collection[str] | None = None) -> list[tuple[str, ...]]:
-    """Measure all commands by turns; return a table with header.
+def measure_robots(
+    repeats: int = 3,
+    names: Collection[str] | None = None,
+    commands: Collection[str] | None = None,
+) -> list[tuple[str, ...]]:
+    """Measure commands by turns; return a table with header.
 
-    Each value is the smallest of the repeats. The time of a load does not contain the imports; the
-    time of a command does.
+    Time and memory are the smallest of the repeats. The time of a load does not contain the
+    imports; the time of a command does. Steps are empty for a load.
 
     Args:
         repeats: Number of runs of each command.
         names: Names of the robots; all that are installed by default.
+        commands: Commands besides the loads, which are always measured; all by default.
     """
     robots = {
         name: robot for name, robot in find_robots().items() if names is None or name in names
     }
     best: dict[tuple[str, str], tuple[float, float]] = {}
     joints: dict[str, int] = {}
+    steps: dict[tuple[str, str], str] = {}
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(repeats):
             for name, robot in robots.items():
                 for command, arguments in _list_processes(name, robot, Path(folder)).items():
+                    is_load = command.startswith("load")
+                    if not (is_load or commands is None or command in commands):
+                        continue
                     click.echo(f"{name}: {command} ...", err=True)
                     used = measure_process(*arguments)
                     seconds = used.seconds
-                    if command.startswith("load"):
+                    if is_load:
                         printed = used.output.split()
                         seconds = float(printed[0])
                         joints |= {name: int(printed[1])} if len(printed) > 1 else {}
+                    else:
+                        steps[name, command] = used.output.rsplit("\n", 1)[-1]
                     known = best.get((name, command), (math.inf, math.inf))
                     best[name, command] = (
                         min(seconds, known[0]),
@@ -198,16 +245,52 @@ def measure_robots(repeats: int = 3, names: Collection[str] | None = None) -> li
                     )
     commit = find_commit()
     rows = [
-        (name, str(joints[name]), command, f"{took:.3g} s", f"{memory:.0f} MB", commit)
+        (
+            name,
+            str(joints[name]),
+            command,
+            f"{took:.3g} s",
+            f"{memory:.0f} MB",
+            steps.get((name, command), ""),
+            commit,
+        )
         for (name, command), (took, memory) in best.items()
     ]
-    legged = [name for name in robots if name not in _FIXED_ROBOTS]
-    if len(legged) > 1:
-        stands = [(joints[name], best[name, "stand"][0]) for name in legged]
-        exponent = np.polyfit(*np.log(np.array(stands)).T, 1)[0]
-        row = "all", "", "stand: exponent of the joints", f"{exponent:.2f}", "", commit
-        rows.append(row)
-    return [_TABLE, *rows]
+    return [_TABLE, *rows, *_fit_growth(rows, commit)]
+
+
+def _fit_growth(rows: Sequence[Sequence[str]], commit: str) -> list[tuple[str, ...]]:
+    """Return a row with the exponent of the time of ``stand`` over the number of joints.
+
+    No row if the rows contain ``stand`` of fewer than two numbers of joints.
+    """
+    stands = [(int(row[1]), float(row[3].split()[0])) for row in rows if row[2] == "stand"]
+    if len({number for number, _ in stands}) < 2:
+        return []
+    exponent = np.polyfit(*np.log(np.array(stands)).T, 1)[0]
+    robot, command = _STANDS
+    return [(robot, "", command, f"{exponent:.2f}", "", "", commit)]
+
+
+def merge_rows(
+    known: Iterable[Sequence[str]], measured: Sequence[Sequence[str]], commit: str
+) -> list[tuple[str, ...]]:
+    """Replace the rows of measured commands in a table; return the rows, without a header.
+
+    Robots keep their order; new commands of a robot follow its other rows. The exponent of
+    ``stand`` is computed again from all rows.
+
+    Args:
+        known: Rows of the table.
+        measured: New rows.
+        commit: Commit of the measurement.
+    """
+    merged: dict[str, dict[str, tuple[str, ...]]] = {}
+    for row in (*known, *measured):
+        if row[0] != _STANDS[0]:
+            merged.setdefault(row[0], {})[row[2]] = tuple(row)
+    rows = [row for commands in merged.values() for row in commands.values()]
+    return [*rows, *_fit_growth(rows, commit)]
 
 
 def find_commit() -> str:
@@ -242,14 +325,24 @@ def _list_processes(name: str, robot: str, folder: Path) -> dict[str, list[str]]
 @click.command()
 @click.option("--repeats", default=3, show_default=True, help="Number of runs of each command.")
 @click.option("--robot", "names", multiple=True, help="Measure only this robot. Repeatable.")
-@click.option("--tables", type=click.Path(path_type=Path), help="Write a CSV file here.")
-def main(repeats: int, names: tuple[str, ...], tables: Path | None) -> None:
+@click.option("--command", "commands", multiple=True, help="Measure only this one. Repeatable.")
+@click.option("--tables", type=click.Path(path_type=Path), help="Write rows of a CSV file here.")
+def main(
+    repeats: int, names: tuple[str, ...], commands: tuple[str, ...], tables: Path | None
+) -> None:
     """Measure commands on published robots."""
-    header, *rows = measure_robots(repeats, names or None)
+    header, *rows = measure_robots(repeats, names or None, commands or None)
     for row in (header, *rows):
         click.echo("  ".join(row))
     if tables is not None:
-        write_csv(tables / "benchmarks-published-robots.csv", header, rows)
+        path = tables / _FILE
+        known: list[list[str]] = []
+        if path.exists() and (names or commands):
+            with path.open(encoding="utf-8", newline="") as file:
+                columns, *known = csv.reader(file)
+            if tuple(columns) != header:
+                raise click.ClickException(f"the columns of {path} are {columns}, not {header}")
+        write_csv(path, header, merge_rows(known, rows, find_commit()))
 
 
 if __name__ == "__main__":

@@ -89,6 +89,42 @@ def test_published_robots_are_found_and_processes_are_measured(
     assert re.fullmatch(r"([0-9a-f]{8,}\+?)?", published.find_commit())
 
 
+@pytest.mark.slow
+def test_simulated_steps_are_counted_in_loops_and_rollouts() -> None:
+    """Reference: the steps that the program itself requests."""
+    program = """
+import numpy as np
+model = mujoco.MjModel.from_xml_string("<mujoco/>")
+data = mujoco.MjData(model)
+mujoco.mj_step(model, data)
+mujoco.mj_step(model, data, nstep=6)
+with mujoco.rollout.Rollout(nthread=0) as pool:
+    pool.rollout([model] * 2, data, np.zeros((2, 1)), nstep=5)
+"""
+    assert published.measure_process(published._COUNT_STEPS + program).output == "17"
+
+
+def test_measured_rows_replace_those_of_the_same_robot_and_command() -> None:
+    """The exponent of stands with 10 and 20 joints, 2 s and 8 s, is log2(8 / 2) = 2."""
+    known = [
+        ("A", "10", "stand", "3 s", "9 MB", "5", "old"),
+        ("A", "10", "push", "4 s", "9 MB", "6", "old"),
+        ("B", "20", "stand", "8 s", "9 MB", "7", "old"),
+        ("all", "", "stand: exponent of the joints", "1.00", "", "", "old"),
+    ]
+    measured = [
+        ("A", "10", "payload", "6 s", "9 MB", "8", "new"),
+        ("A", "10", "stand", "2 s", "9 MB", "5", "new"),
+    ]
+    assert published.merge_rows(known, measured, "new") == [
+        measured[1],
+        known[1],
+        measured[0],
+        known[2],
+        ("all", "", "stand: exponent of the joints", "2.00", "", "", "new"),
+    ]
+
+
 def make_job(name: str, error: float = 0.0) -> measure.Job:
     """Return a job with an engine, whose result has an error [m] with the limit 1e-9 m."""
     return measure.Job(
